@@ -1,0 +1,81 @@
+"""Imports point one way, and importing the package loads nothing heavy."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parent.parent / "skat"
+
+# Part -> the parts of skat it may import. What is not listed is not allowed.
+ALLOWED = {
+    "_compat": set(),
+    "gaussian": set(),
+    "transport": {"_compat", "gaussian"},
+    "baselines": {"_compat", "gaussian", "transport"},
+    "metrics": {"_compat", "gaussian", "transport", "baselines"},
+    "effects": set(),
+    "simulators": {"effects"},
+    "datasets": {"effects", "simulators"},
+    "diagnosis": {"_compat", "effects", "gaussian", "transport", "baselines", "metrics", "simulators", "plotting"},
+    "plotting": {"gaussian", "transport", "baselines", "metrics"},
+    "experiments": {"_compat", "gaussian", "transport", "baselines", "metrics", "plotting", "effects", "simulators",
+                    "datasets", "diagnosis"},
+    "cli": {"gaussian", "transport", "baselines", "metrics", "plotting", "effects", "simulators", "datasets",
+            "diagnosis", "experiments", ""},
+    "": {"transport", "baselines"},
+}
+MAY_IMPORT_MUJOCO = {"effects", "simulators", "datasets", "diagnosis"}
+IMPORTED_WHERE_USED = {"ot", "matplotlib", "pooch", "dask", "distributed", "torch", "gymnasium", "xlrd"}
+
+
+def part_of(path):
+    return path.relative_to(PACKAGE).with_suffix("").parts[0].replace("__init__", "")
+
+
+def imported_modules(tree):
+    """Yield (dotted module, whether it is imported as the module loads)."""
+    deferred = {id(inner) for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+                for inner in ast.walk(node)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield alias.name, id(node) not in deferred
+        elif isinstance(node, ast.ImportFrom):
+            yield (node.module or "") if not node.level else "." * node.level + (node.module or ""), id(node) not in deferred
+            if node.module == "skat":
+                for alias in node.names:
+                    yield f"skat.{alias.name}", id(node) not in deferred
+
+
+FILES = sorted(PACKAGE.rglob("*.py"))
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_imports_point_one_way(path):
+    part = part_of(path)
+    for module, at_load in imported_modules(ast.parse(path.read_text())):
+        assert not module.startswith("."), f"{path.name}: write imports in full, not {module}"
+        top, *rest = module.split(".")
+        if top == "skat" and rest:
+            other = rest[0]
+            is_module = (PACKAGE / other).is_dir() or (PACKAGE / f"{other}.py").exists()
+            if is_module and other != part:
+                assert other in ALLOWED[part], f"{path.name} imports skat.{other}; allowed: {sorted(ALLOWED[part])}"
+        elif top == "mujoco":
+            assert part in MAY_IMPORT_MUJOCO, f"{path.name} imports mujoco"
+        if at_load:
+            assert top not in IMPORTED_WHERE_USED, f"{path.name} imports {top} as it loads; import it where it is used"
+
+
+def test_import_loads_numpy_scipy_and_sklearn_only():
+    code = (
+        "import numpy, scipy, sklearn, sklearn.base, sklearn.utils.validation, sys; before = sklearn.get_config(), numpy.geterr()\n"
+        "import skat\n"
+        "heavy = {'ot', 'mujoco', 'matplotlib', 'pandas', 'gymnasium', 'pooch', 'dask', 'torch', 'typer', 'rich', 'jinja2'}\n"
+        "assert not heavy & set(sys.modules), heavy & set(sys.modules)\n"
+        "assert before == (sklearn.get_config(), numpy.geterr())\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
