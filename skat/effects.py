@@ -1,0 +1,219 @@
+"""Effects: the named physical quantities in which a simulation and the world may differ."""
+
+import difflib
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+NAME_PATTERN = re.compile(r"(?P<family>[A-Za-z_]\w*)(\[(?P<target>[^\[\]]+)\])?")
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A named physical quantity of a simulator that may differ from the model's.
+
+    Parameters
+    ----------
+    name : str
+        ``"family[target]"`` or ``"family"``, for example ``"mass[torso]"`` or ``"gravity"``.
+    unit : str
+        Unit of the value; ``"1"`` for factors.
+    neutral : float
+        The value at which the simulation is the model as it was given: 1 for factors, 0 for what is added.
+    bounds : tuple of two floats
+        Lowest and highest value that make physical sense; ``neutral`` lies within them.
+    apply : callable, optional
+        ``apply(spec, value)`` edits a copied ``mujoco.MjSpec`` in place. None if no edit of the model
+        expresses the effect, or if the simulator is not MuJoCo's.
+    describe : callable, optional
+        ``describe(value)`` returns a sentence. By default a sentence made from the name, the unit and the
+        value.
+
+    Attributes
+    ----------
+    family : str
+        The name before the bracket.
+    target : str or None
+        The name within the bracket: a body, a joint, an axis, "all"; None if the family has no target.
+
+    Raises
+    ------
+    ValueError
+        If the name has another form, or if not ``low <= neutral <= high`` with ``low < high``.
+
+    Examples
+    --------
+    >>> from skat.effects import Effect
+    >>> heavier = Effect("mass[torso]", unit="1", neutral=1.0, bounds=(0.05, 20.0))
+    >>> heavier.family, heavier.target
+    ('mass', 'torso')
+    >>> heavier.describe(1.08)
+    "the mass of torso is 1.08 times the model's"
+    """
+
+    name: str
+    unit: str = field(kw_only=True)
+    neutral: float = field(kw_only=True)
+    bounds: tuple[float, float] = field(kw_only=True)
+    apply: Callable[[Any, float], None] | None = field(default=None, kw_only=True, compare=False, repr=False)
+    describe: Callable[[float], str] = field(default=None, kw_only=True, compare=False, repr=False)  # type: ignore[assignment]
+    family: str = field(init=False, compare=False, repr=False)
+    target: str | None = field(init=False, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        match = NAME_PATTERN.fullmatch(self.name)
+        if match is None:
+            raise ValueError(f"an effect's name is 'family' or 'family[target]'; got {self.name!r}")
+        low, high = self.bounds
+        if not (low <= self.neutral <= high and low < high):
+            raise ValueError(
+                f"bounds of {self.name} must enclose the neutral value {self.neutral:g}; got ({low:g}, "
+                f"{high:g})"
+            )
+        object.__setattr__(self, "family", match["family"])
+        object.__setattr__(self, "target", match["target"])
+        if self.describe is None:
+            object.__setattr__(self, "describe", partial(_sentence, self.name, self.unit, self.neutral))
+
+    @property
+    def is_factor(self) -> bool:
+        """Whether values multiply (neutral 1) rather than add (neutral 0)."""
+        return self.neutral != 0
+
+    def combined(self, first: float, second: float) -> float:
+        """Return the value that stands for both: the product of factors, otherwise the sum.
+
+        Examples
+        --------
+        >>> Effect("wind[x]", unit="N", neutral=0.0, bounds=(-1.0, 1.0)).combined(0.25, 0.5)
+        0.75
+        """
+        return first * second if self.is_factor else first + second
+
+    def checked(self, value: Any) -> float:
+        """Return the value as a float.
+
+        Raises
+        ------
+        TypeError
+            If it is not a number.
+        ValueError
+            If it is not finite or out of bounds.
+        """
+        try:
+            number = float(value)
+        except (TypeError, ValueError):
+            raise TypeError(
+                f"the value of {self.name} must be a number ({self.unit}); got {value!r}"
+            ) from None
+        low, high = self.bounds
+        if not math.isfinite(number) or not low - 1e-9 * abs(low) <= number <= high + 1e-9 * abs(high):
+            raise ValueError(
+                f"{self.name} = {number:g} is out of bounds: expected a value from {low:g} to {high:g} "
+                f"({self.unit}); {self.neutral:g} is neutral"
+            )
+        return number
+
+
+def checked_values(effects: Iterable[Effect], values: Mapping[str, float] | None) -> dict[str, float]:
+    """Return the values as floats, in the effects' order, after a check of every name and value.
+
+    Parameters
+    ----------
+    effects : iterable of Effect
+        The effects that exist.
+    values : mapping from name to value, or None
+        None: no values.
+
+    Raises
+    ------
+    TypeError
+        If ``values`` is no mapping, or a value no number.
+    ValueError
+        If a name does not exist (the message lists names that are close, and the families), or a value is out
+        of bounds.
+    """
+    if values is None:
+        return {}
+    if not isinstance(values, Mapping):
+        raise TypeError(
+            f"effects must be a dictionary from names to values; got {type(values).__name__}: {values!r}"
+        )
+    known = {effect.name: effect for effect in effects}
+    for name in values:
+        if name not in known:
+            raise ValueError(unknown_name_message(name, known))
+    return {name: known[name].checked(values[name]) for name in known if name in values}
+
+
+def unknown_name_message(name: Any, known: Iterable[str]) -> str:
+    """Return the error text for an effect that does not exist: close names, then the families."""
+    known = list(known)
+    close = difflib.get_close_matches(str(name), known, n=4, cutoff=0.5)
+    targets: dict[str, list[str]] = {}
+    for other in known:
+        family, _, target = other.partition("[")
+        targets.setdefault(family, []).append(target.rstrip("]"))
+    if close:
+        hint = f"Close names: {', '.join(close)}. "
+    elif (family := str(name).partition("[")[0]) in targets:
+        hint = f"Targets of {family}: {', '.join(targets[family])}. "
+    else:
+        hint = ""
+    listing = ", ".join(f"{family}[...]" if any(found) else family for family, found in targets.items())
+    return (
+        f"unknown effect {name!r}. {hint}Families of this simulator: {listing or 'none'}. effects() "
+        f"lists all names"
+    )
+
+
+# Family -> (what it is, with the target put in for {}; the same for the target "all"; how it compares).
+_PHRASES = {
+    "mass": ("the mass of {}", "the mass of every body"),
+    "length": ("the length of {}", "the length of every link"),
+    "gravity": ("gravity", "gravity"),
+    "gain": ("gain[{}]", "gain[all]"),
+    "contact_friction": ("the contact friction of {}", "the contact friction"),
+    "contact_anisotropy": (
+        "the contact friction of {} along its second direction",
+        "the contact friction along its second direction",
+    ),
+    "restitution": ("the contact damping ratio of {}", "the contact damping ratio"),
+    "scale": ("the scale of sensor {}", "the scale of every sensor"),
+    "timestep": ("the time step", "the time step"),
+    "centre_of_mass": ("the centre of mass along {}", ""),
+    "tilt": ("the ground's slope along {}", ""),
+    "wind": ("a constant force along {}", ""),
+    "air_drag": ("quadratic air drag along {}", "quadratic air drag"),
+    "damping": ("viscous damping of {}", "viscous damping of every joint"),
+    "dry_friction": ("dry friction of {}", "dry friction of every joint"),
+    "position_friction": ("dry friction that grows with the position of {}", ""),
+    "armature": ("the armature of {}", "the armature of every joint"),
+    "stiffness": ("the stiffness of {}", "the stiffness of every joint"),
+    "delay": ("the delay of every {}", ""),
+    "bias": ("the bias of sensor {}", ""),
+}
+
+
+def _sentence(name: str, unit: str, neutral: float, value: float) -> str:
+    family, _, bracket = name.partition("[")
+    target = bracket.rstrip("]")
+    one, every = _PHRASES.get(family, (name, name))
+    phrase = every if target == "all" and every else one.format(target)
+    if family == "gain":
+        if abs(value + 1) < 0.05:
+            return f"{phrase} is inverted"
+        if abs(value) < 0.05:
+            return f"{phrase} is disabled"
+    if family == "contact_anisotropy":
+        return f"{phrase} is {value:.3g} times that along the first"
+    if neutral == 1:
+        return f"{phrase} is {value:.3g} times the model's"
+    if family in {"damping", "dry_friction", "armature", "stiffness"}:
+        return f"{phrase} is {abs(value):.3g} {unit} {'more' if value >= 0 else 'less'} than the model's"
+    if family == "centre_of_mass":
+        return f"{phrase} is shifted by {value:.3g} {unit}"
+    return f"{phrase} is {value:.3g} {unit}".rstrip()

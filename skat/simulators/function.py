@@ -1,0 +1,120 @@
+"""A simulator around any function."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Self
+
+import numpy as np
+
+from skat.effects import Effect
+from skat.simulators.base import Array, Simulator
+
+
+class FunctionSimulator(Simulator):
+    """A simulator around ``function(X, **values) -> Y``.
+
+    Parameters
+    ----------
+    function : callable
+        ``function(X, **values)`` maps X of shape (n_rows, n_inputs) to Y of shape (n_rows, n_outputs).
+        ``values`` holds every effect of ``effects`` by its name, as a float, neutral ones included; names
+        that are no Python identifiers, such as ``"mass[arm]"``, arrive in ``**values``. Rows that are not
+        finite count as diverged.
+    input_names, output_names : sequence of str
+        Names of columns.
+    state_names : sequence of str, default=()
+        Empty: a one-shot simulation. Otherwise the first inputs and the outputs, which must bear these names.
+    effects : sequence of Effect, default=()
+        What the function can take on. Effects of the sensors are added by themselves.
+    dt : float, optional
+        Duration of a transition, s.
+    built_in : mapping from name to value, optional
+        Effects that are built in; see `extended`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skat.effects import Effect
+    >>> from skat.simulators import FunctionSimulator
+    >>> def fall(X, gravity):
+    ...     return np.stack([X[:, 0] + 0.1 * X[:, 1], X[:, 1] - 0.1 * 9.81 * gravity], axis=1)
+    >>> ball = FunctionSimulator(
+    ...     fall, input_names=("height", "speed"), output_names=("height", "speed"),
+    ...     state_names=("height", "speed"),
+    ...     effects=(Effect("gravity", unit="1", neutral=1.0, bounds=(0.0, 3.0)),))
+    >>> ball.predict([[2.0, 0.0]], effects={"gravity": 2.0})
+    array([[ 2.   , -1.962]])
+    """
+
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        *,
+        input_names: Sequence[str],
+        output_names: Sequence[str],
+        state_names: Sequence[str] = (),
+        effects: Sequence[Effect] = (),
+        dt: float | None = None,
+        built_in: Mapping[str, float] | None = None,
+    ):
+        self.function = function
+        self.input_names = tuple(input_names)
+        self.output_names = tuple(output_names)
+        self.state_names = tuple(state_names)
+        self.dt = dt
+        self.built_in = built_in
+        self._effects = tuple(effects)  # `effects` is a method of every simulator
+        _check_names(self.input_names, self.output_names, self.state_names)
+
+    def get_params(self, deep: bool = True) -> dict[str, Any]:
+        """Return the constructor's parameters by name."""
+        names = ("function", "input_names", "output_names", "state_names", "dt", "built_in")
+        return {**{name: getattr(self, name) for name in names}, "effects": self._effects}
+
+    def set_params(self, **params: Any) -> Self:
+        """Set constructor parameters by name."""
+        unknown = sorted(set(params) - set(self.get_params()))
+        if unknown:
+            raise ValueError(
+                f"unknown parameters {', '.join(unknown)}; valid: {', '.join(self.get_params())}"
+            )
+        self.__init__(**{**self.get_params(), **params})  # type: ignore[misc]
+        return self
+
+    def _own_effects(self) -> tuple[Effect, ...]:
+        return self._effects
+
+    def _outputs(
+        self, inputs: Array, candidates: Sequence[Mapping[str, float]], history: Array | None
+    ) -> Array:
+        outputs = np.empty((*inputs.shape[:2], len(self.output_names)))
+        for index, values in enumerate(candidates):
+            complete = {effect.name: values.get(effect.name, effect.neutral) for effect in self._effects}
+            result = np.asarray(self.function(inputs[index].copy(), **complete), dtype=float)
+            if result.shape != outputs.shape[1:]:
+                raise ValueError(
+                    f"the function must return the shape (n_rows, n_outputs) = {outputs.shape[1:]}, "
+                    f"with the columns "
+                    f"{', '.join(self.output_names)}; it returned {result.shape}"
+                )
+            result = np.where(np.isfinite(result).all(axis=1, keepdims=True), result, np.nan)
+            outputs[index] = result
+        return outputs
+
+
+def _check_names(inputs: tuple[str, ...], outputs: tuple[str, ...], states: tuple[str, ...]) -> None:
+    if not inputs or not outputs:
+        raise ValueError(
+            "a simulator needs at least one input and one output; input_names or output_names is empty"
+        )
+    for argument, names in (("input_names", inputs), ("output_names", outputs)):
+        repeated = sorted({name for name in names if names.count(name) > 1})
+        if repeated:
+            raise ValueError(
+                f"{argument} must differ from each other; {', '.join(repeated)} occurs more than once"
+            )
+    if states and (inputs[: len(states)] != states or outputs != states):
+        raise ValueError(
+            f"with state_names, the first inputs and the outputs must be the state {states}; got the "
+            f"inputs {inputs} "
+            f"and the outputs {outputs}"
+        )
