@@ -29,7 +29,7 @@ ALLOWED = {
     "": {"transport", "baselines"},
 }
 MAY_IMPORT_MUJOCO = {"effects", "simulators", "datasets", "diagnosis"}
-IMPORTED_WHERE_USED = {"ot", "matplotlib", "pooch", "dask", "distributed", "torch", "gymnasium", "xlrd"}
+IMPORTED_WHERE_USED = {"ot", "matplotlib", "pooch", "dask", "distributed", "torch", "gymnasium", "openpyxl"}
 
 
 def part_of(path):

@@ -1,0 +1,7 @@
+"""Measured data from their public sources, and simulated measurements, each a `Bunch` of transitions."""
+
+from skat.datasets.ball_drops import ball_drop_simulator, fetch_ball_drops
+from skat.datasets.cube_tosses import cube_toss_simulator, fetch_cube_tosses
+from skat.datasets.originals import data_home
+
+__all__ = ["ball_drop_simulator", "cube_toss_simulator", "data_home", "fetch_ball_drops", "fetch_cube_tosses"]

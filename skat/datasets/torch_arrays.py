@@ -1,0 +1,110 @@
+"""Read one array from a legacy PyTorch file, without PyTorch and without running what the file asks for."""
+
+import collections
+import pickle
+
+import numpy as np
+
+_MAGIC_NUMBER = 0x1950A86A20F9469CFC6C
+_PROTOCOL = 1001
+_STORAGES = {
+    "DoubleStorage": np.dtype("<f8"),
+    "FloatStorage": np.dtype("<f4"),
+    "LongStorage": np.dtype("<i8"),
+}
+
+
+def read_torch_array(path):
+    """Return the array that ``torch.save(tensor, path)`` wrote in the format before PyTorch 1.6.
+
+    A pickle may name any function for the reader to call. This reader knows three names, those that a
+    tensor needs, and stops at any other.
+
+    Parameters
+    ----------
+    path : str or Path
+        A file with one dense tensor on the CPU.
+
+    Returns
+    -------
+    ndarray
+        The tensor's values.
+
+    Raises
+    ------
+    ValueError
+        If the file is not such a file, is cut short, or asks for anything but the rebuilding of a tensor.
+
+    References
+    ----------
+    .. [1] The format as ``torch.serialization`` writes it with ``_use_new_zipfile_serialization=False``:
+       four pickles (magic number, protocol, system, the object), the keys of the storages, and the bytes of
+       each storage after their number of elements.
+    """
+    with open(path, "rb") as file:
+        try:
+            magic, protocol, system = (_TensorUnpickler(file).load() for _ in range(3))
+            if (magic, protocol) != (_MAGIC_NUMBER, _PROTOCOL) or not system["little_endian"]:
+                raise ValueError(
+                    f"{path} is not a legacy PyTorch file: it begins with {magic!r}, {protocol!r}."
+                )
+            tensor = _TensorUnpickler(file).load()
+            keys = _TensorUnpickler(file).load()
+        except (pickle.UnpicklingError, EOFError, IndexError, KeyError, TypeError, AttributeError) as error:
+            raise ValueError(f"{path} is not a legacy PyTorch file of one tensor: {error}") from error
+        if not isinstance(tensor, _Tensor) or keys != [tensor.storage.key]:
+            raise ValueError(
+                f"{path} holds {type(tensor).__name__} and storages {keys}; expected one tensor."
+            )
+        count = int.from_bytes(file.read(8), "little")
+        content = file.read()
+    storage = tensor.storage
+    if count != storage.size or len(content) != count * storage.dtype.itemsize:
+        raise ValueError(
+            f"{path} is cut short or damaged: {len(content)} bytes of values, "
+            f"expected {storage.size * storage.dtype.itemsize}."
+        )
+    return tensor.of(np.frombuffer(content, dtype=storage.dtype))
+
+
+class _Storage:
+    def __init__(self, dtype, key, size):
+        self.dtype, self.key, self.size = dtype, key, size
+
+
+class _Tensor:
+    """What a pickled tensor says of itself: where in its storage its elements lie."""
+
+    def __init__(self, storage, offset, shape, strides, *_):
+        if not isinstance(storage, _Storage):
+            raise pickle.UnpicklingError("a tensor without a storage")
+        self.storage, self.offset, self.shape, self.strides = storage, offset, shape, strides
+
+    def of(self, values):
+        last = self.offset + sum((n - 1) * stride for n, stride in zip(self.shape, self.strides, strict=True))
+        if min((*self.strides, self.offset, *self.shape), default=0) < 0 or last >= max(len(values), 1):
+            raise ValueError(
+                f"A tensor of shape {self.shape} does not fit into its storage of {len(values)} values."
+            )
+        strides = [stride * values.itemsize for stride in self.strides]
+        return np.lib.stride_tricks.as_strided(values[self.offset :], self.shape, strides).copy()
+
+
+class _TensorUnpickler(pickle.Unpickler):
+    _ALLOWED = {
+        ("torch._utils", "_rebuild_tensor_v2"): _Tensor,
+        ("collections", "OrderedDict"): collections.OrderedDict,
+        **{("torch", name): dtype for name, dtype in _STORAGES.items()},
+    }
+
+    def find_class(self, module, name):
+        try:
+            return self._ALLOWED[module, name]
+        except KeyError:
+            raise pickle.UnpicklingError(f"it asks for {module}.{name}, which no tensor needs") from None
+
+    def persistent_load(self, reference):
+        kind, dtype, key, location, size, view = reference
+        if kind != "storage" or location != "cpu" or view is not None or not isinstance(dtype, np.dtype):
+            raise pickle.UnpicklingError(f"storage {reference!r} is not a dense one on the CPU")
+        return _Storage(dtype, key, size)
