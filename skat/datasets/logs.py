@@ -1,0 +1,255 @@
+"""Read a robot's log from a CSV file as transitions of a simulator."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from sklearn.utils import Bunch
+
+# The clock of a log may deviate by this much of a transition; more cannot be told from a lost row.
+CLOCK_TOLERANCE = 0.01
+FEWEST_ROWS = 20
+
+
+def load_log(path, simulator, *, frame_skip=None):
+    r"""Load a log as transitions of a simulator.
+
+    Parameters
+    ----------
+    path : str or Path
+        CSV file with one row for each instant, in time order: ``time`` in s, ``episode`` (optional), and one
+        column for each input of the simulator: ``qpos.<joint>``, ``qvel.<joint>``, ``ctrl.<actuator>``. The
+        action in a row acts from that row to the next.
+
+    simulator : MujocoSimulator
+        Its inputs name the columns, and its time step tells how many steps make a transition.
+
+    frame_skip : int, default=None
+        Number of steps of the model from a row to the next. None means: from the times in the log. With a
+        number, the log needs no column ``time``, and one that it has is not read.
+
+    Returns
+    -------
+    Bunch
+        With these attributes:
+
+        data : ndarray of shape (n_transitions, n_inputs)
+            State and action at the start of each transition.
+        target : ndarray of shape (n_transitions, n_states)
+            State at its end.
+        groups : ndarray of shape (n_transitions,)
+            Number of the episode, from 0.
+        group_names : list of str
+            Name of each episode in the log.
+        feature_names, target_names : list of str
+            Those of the simulator.
+        dt : float
+            Seconds per transition.
+        frame_skip : int
+            Steps of the model per transition.
+        simulator : MujocoSimulator
+            The simulator with this `frame_skip`.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+
+    ValueError
+        If the file is no table, its columns are not those of the simulator, a value is missing or no number,
+        an episode's rows are not together, the times are not even or not a multiple of the model's time step,
+        or there are fewer than 20 transitions.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> from skat.datasets import ball_drop_simulator, load_log
+    >>> rows = [f"{t / 15},{47 - t**2 / 45.9},{-t / 1.53}" for t in range(40)]
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder, "log.csv")
+    ...     _ = path.write_text("\n".join(["time,qpos.z,qvel.z", *rows]))
+    ...     log = load_log(path, ball_drop_simulator())
+    >>> log.data.shape, log.frame_skip, round(log.dt, 4)
+    ((39, 2), 4, 0.0667)
+    """
+    path = Path(path)
+    table = read_table(path)
+    _check_columns(table, simulator, path, needs_time=frame_skip is None)
+    values = _numbers(table, list(simulator.input_names), path)
+    starts = _episode_starts(table, path)
+    inside = np.ones(len(table), dtype=bool)
+    inside[starts] = False
+    arrivals = np.flatnonzero(inside)
+    if len(arrivals) < FEWEST_ROWS:
+        raise ValueError(
+            f"{path} has {len(arrivals)} transitions in {len(starts)} episodes; at least {FEWEST_ROWS} are "
+            f"needed. "
+            "Record longer, or put several episodes into one file with a column 'episode'."
+        )
+    timestep = simulator.dt / simulator.frame_skip
+    if frame_skip is None:
+        frame_skip = _steps_per_row(_numbers(table, ["time"], path)[:, 0], arrivals, timestep, path)
+    episode = np.cumsum(~inside) - 1
+    parameters = {**simulator.get_params(deep=False), "frame_skip": frame_skip}
+    n_states = len(simulator.state_names)
+    return Bunch(
+        data=values[arrivals - 1],
+        target=values[arrivals, :n_states],
+        groups=episode[arrivals],
+        group_names=[str(name) for name in table["episode"].iloc[starts]] if "episode" in table else ["0"],
+        feature_names=list(simulator.input_names),
+        target_names=list(simulator.state_names),
+        dt=frame_skip * timestep,
+        frame_skip=frame_skip,
+        simulator=type(simulator)(**parameters),
+    )
+
+
+def read_table(path):
+    """Return the table in a CSV file.
+
+    Parameters
+    ----------
+    path : str or Path
+        A file whose first line names the columns.
+
+    Returns
+    -------
+    DataFrame
+        As pandas reads it; spaces around names are removed.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+
+    ValueError
+        If it holds no table.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"There is no file {path}. Check the path; expected a CSV file.")
+    try:
+        table = pd.read_csv(path, skipinitialspace=True, index_col=False)
+    except (ValueError, pd.errors.ParserWarning) as error:
+        raise ValueError(f"{path} is not a CSV table: {str(error).strip()}") from error
+    table.columns = table.columns.str.strip()
+    if len(table) == 0:
+        raise ValueError(f"{path} has no rows below its first line.")
+    return table
+
+
+def numeric_columns(path):
+    """Return the table in a CSV file, all of whose values are numbers.
+
+    Parameters
+    ----------
+    path : str or Path
+        A file whose first line names the columns.
+
+    Returns
+    -------
+    DataFrame
+        Columns of floats.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+
+    ValueError
+        If it holds no table, or a value is missing or no number.
+    """
+    table = read_table(path)
+    return pd.DataFrame(_numbers(table, list(table.columns), path), columns=table.columns)
+
+
+def _check_columns(table, simulator, path, *, needs_time):
+    expected = set(simulator.input_names)
+    missing = [name for name in simulator.input_names if name not in table]
+    unknown = [name for name in table if name not in expected and name not in {"time", "episode"}]
+    if missing or unknown:
+        raise ValueError(
+            f"The columns of {path} do not match the model. "
+            + (f"Missing: {_listed(missing)}. " if missing else "")
+            + (f"Not in the model: {_listed(unknown)}. " if unknown else "")
+            + f"Expected time, episode (optional), {_listed(list(simulator.input_names), 40)}."
+        )
+    if needs_time and "time" not in table:
+        raise ValueError(
+            f"{path} has no column 'time' (s). Add it, or say how many steps of the model lie between two "
+            f"rows "
+            "(frame_skip, on the command line --frame-skip)."
+        )
+
+
+def _numbers(table, names, path):
+    converted = table[names].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
+    bad = np.argwhere(~np.isfinite(converted))
+    if len(bad):
+        row, column = bad[0]
+        raise ValueError(
+            f"{path}, line {row + 2}, column {names[column]}: expected a finite number, got "
+            f"{table[names[column]].iloc[row]!r}"
+            + (f" (and {len(bad) - 1} more such values). " if len(bad) > 1 else ". ")
+            + "Remove the rows with gaps, and start a new episode after each gap."
+        )
+    return converted
+
+
+def _episode_starts(table, path):
+    if "episode" not in table:
+        return np.array([0])
+    names = table["episode"].to_numpy()
+    if table["episode"].isna().any():
+        line = int(np.argmax(table["episode"].isna())) + 2
+        raise ValueError(
+            f"{path}, line {line}: the column 'episode' is empty. Name the episode of every row."
+        )
+    starts = np.flatnonzero(np.concatenate([[True], names[1:] != names[:-1]]))
+    seen = set()
+    for start in starts:
+        if names[start] in seen:
+            raise ValueError(
+                f"{path}, line {start + 2}: episode {names[start]} goes on after another one began. The "
+                f"rows of an "
+                "episode stand together, in time order; give the second part another name if it is another "
+                "run."
+            )
+        seen.add(names[start])
+    return starts
+
+
+def _steps_per_row(time, arrivals, timestep, path):
+    intervals = time[arrivals] - time[arrivals - 1]
+    dt = float(np.median(intervals))
+    if dt <= 0:
+        raise ValueError(
+            f"{path}: time does not grow from row to row (median step {dt:g} s). Rows must be in time "
+            f"order, the "
+            "column 'time' in seconds."
+        )
+    worst = int(np.argmax(np.abs(intervals - dt)))
+    if abs(intervals[worst] - dt) > CLOCK_TOLERANCE * dt:
+        raise ValueError(
+            f"{path}, line {arrivals[worst] + 2}: {intervals[worst]:g} s after the row before, while the "
+            f"usual step "
+            f"is {dt:g} s; more than 1 % apart. Resample the log evenly, start a new episode after each "
+            f"gap, or pass "
+            "the number of steps per row (frame_skip, on the command line --frame-skip) if the clock is "
+            "wrong."
+        )
+    dt = float(np.mean(intervals))
+    steps = round(dt / timestep)
+    if steps < 1 or abs(dt / timestep - steps) > CLOCK_TOLERANCE * dt / timestep:
+        raise ValueError(
+            f"{path}: {dt:g} s from row to row is {dt / timestep:.4g} of the model's time steps of "
+            f"{timestep:g} s, "
+            "not a whole number. Set the model's timestep so that it divides the log's step, "
+            f"for example {dt / max(int(np.ceil(dt / timestep - 1e-9)), 1):.6g}, or resample the log."
+        )
+    return steps
+
+
+def _listed(names, limit=12):
+    return ", ".join(names[:limit]) + (f", ... ({len(names)} in all)" if len(names) > limit else "")
