@@ -26,6 +26,7 @@ ALLOWED = {
                     "datasets", "diagnosis"},
     "cli": {"gaussian", "transport", "baselines", "metrics", "plotting", "effects", "simulators", "datasets",
             "diagnosis", "experiments", ""},
+    "__main__": {"cli"},
     "": {"transport", "baselines"},
 }
 MAY_IMPORT_MUJOCO = {"effects", "simulators", "datasets", "diagnosis"}

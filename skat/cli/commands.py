@@ -1,0 +1,290 @@
+"""The commands, each of which reads, calls one function of skat, and shows what that returns."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from skat.cli.terminal import (
+    clear_errors,
+    existing_file,
+    output_console,
+    progress_bars,
+    table_of,
+    unused,
+    writable,
+)
+
+app = typer.Typer(
+    help="Find out what a simulation gets wrong, and carry simulated samples onto measured ones.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_show_locals=False,
+)
+demo = typer.Typer(help="Diagnose data that come with skat.", invoke_without_command=True)
+app.add_typer(demo, name="demo")
+
+Output = Annotated[Path | None, typer.Option("--output", "-o", help="HTML report to write.")]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite output that exists.")]
+Seed = Annotated[int, typer.Option(help="Seed of everything random.")]
+Jobs = Annotated[int | None, typer.Option(help="Processes to use; -1: one per core.")]
+
+
+@demo.callback()
+def demo_puck(context: typer.Context, output: Output = None, force: Force = False, seed: Seed = 0):
+    """Puck shots, simulated with a hidden effect; or measured data: demo ball-drops, demo cube-tosses."""
+    if context.invoked_subcommand is not None:
+        return
+    with clear_errors():
+        from skat.experiments.studies import study_hidden_puck
+
+        path = _report_path(output, "skat-demo-report.html", force)
+        with progress_bars() as progress:
+            study = study_hidden_puck(random_state=seed, progress=progress)
+        _show(study, path)
+
+
+@demo.command("ball-drops")
+def demo_ball_drops(
+    ball: Annotated[
+        list[str] | None, typer.Option(help="Name of a ball; repeat for several. Default: all.")
+    ] = None,
+    output: Output = None,
+    force: Force = False,
+    seed: Seed = 0,
+):
+    """Sports balls dropped from 48 m: fit on drop 1 of each ball, test on drop 2."""
+    with clear_errors():
+        from skat.experiments.studies import ball_drop_table, study_ball_drops
+
+        path = _report_path(output, "skat-ball-drops-report.html", force)
+        with progress_bars() as progress:
+            studies = study_ball_drops(ball or None, random_state=seed, progress=progress)
+        console = output_console()
+        for study in studies.values():
+            _show(study, None)
+        console.print(table_of(ball_drop_table(studies), title="Every ball: trajectory error on drop 2, m"))
+        _write_report(max(studies.values(), key=lambda study: study.improvement), path)
+
+
+@demo.command("cube-tosses")
+def demo_cube_tosses(
+    fit: Annotated[int, typer.Option(min=2, help="Number of tosses to fit on.")] = 20,
+    test: Annotated[int, typer.Option(min=1, help="Number of other tosses to test on.")] = 50,
+    output: Output = None,
+    force: Force = False,
+    seed: Seed = 0,
+):
+    """A cube tossed onto a table: fit on some tosses, test on others."""
+    with clear_errors():
+        from skat.experiments.studies import study_cube_tosses
+
+        path = _report_path(output, "skat-cube-tosses-report.html", force)
+        with progress_bars() as progress:
+            study = study_cube_tosses(n_fit=fit, n_test=test, random_state=seed, progress=progress)
+        _show(study, path)
+
+
+@app.command()
+def diagnose(
+    model: Annotated[
+        Path, typer.Argument(metavar="MODEL.xml", help="The simulation, a MuJoCo model (MJCF).")
+    ],
+    log: Annotated[Path, typer.Argument(metavar="LOG.csv", help="What was measured.")],
+    frame_skip: Annotated[
+        int | None, typer.Option(min=1, help="Steps of the model between two rows; replaces the column time.")
+    ] = None,
+    effect: Annotated[
+        list[str] | None,
+        typer.Option(help="Name of an effect to consider; repeat for several. Default: all."),
+    ] = None,
+    hidden: Annotated[
+        list[str] | None, typer.Option(help="Name of a state column that is a guess, no measurement; repeat.")
+    ] = None,
+    alpha: Annotated[float, typer.Option(help="Chance of a false alarm on clean data.")] = 0.01,
+    max_effects: Annotated[int, typer.Option(min=1, help="Name this many causes at most.")] = 6,
+    test_size: Annotated[float, typer.Option(help="Part of the log that measures the gain.")] = 0.3,
+    extended: Annotated[Path | None, typer.Option(help="File to write the extended model to (MJCF).")] = None,
+    output: Output = None,
+    force: Force = False,
+    seed: Seed = 0,
+    jobs: Jobs = None,
+):
+    """Find out what MODEL.xml gets wrong about LOG.csv.
+
+    Columns of the log: time, episode (optional), qpos.<joint>, qvel.<joint>, ctrl.<actuator>.
+    """
+    with clear_errors():
+        from skat.datasets import load_log
+        from skat.experiments.studies import study_log
+        from skat.simulators import MujocoSimulator
+
+        existing_file(model, "a MuJoCo model")
+        existing_file(log, "a log in CSV")
+        path = _report_path(output, f"{log.stem}-report.html", force)
+        extended = None if extended is None else writable(extended, force=force)
+        data = load_log(log, MujocoSimulator(model), frame_skip=frame_skip)
+        with progress_bars() as progress:
+            study = study_log(
+                data,
+                effects=effect or "all",
+                hidden=hidden or (),
+                alpha=alpha,
+                max_effects=max_effects,
+                test_size=test_size,
+                random_state=seed,
+                n_jobs=jobs,
+                progress=progress,
+            )
+        _show(study, path)
+        if extended is not None:
+            study.diagnosis.extended_simulator_.to_mjcf(extended)
+            _say_file(output_console(), "Extended model", extended)
+
+
+class Method(StrEnum):
+    """Ways to carry source rows onto target rows."""
+
+    affine = "affine"
+    procrustes = "procrustes"
+    coral = "coral"
+    exact = "exact"
+
+
+@app.command()
+def transport(
+    source: Annotated[Path, typer.Argument(metavar="SOURCE.csv", help="Simulated rows.")],
+    target: Annotated[Path, typer.Argument(metavar="TARGET.csv", help="Measured rows, same columns.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="OUT.csv", help="Transported rows to write.")
+    ],
+    method: Annotated[
+        Method, typer.Option(help="procrustes needs pairs: row i of SOURCE belongs to row i of TARGET.")
+    ] = Method.affine,
+    force: Force = False,
+):
+    """Carry the rows of SOURCE.csv onto those of TARGET.csv."""
+    with clear_errors():
+        from skat import CORAL, AffineTransport, ExactTransport, ProcrustesAffineTransport
+        from skat.datasets.logs import numeric_columns, with_same_columns
+
+        path = writable(output, force=force)
+        rows = numeric_columns(existing_file(source, "simulated rows in CSV"))
+        measured = with_same_columns(numeric_columns(existing_file(target, "measured rows in CSV")), rows)
+        estimators = {
+            Method.affine: AffineTransport,
+            Method.procrustes: ProcrustesAffineTransport,
+            Method.coral: CORAL,
+            Method.exact: ExactTransport,
+        }
+        with progress_bars() as progress:
+            progress("fitting", 0, 1)
+            estimator = estimators[method]().fit(rows.to_numpy(), measured.to_numpy())
+            moved = rows.copy()
+            moved[:] = estimator.transform(rows.to_numpy())
+            score = estimator.score(rows.to_numpy(), measured.to_numpy())
+            progress("fitting", 1, 1)
+        moved.to_csv(path, index=False)
+        console = output_console()
+        console.print(table_of(_moments(source=rows, target=measured, transported=moved)))
+        console.print(f"Affinity score of the transported and the target rows: {score:.4g}")
+        _say_file(console, "Transported rows", path)
+
+
+class Experiment(StrEnum):
+    """The experiments of the paper."""
+
+    hopper = "hopper"
+    halfcheetah = "halfcheetah"
+    ant = "ant"
+    puck = "puck"
+    learning_curve = "learning-curve"
+
+
+@app.command()
+def experiment(
+    name: Annotated[Experiment, typer.Argument(help="Which one.")],
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="CSV file for the table.")] = None,
+    force: Force = False,
+    n_transitions: Annotated[int, typer.Option(min=50, help="Rows to fit on (robots).")] = 2000,
+    seed: Seed = 0,
+):
+    """Run an experiment of the paper, every method side by side."""
+    with clear_errors():
+        from skat import experiments
+
+        path = None if output is None else writable(output, force=force)
+        with progress_bars() as progress:
+            if name is Experiment.puck:
+                table = experiments.puck_table(random_state=seed, progress=progress)
+            elif name is Experiment.learning_curve:
+                table = experiments.puck_learning_curve(random_state=seed, progress=progress)
+            else:
+                table = experiments.domain_matrix(
+                    name.value, n_transitions=n_transitions, random_state=seed, progress=progress
+                )
+        console = output_console()
+        console.print(table_of(table))
+        if path is not None:
+            table.to_csv(path, index=False)
+            _say_file(console, "Table", path)
+
+
+def _show(study, report):
+    console = output_console()
+    diagnosis = study.diagnosis
+    console.print()
+    console.print(f"{study.title}: {diagnosis.verdict_}", style="bold", markup=False)
+    for cause in diagnosis.causes_:
+        console.print(f"  {cause.sentence}", markup=False, soft_wrap=True)
+    if diagnosis.causes_:
+        console.print(table_of(_causes(diagnosis.causes_)))
+    console.print(table_of(study.errors, title="One-step error on data not used"))
+    gain, (low, high) = study.gain, study.gain.interval
+    console.print(
+        f"{study.error_name}, on data not used: {gain.nominal:.3g} before, {gain.extended:.3g} after, "
+        f"{study.improvement:.3g} times smaller",
+        markup=False,
+        soft_wrap=True,
+    )
+    console.print(f"gain: {gain.explained:.1%} explained, interval {low:.1%} to {high:.1%}", markup=False)
+    if report is not None:
+        _write_report(study, report)
+
+
+def _causes(causes):
+    import pandas as pd
+
+    return pd.DataFrame(
+        {
+            "cause": [cause.name for cause in causes],
+            "size": [f"{cause.value:.4g}" for cause in causes],
+            "95 % interval": ["{:.4g} to {:.4g}".format(*cause.interval) for cause in causes],
+            "unit": [cause.unit for cause in causes],
+            "aliases": [", ".join(cause.aliases) or "none" for cause in causes],
+        }
+    )
+
+
+def _moments(**tables):
+    import pandas as pd
+
+    moments = {"column": list(tables["source"])}
+    for name, table in tables.items():
+        moments[f"mean of {name}"] = table.mean().to_numpy()
+        moments[f"std of {name}"] = table.std().to_numpy()
+    return pd.DataFrame(moments)
+
+
+def _report_path(given, default, force):
+    return unused(default) if given is None else writable(given, force=force)
+
+
+def _write_report(study, path):
+    study.diagnosis.report_.to_html(path)
+    _say_file(output_console(), "Report with pictures", path)
+
+
+def _say_file(console, what, path):
+    console.print(f"{what}: {path}", markup=False, soft_wrap=True)

@@ -1,0 +1,152 @@
+"""What the command line shows: progress, tables, messages; and how it ends when the input is wrong."""
+
+import sys
+import warnings
+from contextlib import contextmanager
+from pathlib import Path
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+EXIT_BAD_INPUT = 2
+
+
+def output_console():
+    """Return a console on the present standard output, wide enough for a table when that is a file."""
+    return _console(sys.stdout)
+
+
+def error_console():
+    """Return a console on the present standard error."""
+    return _console(sys.stderr)
+
+
+@contextmanager
+def clear_errors():
+    """End with one message and exit code 2 where the input is wrong, and show warnings as single lines."""
+    console = error_console()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("default")
+            warnings.showwarning = lambda message, *_, **__: _say(console, "Warning", "yellow", message)
+            yield
+    except (ValueError, OSError, RuntimeError, TypeError) as error:
+        _say(console, "Error", "red", error)
+        raise typer.Exit(EXIT_BAD_INPUT) from error
+
+
+def existing_file(path, what):
+    """Return a path that the user named, after a check that it is a file.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    """
+    if not Path(path).is_file():
+        found = "It is a folder." if Path(path).is_dir() else "Check the path."
+        raise FileNotFoundError(f"There is no file {path}; expected {what}. {found}")
+    return Path(path)
+
+
+def writable(path, *, force):
+    """Return a path that the user named for output, before the work begins that would be lost otherwise.
+
+    Raises
+    ------
+    FileExistsError
+        If the file exists and may not be overwritten.
+
+    FileNotFoundError
+        If its folder does not exist.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise FileExistsError(f"{path} is a folder; expected the name of a file to write.")
+    if path.exists() and not force:
+        raise FileExistsError(f"{path} exists. Choose another name, or overwrite it with --force.")
+    if not path.parent.is_dir():
+        raise FileNotFoundError(f"There is no folder {path.parent} to write {path.name} into. Make it first.")
+    return path
+
+
+def unused(path):
+    """Return the path, with a number added where a file of that name exists."""
+    path, number = Path(path), 1
+    candidate = path
+    while candidate.exists():
+        number += 1
+        candidate = path.with_name(f"{path.stem}-{number}{path.suffix}")
+    return candidate
+
+
+@contextmanager
+def progress_bars():
+    """Show a bar for each stage of the work; yield the function to call with (stage, done, total)."""
+    bars = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        console=error_console(),
+        transient=True,
+    )
+    tasks = {}
+
+    def report(stage, done, total):
+        if stage not in tasks:
+            tasks[stage] = bars.add_task(stage, total=total)
+        bars.update(tasks[stage], completed=done, total=total)
+
+    with bars:
+        yield report
+
+
+def table_of(frame, *, title=None, formats=None):
+    """Return a table with the rows of a data frame.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        What to show.
+
+    title : str, default=None
+        Line above the table.
+
+    formats : dict of str to str, default=None
+        Format of the numbers in a column, such as ``".3g"``, which is what other columns of floats have.
+
+    Returns
+    -------
+    rich.table.Table
+    """
+    formats = formats or {}
+    table = Table(title=title, title_justify="left")
+    for column in frame.columns:
+        table.add_column(str(column), justify="right" if frame[column].dtype.kind in "fi" else "left")
+    for row in frame.itertuples(index=False):
+        table.add_row(
+            *(
+                _cell(value, formats.get(column, ".3g"))
+                for column, value in zip(frame.columns, row, strict=True)
+            )
+        )
+    return table
+
+
+def _cell(value, number):
+    if isinstance(value, float):
+        return "" if value != value else format(value, number)
+    return str(value)
+
+
+def _console(stream):
+    # A pipe has no width; 110 keeps rows of a table on one line.
+    return Console(file=stream, highlight=False, soft_wrap=False, width=None if stream.isatty() else 110)
+
+
+def _say(console, word, colour, message):
+    console.print(f"[{colour}]{word}:[/{colour}]", end=" ")
+    console.print(str(message), markup=False, soft_wrap=True)

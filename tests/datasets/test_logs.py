@@ -1,0 +1,170 @@
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn.utils import Bunch
+
+from skat.datasets import load_log, split_episodes
+from skat.datasets.logs import numeric_columns, with_same_columns
+from skat.simulators import MujocoSimulator
+
+CART = """
+<mujoco>
+  <option timestep="0.005"/>
+  <worldbody>
+    <body name="cart">
+      <joint name="rail" type="slide" axis="1 0 0"/>
+      <geom name="cart" type="box" size="0.1 0.1 0.1" mass="1"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="push" joint="rail"/></actuator>
+</mujoco>
+"""
+
+
+@pytest.fixture
+def cart():
+    return MujocoSimulator(CART)
+
+
+@pytest.fixture
+def table():
+    """Two episodes of 30 and 20 rows, every value a different number."""
+    rng = np.random.default_rng(0)
+    return pd.DataFrame(
+        {
+            "ctrl.push": rng.normal(size=50),
+            "time": np.r_[0.02 * np.arange(30), 5 + 0.02 * np.arange(20)],
+            "qvel.rail": rng.normal(size=50),
+            "qpos.rail": rng.normal(size=50),
+            "episode": ["first"] * 30 + ["second"] * 20,
+        }
+    )
+
+
+def written(tmp_path, table):
+    table.to_csv(tmp_path / "log.csv", index=False)
+    return tmp_path / "log.csv"
+
+
+def refusal(tmp_path, table, cart, **options):
+    with pytest.raises(ValueError) as caught:
+        load_log(written(tmp_path, table), cart, **options)
+    return str(caught.value)
+
+
+def test_transitions_stay_within_their_episode(tmp_path, table, cart):
+    log = load_log(written(tmp_path, table), cart)
+    values = table[["qpos.rail", "qvel.rail", "ctrl.push"]].to_numpy()
+    starts = np.r_[0:29, 30:49]
+    np.testing.assert_array_equal(log.data, values[starts])
+    np.testing.assert_array_equal(log.target, values[starts + 1, :2])
+    np.testing.assert_array_equal(log.groups, [0] * 29 + [1] * 19)
+    assert log.group_names == ["first", "second"]
+
+
+def test_a_transition_is_as_many_steps_as_fit_between_two_rows(tmp_path, table, cart):
+    log = load_log(written(tmp_path, table), cart)
+    assert log.frame_skip == log.simulator.frame_skip == 4
+    assert log.dt == pytest.approx(0.02) == pytest.approx(log.simulator.dt)
+    state = np.array([[0.3, 2.0, 0.0]])
+    np.testing.assert_allclose(log.simulator.predict(state), [[0.3 + 2 * 0.02, 2.0]], atol=1e-12)
+
+
+def test_a_given_number_of_steps_replaces_the_clock(tmp_path, table, cart):
+    assert load_log(written(tmp_path, table.drop(columns="time")), cart, frame_skip=3).frame_skip == 3
+    assert load_log(written(tmp_path, table.assign(time=0.0)), cart, frame_skip=3).dt == pytest.approx(0.015)
+
+
+def test_a_jittering_clock_within_one_percent_is_accepted(tmp_path, table, cart):
+    table["time"] += np.random.default_rng(1).uniform(-4e-5, 4e-5, size=50)
+    assert load_log(written(tmp_path, table), cart).frame_skip == 4
+
+
+def test_without_episodes_there_is_one(tmp_path, table, cart):
+    log = load_log(written(tmp_path, table.head(30).drop(columns="episode")), cart)
+    assert set(log.groups) == {0}
+    assert len(log.data) == 29
+
+
+def test_a_lost_row_is_named(tmp_path, table, cart):
+    assert "line 12: 0.04 s after the row before, while the usual step is 0.02 s" in refusal(
+        tmp_path, table.drop(index=10), cart
+    )
+
+
+def test_a_step_that_is_no_multiple_is_refused_with_a_time_step_that_divides_it(tmp_path, table, cart):
+    table["time"] *= 0.7
+    message = refusal(tmp_path, table, cart)
+    assert "0.014 s from row to row is 2.8 of the model's time steps of 0.005 s" in message
+    assert "for example 0.00466667" in message
+
+
+def test_rows_in_another_order_are_refused(tmp_path, table, cart):
+    assert "time does not grow" in refusal(tmp_path, table.iloc[::-1], cart)
+    assert "line 4: -0.02 s after the row before" in refusal(
+        tmp_path, table.iloc[[0, 2, 1, *range(3, 50)]], cart
+    )
+
+
+def test_an_episode_that_comes_back_is_refused(tmp_path, table, cart):
+    table.loc[40:, "episode"] = "first"
+    assert "line 42: episode first goes on after another one began" in refusal(tmp_path, table, cart)
+
+
+def test_a_row_without_an_episode_is_refused(tmp_path, table, cart):
+    table.loc[3, "episode"] = None
+    assert "line 5: the column 'episode' is empty" in refusal(tmp_path, table, cart)
+
+
+def test_columns_must_be_those_of_the_model(tmp_path, table, cart):
+    message = refusal(tmp_path, table.rename(columns={"ctrl.push": "ctrl.pull"}), cart)
+    assert "Missing: ctrl.push." in message
+    assert "Not in the model: ctrl.pull." in message
+    assert "has no column 'time'" in refusal(tmp_path, table.drop(columns="time"), cart)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, "fast"])
+def test_values_that_are_no_finite_numbers_are_named(tmp_path, table, cart, value):
+    table["qvel.rail"] = table["qvel.rail"].astype(object)
+    table.loc[6, "qvel.rail"] = value
+    assert "line 8, column qvel.rail: expected a finite number" in refusal(tmp_path, table, cart)
+
+
+def test_too_few_transitions_are_refused(tmp_path, table, cart):
+    assert load_log(written(tmp_path, table.head(21)), cart).data.shape == (20, 3)
+    assert "19 transitions in 1 episodes; at least 20" in refusal(tmp_path, table.head(20), cart)
+
+
+@pytest.mark.parametrize("content", ["", "a,b\n1,2,3\n4,5\n", "\0\0\0", "a,b\n"])
+def test_a_file_that_holds_no_table_is_refused(tmp_path, content):
+    (tmp_path / "log.csv").write_text(content)
+    with pytest.raises(ValueError, match=r"log\.csv"):
+        numeric_columns(tmp_path / "log.csv")
+
+
+def test_columns_are_matched_by_name():
+    table = pd.DataFrame({"a": [1.0], "b": [2.0]})
+    assert list(with_same_columns(table, table[["b", "a"]])) == ["b", "a"]
+    with pytest.raises(ValueError, match="only one of them has: b, c"):
+        with_same_columns(table, pd.DataFrame({"a": [1.0], "c": [2.0]}))
+
+
+@pytest.mark.parametrize("n_groups", [1, 2, 7, None])
+def test_a_split_is_a_partition_by_whole_episodes(n_groups):
+    groups = None if n_groups is None else np.repeat(np.arange(n_groups), 140 // n_groups)
+    log = Bunch(data=np.arange(140.0)[:, None], target=np.arange(140.0)[:, None], groups=groups, dt=0.1)
+    fit, test = split_episodes(log, test_size=0.5, random_state=0)
+    assert sorted([*fit.data[:, 0], *test.data[:, 0]]) == list(range(140))
+    assert min(len(fit.data), len(test.data)) >= 60
+    assert fit.dt == 0.1
+    if n_groups == 1:
+        assert fit.data.max() < test.data.min()
+    elif n_groups:
+        assert not set(fit.groups) & set(test.groups)
+
+
+@pytest.mark.parametrize("test_size", [0.0, 0.01, 1.0])
+def test_a_split_that_leaves_a_side_empty_is_refused(test_size):
+    log = Bunch(data=np.zeros((40, 1)), target=np.zeros((40, 1)), groups=np.repeat([0, 1], 20))
+    with pytest.raises(ValueError, match="leaves one side empty"):
+        split_episodes(log, test_size=test_size)
