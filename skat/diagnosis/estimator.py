@@ -1,0 +1,323 @@
+"""SimulationDiagnosis: what a user meets."""
+
+import numpy as np
+from sklearn.base import BaseEstimator, RegressorMixin
+from sklearn.utils import check_random_state
+from sklearn.utils.validation import check_is_fitted
+
+from skat.diagnosis.findings import Cause
+from skat.diagnosis.gains import episode_gain, one_step_gain
+from skat.diagnosis.identifiability import identifiability, preflight
+from skat.diagnosis.log import check_log
+from skat.diagnosis.omnibus import test_remainder
+from skat.diagnosis.report import Report
+from skat.diagnosis.residuals import Residuals, TransitionResiduals
+from skat.diagnosis.selection import Selection
+from skat.diagnosis.trajectories import TrajectoryResiduals
+from skat.effects import Effect, unknown_name_message
+
+
+class SimulationDiagnosis(RegressorMixin, BaseEstimator):
+    """Find out what a simulation gets wrong about measured data.
+
+    Parameters
+    ----------
+    simulator : Simulator
+        A `MujocoSimulator`, a `FunctionSimulator`, or what `make_simulator` returns.
+    effects : "all" or list of str, default="all"
+        Names of the effects that may be found, of those in ``simulator.effects()``.
+    noise : "estimate" or array-like of shape (n_residuals,), default="estimate"
+        Standard deviation of the measurement noise of each channel, in the channel's unit; by default estimated.
+    alpha : float, default=0.01
+        Bound on the chance of any verdict but "nothing detected" where nothing is wrong.
+    max_effects : int, default=6
+    test_size : float, default=0.3
+        Share of the rows, in whole episodes, held out to measure the gain. 0: all rows are fitted and `gain_` is None.
+    hidden : sequence of str, default=()
+        State channels that were not measured. Their columns in X hold first guesses only; whole episodes are then
+        compared in open loop, each from an initial state of its own that is fitted.
+    n_jobs : int or None, default=None
+        Threads of the simulation are shared by all candidates; more jobs give the same answer.
+    random_state : int, RandomState or None, default=None
+        Which episodes are held out.
+
+    Attributes
+    ----------
+    verdict_ : {"nothing detected", "named", "ambiguous", "unexplained"}
+    causes_ : list of Cause
+        Most telling first.
+    gain_ : Gain or None
+    noise_ : ndarray of shape (n_residuals,)
+        Standard deviation of the measurement noise of each channel.
+    remainder_ : Remainder or None
+        What is left beside the causes.
+    extended_simulator_ : Simulator
+        The simulation with the causes built in.
+    identifiability_ : DataFrame
+        For each effect the smallest size that these data show, and its nearest alias.
+    report_ : Report
+    n_features_in_ : int
+
+    Notes
+    -----
+    One-step residuals are whitened for noise in the measured states at both ends of a transition; the theory page
+    derives the statistics.
+    """
+
+    def __init__(
+        self,
+        simulator,
+        *,
+        effects="all",
+        noise="estimate",
+        alpha=0.01,
+        max_effects=6,
+        test_size=0.3,
+        hidden=(),
+        n_jobs=None,
+        random_state=None,
+    ):
+        self.simulator = simulator
+        self.effects = effects
+        self.noise = noise
+        self.alpha = alpha
+        self.max_effects = max_effects
+        self.test_size = test_size
+        self.hidden = hidden
+        self.n_jobs = n_jobs
+        self.random_state = random_state
+
+    def fit(self, X, y, groups=None, *, progress=None):
+        """Diagnose the simulation with measured rows.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_rows, n_inputs)
+            In the order of ``simulator.input_names``: for a simulation with a state, state and action.
+        y : array-like of shape (n_rows, n_outputs)
+            What followed: for a simulation with a state, the next state, which is the state in the next row of X.
+        groups : array-like of shape (n_rows,), optional
+            Episode of each row; an episode's rows are consecutive and in time order. None: independent rows.
+        progress : callable, optional
+            ``progress(stage, done, total)`` is called as the work goes on.
+
+        Returns
+        -------
+        SimulationDiagnosis
+
+        Raises
+        ------
+        ValueError
+            If the rows do not fit the simulator, are fewer than 20, hold a value that is not finite, or are not in
+            time order; if an effect is unknown.
+        """
+        progress = progress or _silent
+        self._check_parameters()
+        effects = self._chosen_effects()
+        random_state = check_random_state(self.random_state)
+        hidden = self._checked_hidden()
+        log = check_log(self.simulator, X, y, groups, hidden=hidden)
+        if hidden and not log.consecutive:
+            raise ValueError("hidden= needs episodes: pass groups=, the episode of each row.")
+        self.n_features_in_ = log.X.shape[1]
+        fitted, held_out = log.split(self.test_size, random_state)
+        residuals = self._residuals(fitted, effects, self._given_deviations())
+        names = [effect.name for effect in effects]
+        selected = Selection(
+            residuals, names, alpha=self.alpha / 2, max_effects=self.max_effects, progress=progress
+        ).run()
+        progress("remainder", 0, 1)
+        self.remainder_ = test_remainder(residuals, selected.linearisation, list(selected.values))
+        self.noise_ = residuals.deviations
+        self.causes_ = [self._cause(residuals.effects[name], selected) for name in selected.values]
+        self.verdict_ = self._verdict()
+        self.extended_simulator_ = self.simulator.extended(selected.values)
+        self.identifiability_ = identifiability(selected, residuals.effects, self.alpha / 2)
+        self.gain_ = None
+        self._values = dict(selected.values)
+        if held_out is not None:
+            progress("gain", 0, 1)
+            self.gain_ = self._one_step_gain(held_out, random_state)
+        self.report_ = Report(self, log)
+        self.n_simulated_rows_ = residuals.n_simulated_rows
+        progress("done", 1, 1)
+        return self
+
+    def evaluate(self, X, y, groups=None, *, horizon=1, initial_state="measured", outputs=None):
+        """Measure the gain on another log.
+
+        Parameters
+        ----------
+        X, y, groups
+            As in `fit`.
+        horizon : 1 or "episode", default=1
+            One-step errors, in noise units; or whole episodes in open loop, root mean squared distance in the
+            outputs' units.
+        initial_state : {"measured", "fitted"}, default="measured"
+            Where open loop starts: from the measured state of an episode's first row, or from the state that explains
+            the episode best, for the nominal and the extended model alike.
+        outputs : sequence of str, optional
+            Channels that make up the distance in open loop; by default all that were measured.
+
+        Returns
+        -------
+        Gain
+        """
+        check_is_fitted(self, "verdict_")
+        if horizon not in (1, "episode"):
+            raise ValueError(f"horizon must be 1 or 'episode'; it is {horizon!r}.")
+        if initial_state not in ("measured", "fitted"):
+            raise ValueError(f"initial_state must be 'measured' or 'fitted'; it is {initial_state!r}.")
+        hidden = self._checked_hidden()
+        if hidden and initial_state == "measured":
+            raise ValueError(
+                f"{', '.join(hidden)} were not measured, so no episode has a measured initial state: pass "
+                "initial_state='fitted'."
+            )
+        log = check_log(self.simulator, X, y, groups, fewest_rows=1, hidden=hidden)
+        random_state = check_random_state(self.random_state)
+        if horizon == 1 and not hidden:
+            return self._one_step_gain(log, random_state)
+        if not log.consecutive:
+            raise ValueError(
+                "horizon='episode' needs a simulation with a state, and groups=, the episode of each row."
+            )
+        return episode_gain(
+            self.simulator,
+            log,
+            self._values,
+            self.noise_,
+            hidden=hidden,
+            initial_state=initial_state,
+            outputs=outputs,
+            random_state=random_state,
+        )
+
+    def predict(self, X, groups=None):
+        """Return the extended simulation's outputs.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_rows, n_inputs)
+        groups : array-like of shape (n_rows,), optional
+            Episode of each row, needed where a delay was found.
+
+        Returns
+        -------
+        ndarray of shape (n_rows, n_outputs)
+        """
+        check_is_fitted(self, "verdict_")
+        return self.extended_simulator_.predict(X, groups=groups)
+
+    def preflight(self, X, groups=None):
+        """Say, before measuring, what transitions like these could show.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_rows, n_inputs)
+            Planned states and actions. Needs no fit.
+        groups : array-like of shape (n_rows,), optional
+
+        Returns
+        -------
+        DataFrame
+            As `identifiability_`, with the noise taken as 1 % of each channel's spread unless `noise` gives it, and
+            for each effect the further excitation that would separate it from its nearest alias.
+        """
+        self._check_parameters()
+        return preflight(self, X, groups)
+
+    def __repr__(self, N_CHAR_MAX=700):
+        """Return the parameters, and after a fit the findings."""
+        text = super().__repr__(N_CHAR_MAX)
+        return f"{text}\n{self.report_.text()}" if hasattr(self, "report_") else text
+
+    def _repr_html_(self):
+        return self.report_.html(figures=False) if hasattr(self, "report_") else super()._repr_html_()
+
+    # -- parts of fit ------------------------------------------------------------------------------------------------
+
+    def _check_parameters(self):
+        if not 0 < self.alpha < 1:
+            raise ValueError(f"alpha must lie between 0 and 1; it is {self.alpha!r}.")
+        if not 0 <= self.test_size < 1:
+            raise ValueError(f"test_size must be at least 0 and below 1; it is {self.test_size!r}.")
+        if not (isinstance(self.max_effects, int | np.integer) and self.max_effects >= 1):
+            raise ValueError(f"max_effects must be a whole number of at least 1; it is {self.max_effects!r}.")
+
+    def _chosen_effects(self):
+        known = {effect.name: effect for effect in self.simulator.effects()}
+        if isinstance(self.effects, str) and self.effects == "all":
+            return list(known.values())
+        names = [
+            effect.name if isinstance(effect, Effect) else effect for effect in np.atleast_1d(self.effects)
+        ]
+        for name in names:
+            if name not in known:
+                raise ValueError(unknown_name_message(name, known))
+        if not names:
+            raise ValueError("effects is empty: name at least one, or pass 'all'.")
+        return [known[name] for name in dict.fromkeys(names)]
+
+    def _checked_hidden(self):
+        hidden = tuple(self.hidden)
+        unknown = [name for name in hidden if name not in self.simulator.state_names]
+        if unknown:
+            raise ValueError(
+                f"hidden names {', '.join(unknown)}; state channels are {', '.join(self.simulator.state_names)}."
+            )
+        return hidden
+
+    def _given_deviations(self):
+        if isinstance(self.noise, str):
+            if self.noise != "estimate":
+                raise ValueError(
+                    f"noise must be 'estimate' or one standard deviation per channel; it is {self.noise!r}."
+                )
+            return None
+        names = [name for name in self.simulator.residual_names if name not in self.hidden]
+        deviations = np.asarray(self.noise, dtype=float)
+        if deviations.shape != (len(names),) or not (deviations > 0).all():
+            raise ValueError(
+                f"noise must hold a positive standard deviation for each of {', '.join(names)}; it is {self.noise!r}."
+            )
+        return deviations
+
+    def _residuals(self, log, effects, deviations):
+        if self.hidden:
+            return TrajectoryResiduals(self.simulator, log, effects, deviations, hidden=tuple(self.hidden))
+        kind = TransitionResiduals if self.simulator.state_names else Residuals
+        return kind(self.simulator, log, effects, deviations)
+
+    def _one_step_gain(self, log, random_state):
+        residuals = self._residuals(log, self._chosen_effects(), self.noise_)
+        residuals.linearise(self._values, ())
+        return one_step_gain(residuals, self._values, random_state)
+
+    def _verdict(self):
+        if self.remainder_ is not None and self.remainder_.p_value < self.alpha / 2:
+            return "unexplained"
+        if not self.causes_:
+            return "nothing detected"
+        return "ambiguous" if any(cause.aliases for cause in self.causes_) else "named"
+
+    @staticmethod
+    def _cause(effect, selected):
+        name = effect.name
+        value = float(selected.values[name])
+        low, high = selected.intervals[name]
+        return Cause(
+            name=name,
+            family=effect.family,
+            target=effect.target,
+            value=value,
+            interval=(float(low), float(high)),
+            unit=effect.unit,
+            p_value=float(selected.p_values[name]),
+            aliases=selected.aliases[name],
+            sentence=effect.describe(value),
+        )
+
+
+def _silent(stage, done, total):
+    """Report no progress."""

@@ -1,0 +1,160 @@
+r"""What blocks of whitened residuals say about effects: linear gains, Wald statistics and intervals that hold by blocks.
+
+With weights w, residuals z and derivatives G, the score of effect k in block b is :math:`g_{bk} = \sum w G_k^T z` and
+the information :math:`H = \sum w G^T G`. Effects already in the model are projected out of both. Variances come from
+the blocks' scores, each at the value fitted without it (a jackknife), and are never smaller than the noise alone gives.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from skat.diagnosis.residuals import robust_weights
+
+
+@dataclass(frozen=True)
+class Screen:
+    """What adding each effect to a model would bring, to first order; arrays of shape (n_effects,).
+
+    Attributes
+    ----------
+    names : tuple of str
+    moves : ndarray
+        Best change of the effect, in its unit, within its bounds; the effects in the model adapt.
+    gains : ndarray
+        By which the loss (weighted squared residuals in noise units) falls.
+    statistics : ndarray
+        Wald statistics: the unconstrained change over its standard error.
+    p_values : ndarray
+        Two-sided, of a single effect.
+    """
+
+    names: tuple
+    moves: np.ndarray
+    gains: np.ndarray
+    statistics: np.ndarray
+    p_values: np.ndarray
+
+
+@dataclass(frozen=True)
+class Grams:
+    """Sums over the rows of each block that every statistic comes from.
+
+    Attributes
+    ----------
+    scores : ndarray of shape (n_blocks, n_effects)
+    information : ndarray of shape (n_blocks, n_effects, n_effects)
+    losses : ndarray of shape (n_blocks,)
+    """
+
+    scores: np.ndarray
+    information: np.ndarray
+    losses: np.ndarray
+
+
+def grams(residuals, derivatives, blocks, weights=None):
+    """Return the Grams of whitened residuals and derivatives."""
+    weights = robust_weights(residuals) if weights is None else weights
+    starts = np.flatnonzero(np.r_[True, np.diff(blocks) > 0])
+    weighted = derivatives * weights[:, None, None]
+    scores = np.add.reduceat(np.einsum("ndk,nd->nk", weighted, residuals), starts, axis=0)
+    information = np.stack(
+        [
+            np.einsum("ndk,ndl->kl", weighted[begin:end], derivatives[begin:end], optimize=True)
+            for begin, end in zip(starts, np.r_[starts[1:], len(blocks)])
+        ]
+    )
+    losses = np.add.reduceat(weights * np.sum(residuals**2, axis=-1), starts)
+    return Grams(scores, information, losses)
+
+
+def screen(gram, names, values, effects, fitted=()):
+    """Return the Screen of all effects, given those already in the model.
+
+    Parameters
+    ----------
+    gram : Grams
+        At the model, with `names` as the effects.
+    names : sequence of str
+    values : dict of str to float
+        The model's effects.
+    effects : dict of str to Effect
+    fitted : sequence of str
+        Those of the model's effects that adapt when another is added.
+    """
+    inside = np.array([names.index(name) for name in fitted], dtype=int)
+    information = gram.information.sum(axis=0)
+    scores = gram.scores
+    carry = np.zeros((len(inside), len(names)))
+    if len(inside):
+        carry = np.linalg.lstsq(information[np.ix_(inside, inside)], information[inside], rcond=1e-12)[0]
+    own = np.einsum("bkk->bk", gram.information)
+    cross = gram.information[:, inside, :]
+    # Information and score of each effect with the fitted ones projected out, by block.
+    within = own - 2 * np.einsum("bik,ik->bk", cross, carry)
+    within += np.einsum(
+        "ik,bij,jk->bk", carry, gram.information[:, inside][:, :, inside], carry, optimize=True
+    )
+    adjusted = scores - scores[:, inside] @ carry
+    total = within.sum(axis=0)
+    usable = total > 1e-9 * np.diag(information)
+    usable &= np.diag(information) > 0
+    usable[inside] = False
+    safe = np.where(usable, total, 1.0)
+    change = np.where(usable, adjusted.sum(axis=0) / safe, 0.0)
+    errors, freedom = block_errors(adjusted - change * within, within, safe)
+    statistics = np.where(usable, change / errors, 0.0)
+    p_values = np.where(usable, 2 * stats.t.sf(np.abs(statistics), freedom), 1.0)
+    moves, gains = np.zeros(len(names)), np.zeros(len(names))
+    for k in np.flatnonzero(usable):
+        low, high = effects[names[k]].bounds
+        at = values.get(names[k], effects[names[k]].neutral)
+        moves[k] = np.clip(change[k], low - at, high - at)
+        gains[k] = moves[k] * (2 * change[k] - moves[k]) * total[k]
+    return Screen(tuple(names), moves, gains, statistics, p_values)
+
+
+def block_errors(scores, within, total):
+    """Return standard errors and degrees of freedom of changes that maximise a sum over blocks.
+
+    Parameters
+    ----------
+    scores : ndarray of shape (n_blocks, n_effects)
+        What is left of each block's score at the fitted change.
+    within : ndarray of shape (n_blocks, n_effects)
+        Information of each block.
+    total : ndarray of shape (n_effects,)
+    """
+    leverage = np.clip(within / total, 0.0, 1.0)
+    jackknife = np.sum((scores / np.maximum(1 - leverage, 1e-3)) ** 2, axis=0)
+    variance = np.maximum(jackknife, total) / total**2
+    freedom = np.maximum(1 / np.maximum(np.sum(leverage**2, axis=0), 1e-12) - 1, 1.0)
+    return np.sqrt(variance), freedom
+
+
+def wald(gram):
+    """Return (covariance, degrees of freedom) of effects fitted together, all of the Grams' effects.
+
+    The covariance is the sandwich of the blocks' scores with each block's leverage taken out, never smaller than what
+    noise alone gives.
+    """
+    total = gram.information.sum(axis=0)
+    bread = np.linalg.pinv(total, rcond=1e-12, hermitian=True)
+    n_effects = len(total)
+    meat = np.zeros_like(total)
+    leverages = []
+    for score, information in zip(gram.scores, gram.information):
+        hat = information @ bread
+        leverages.append(np.clip(np.diag(hat), 0, 1))
+        corrected = np.linalg.lstsq(np.eye(n_effects) - np.clip(hat, -0.999, 0.999), score, rcond=1e-8)[0]
+        meat += np.outer(corrected, corrected)
+    covariance = bread @ meat @ bread
+    widen = np.sqrt(np.maximum(np.diag(bread) / np.maximum(np.diag(covariance), 1e-300), 1.0))
+    freedom = np.maximum(1 / np.maximum(np.sum(np.square(leverages), axis=0), 1e-12) - n_effects, 1.0)
+    return covariance * np.outer(widen, widen), freedom
+
+
+def family_p_value(p_value, n_effects):
+    """Return the chance that the smallest of `n_effects` independent p-values is as small as this one (Sidak)."""
+    return float(-np.expm1(n_effects * np.log1p(-min(p_value, 1 - 1e-16))))

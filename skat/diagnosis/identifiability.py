@@ -1,0 +1,99 @@
+"""What a log can show: the smallest size of each effect that would be named, and what it could be taken for."""
+
+import numpy as np
+import pandas as pd
+from scipy import stats
+
+from skat.diagnosis.evidence import grams
+from skat.diagnosis.log import Log, check_log
+
+COMMON_NOISE = 0.01
+# Effects whose derivatives make a smaller angle than this cosine are worth a warning before measuring.
+NEARLY_ALIKE = 0.95
+
+
+def identifiability(selected, effects, alpha):
+    """Return a table of what the fitted log shows of each effect, given the causes found.
+
+    Returns
+    -------
+    DataFrame
+        Indexed by effect: `smallest` (size that would be named with a chance of one half, in the effect's unit; inf
+        where the log does not show it), `unit`, `nearest_alias`, `similarity` (cosine, 0 to 1).
+    """
+    return _table(selected.gram, selected.linearisation.names, effects, alpha)
+
+
+def _table(gram, names, effects, alpha):
+    information = gram.information.sum(axis=0)
+    size = np.sqrt(np.diag(information))
+    shown = size > 0
+    cosines = np.abs(information) / np.where(shown, size, np.inf)[:, None] / np.where(shown, size, np.inf)
+    np.fill_diagonal(cosines, 0.0)
+    threshold = stats.norm.isf(alpha / len(names) / 2)
+    nearest = cosines.argmax(axis=1)
+    smallest = threshold / np.where(shown, size, 1e-300)
+    # An effect that must leave its bounds to be seen is not shown at all.
+    shown &= smallest < [np.ptp(effects[name].bounds) for name in names]
+    return pd.DataFrame(
+        {
+            "smallest": np.where(shown, smallest, np.inf),
+            "unit": [effects[name].unit for name in names],
+            "nearest_alias": [
+                names[k] if shown[i] and cosines[i, k] > 0 else "" for i, k in enumerate(nearest)
+            ],
+            "similarity": np.clip(cosines[np.arange(len(names)), nearest], 0, 1),
+        },
+        index=pd.Index(names, name="effect"),
+    )
+
+
+def preflight(diagnosis, X, groups):
+    """Return the identifiability of planned transitions; see `SimulationDiagnosis.preflight`."""
+    simulator = diagnosis.simulator
+    y = simulator.predict(X, groups=groups)
+    log = check_log(simulator, X, y, None)
+    if groups is not None and simulator.state_names:
+        log = Log(log.X, log.y, np.unique(groups, return_inverse=True)[1], True)
+    deviations = diagnosis._given_deviations()
+    if deviations is None:
+        spread = simulator.residual(y, np.broadcast_to(y[:1], y.shape)).std(axis=0)
+        deviations = COMMON_NOISE * np.where(spread > 0, spread, 1.0)
+    effects = diagnosis._chosen_effects()
+    residuals = diagnosis._residuals(log, effects, deviations)
+    names = [effect.name for effect in effects]
+    line = residuals.linearise({}, names)
+    gram = grams(line.residuals, line.derivatives, residuals.blocks, np.ones(len(log)))
+    table = _table(gram, line.names, residuals.effects, diagnosis.alpha / 2)
+    table["separating_excitation"] = _excitation(line, residuals, table)
+    return table
+
+
+def _excitation(line, residuals, table):
+    """Return for each effect the input at whose large or small values it differs most from its nearest alias."""
+    hints = []
+    for k, name in enumerate(line.names):
+        alias = table.loc[name, "nearest_alias"]
+        if not alias or table.loc[name, "similarity"] < NEARLY_ALIKE:
+            hints.append("")
+            continue
+        one, other = line.derivatives[..., k], line.derivatives[..., line.names.index(alias)]
+        share = np.sum(one * other) / np.sum(other**2)
+        apart = np.sum((one - share * other) ** 2, axis=-1)
+        inputs = residuals.points
+        spread = inputs.std(axis=0)
+        standard = (inputs - inputs.mean(axis=0)) / np.where(spread > 0, spread, 1.0)
+        features = np.concatenate([np.abs(standard), standard], axis=1)
+        centred = features - features.mean(axis=0)
+        scale = np.linalg.norm(centred, axis=0) * np.linalg.norm(apart - apart.mean())
+        strength = np.where(
+            scale > 0, centred.T @ (apart - apart.mean()) / np.where(scale > 0, scale, 1.0), 0.0
+        )
+        signs = np.concatenate([strength[: inputs.shape[1]], np.abs(strength[inputs.shape[1] :])])
+        best = int(np.argmax(signs))
+        column = best % inputs.shape[1]
+        where = "large |{}|" if best < inputs.shape[1] else ("large {}" if strength[best] > 0 else "small {}")
+        hints.append(
+            where.format(residuals.simulator.input_names[column]) if signs[best] > 0 else "none found in X"
+        )
+    return hints

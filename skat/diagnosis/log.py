@@ -1,0 +1,213 @@
+"""A measured log as the diagnosis sees it: checked, in episodes, and cut into chains and blocks of time."""
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from sklearn.utils import check_array
+
+FEWEST_ROWS = 20
+# Rows whitened together, and rows that count as one independent piece of evidence.
+CHAIN_LENGTH = 60
+BLOCK_LENGTH = 12
+FEWEST_BLOCKS = 20
+
+
+@dataclass(frozen=True)
+class Log:
+    """Rows of inputs and outputs in episodes.
+
+    Attributes
+    ----------
+    X : ndarray of shape (n_rows, n_inputs)
+    y : ndarray of shape (n_rows, n_outputs)
+    episodes : ndarray of int of shape (n_rows,)
+        0, 1, ... in the order of the rows.
+    consecutive : bool
+        Whether the rows of an episode follow each other in time.
+    """
+
+    X: np.ndarray
+    y: np.ndarray
+    episodes: np.ndarray
+    consecutive: bool
+
+    def __len__(self):
+        return len(self.X)
+
+    @property
+    def n_episodes(self):
+        return int(self.episodes[-1]) + 1 if len(self) else 0
+
+    @property
+    def steps(self):
+        """Place of each row in its episode, from 0."""
+        starts = np.flatnonzero(np.r_[True, np.diff(self.episodes) > 0])
+        return np.arange(len(self)) - starts[self.episodes]
+
+    def rows(self, chosen):
+        """Return the log of the chosen rows; a gap in time starts a new episode."""
+        chosen = np.flatnonzero(chosen) if np.asarray(chosen).dtype == bool else np.asarray(chosen)
+        apart = np.r_[False, (np.diff(chosen) != 1) | (np.diff(self.episodes[chosen]) != 0)]
+        episodes = (
+            np.cumsum(apart) if self.consecutive else np.unique(self.episodes[chosen], return_inverse=True)[1]
+        )
+        return Log(self.X[chosen], self.y[chosen], episodes, self.consecutive)
+
+    def chains(self):
+        """Return (chain, step) of each row: pieces of an episode short enough to be whitened side by side."""
+        if not self.consecutive:
+            return np.arange(len(self)), np.zeros(len(self), dtype=int)
+        steps = self.steps
+        new = np.r_[True, (np.diff(self.episodes) > 0) | (steps[1:] % CHAIN_LENGTH == 0)]
+        return np.cumsum(new) - 1, steps % CHAIN_LENGTH
+
+    def blocks(self):
+        """Return the block of each row: pieces of time short against an episode, long against contacts' echoes."""
+        if not self.consecutive:
+            return np.arange(len(self))
+        length = int(np.clip(len(self) // FEWEST_BLOCKS, 1, BLOCK_LENGTH))
+        new = np.r_[True, (np.diff(self.episodes) > 0) | (self.steps[1:] % length == 0)]
+        return np.cumsum(new) - 1
+
+    def split(self, test_size, random_state):
+        """Return (fitted, held out) logs: whole episodes where there are several, otherwise blocks of time.
+
+        Parameters
+        ----------
+        test_size : float
+            Share of the rows to hold out, 0 <= test_size < 1.
+        random_state : numpy.random.RandomState
+        """
+        if not test_size:
+            return self, None
+        if not self.consecutive:
+            held_out = random_state.permutation(len(self)) < round(test_size * len(self))
+            return self.rows(~held_out), self.rows(held_out)
+        if self.n_episodes > 1:
+            sizes = np.bincount(self.episodes)
+            order = random_state.permutation(self.n_episodes)
+            count = int(np.searchsorted(np.cumsum(sizes[order]), test_size * len(self))) + 1
+            held_out = np.isin(self.episodes, order[: min(count, self.n_episodes - 1)])
+            return self.rows(~held_out), self.rows(held_out)
+        warnings.warn(
+            "The log is a single episode: it is split by blocks of time, so the rows held out are near the rows "
+            "fitted and the gain may look better than on a new episode. Give several episodes (groups=), or "
+            "measure the gain on another log with evaluate().",
+            UserWarning,
+            stacklevel=3,
+        )
+        n_pieces = max(4, min(20, len(self) // FEWEST_ROWS))
+        piece = np.arange(len(self)) * n_pieces // len(self)
+        every = max(2, round(1 / test_size))
+        held_out = piece % every == every - 1
+        return self.rows(~held_out), self.rows(held_out)
+
+
+def check_log(simulator, X, y, groups, *, fewest_rows=FEWEST_ROWS, hidden=()):
+    """Return the Log of checked rows.
+
+    Parameters
+    ----------
+    simulator : Simulator
+    X : array-like of shape (n_rows, n_inputs)
+    y : array-like of shape (n_rows, n_outputs)
+    groups : array-like of shape (n_rows,) or None
+        Episode of each row; the rows of an episode are consecutive and in time order.
+    fewest_rows : int, default=20
+    hidden : sequence of str, default=()
+        State channels that were not measured: not compared between rows.
+
+    Raises
+    ------
+    ValueError
+        Where the rows cannot be what the simulator takes and gives, with the row and the column.
+    """
+    X = _check_matrix(X, "X", simulator.input_names)
+    y = _check_matrix(y, "y", simulator.output_names)
+    if len(X) != len(y):
+        raise ValueError(
+            f"X has {len(X)} rows and y {len(y)}: each row of y is what followed the same row of X."
+        )
+    if len(X) < fewest_rows:
+        raise ValueError(
+            f"The log has {len(X)} rows; a diagnosis needs at least {fewest_rows} to tell an effect from noise. "
+            "Measure longer, or join several logs and tell the episodes apart with groups=."
+        )
+    if groups is None:
+        return Log(X, y, np.arange(len(X)), False)
+    groups = np.asarray(groups)
+    if groups.shape != (len(X),):
+        raise ValueError(
+            f"groups must name the episode of each of the {len(X)} rows; it has shape {groups.shape}."
+        )
+    starts = np.r_[True, groups[1:] != groups[:-1]]
+    episodes = np.cumsum(starts) - 1
+    if len(np.unique(groups)) <= episodes[-1]:
+        seen, row = set(), 0
+        for row in np.flatnonzero(starts):
+            if groups[row] in seen:
+                break
+            seen.add(groups[row])
+        raise ValueError(
+            f"Episode {groups[row]!r} goes on at row {row} after rows of another episode. The rows of an episode must "
+            "be consecutive and in time order: sort the log by episode and time."
+        )
+    log = Log(X, y, episodes, bool(simulator.state_names))
+    if log.consecutive:
+        _check_continuity(simulator, log, hidden)
+        if (np.bincount(episodes) == 1).all():
+            warnings.warn(
+                "Every episode has one row: that the rows are in time order cannot be checked, and noise in the "
+                "measured state cannot be told from noise in the next one as well as in longer episodes.",
+                UserWarning,
+                stacklevel=3,
+            )
+    return log
+
+
+def _check_matrix(values, what, names):
+    try:
+        values = check_array(values, dtype=np.float64, ensure_min_samples=1, input_name=what)
+    except ValueError as error:
+        array = np.asarray(values, dtype=object)
+        if array.ndim == 2:
+            numbers = np.array([[_number(value) for value in row] for row in array], dtype=float)
+            if numbers.size and not np.isfinite(numbers).all():
+                row, column = np.argwhere(~np.isfinite(numbers))[0]
+                name = f" ({names[column]})" if column < len(names) else ""
+                raise ValueError(
+                    f"{what} has {array[row, column]} in row {row}, column {column}{name}; every value must be a finite "
+                    "number. Leave such rows out and start a new episode behind the gap."
+                ) from error
+        raise
+    if values.shape[1] != len(names):
+        raise ValueError(
+            f"{what} has {values.shape[1]} columns; the simulator's are {len(names)}: {', '.join(names)}."
+        )
+    return values
+
+
+def _number(value):
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        return np.nan
+
+
+def _check_continuity(simulator, log, hidden):
+    follows = np.flatnonzero(np.diff(log.episodes) == 0)
+    if not len(follows):
+        return
+    state = len(simulator.state_names)
+    gap = np.abs(simulator.residual(log.X[follows + 1][:, :state], log.y[follows]))
+    measured = [index for index, name in enumerate(simulator.residual_names) if name not in hidden]
+    spread = simulator.residual(log.y, np.broadcast_to(log.y[:1], log.y.shape)).std(axis=0)
+    wrong = np.argwhere(gap[:, measured] > 1e-4 * spread[measured] + 1e-9)
+    if len(wrong):
+        row, channel = int(follows[wrong[0, 0]]), measured[wrong[0, 1]]
+        raise ValueError(
+            f"y of row {row} is not the state in row {row + 1} of X: {simulator.residual_names[channel]} differs by "
+            f"{gap[wrong[0, 0], channel]:.3g}. The rows of an episode must be in time order, y the next row's state; "
+            "if the log has a gap there, start a new episode (groups=); if its rows are independent, pass groups=None."
+        )

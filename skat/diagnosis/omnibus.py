@@ -1,0 +1,109 @@
+r"""Whether anything is left that no effect explains, and what shape it has.
+
+What is left is tested against additive errors :math:`B_j \phi(c)` of the prediction: a direction j (a force on a joint
+where the simulator knows forces, otherwise an error of one output) times any piecewise linear function of one input c.
+Each pair (j, c) is a cluster-robust score test with a few degrees of freedom; the smallest p-value counts, corrected
+for their number.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from skat.diagnosis.evidence import family_p_value
+from skat.diagnosis.residuals import robust_weights
+
+KNOTS = 4
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """What is left of the residuals after the named effects.
+
+    Attributes
+    ----------
+    p_value : float
+        Family-wise chance of so much structure where nothing is left.
+    direction : str
+        Where the most telling error acts: a joint, or an output.
+    coordinate : str
+        The input it depends on.
+    table : list of tuple (direction, coordinate, p_value)
+        The most telling pairs, each p-value by itself.
+    """
+
+    p_value: float
+    direction: str
+    coordinate: str
+    table: tuple
+
+    @property
+    def sentence(self):
+        """What is left, in words."""
+        return f"something acts on {self.direction} that depends on {self.coordinate} and is none of the effects known"
+
+
+def test_remainder(residuals, line, fitted):
+    """Return the Remainder of a linearisation at a model.
+
+    Parameters
+    ----------
+    residuals : Residuals
+    line : Linearisation
+    fitted : sequence of str
+        Effects of the model, which the test projects out.
+    """
+    weights = robust_weights(line.residuals)
+    directions, names = residuals.directions(line.values)
+    evidence = residuals.unwhiten_adjoint(line.residuals * weights[:, None])
+    pushes = np.einsum("ndj,nd->nj", directions, evidence)
+    inside = [line.names.index(name) for name in fitted]
+    derivatives = line.derivatives[..., inside]
+    information = np.einsum("ndk,ndl->kl", derivatives * weights[:, None, None], derivatives)
+    carried = residuals.unwhiten_adjoint(derivatives * weights[:, None, None])
+    crossed = np.einsum("ndj,ndk->njk", directions, carried)
+    own = np.einsum("ndk,nd->nk", derivatives * weights[:, None, None], line.residuals)
+    starts = np.flatnonzero(np.r_[True, np.diff(residuals.blocks) > 0])
+    own_blocks = np.add.reduceat(own, starts, axis=0)
+    found = []
+    for index, coordinate in enumerate(residuals.simulator.input_names):
+        basis = hat_functions(residuals.points[:, index])
+        for j, direction in enumerate(names):
+            scores = np.add.reduceat(basis * pushes[:, [j]], starts, axis=0)
+            if inside:
+                cross = np.einsum("nm,nk->mk", basis, crossed[:, j])
+                scores = scores - own_blocks @ np.linalg.lstsq(information, cross.T, rcond=1e-12)[0]
+            found.append((direction, coordinate, _score_test(scores)))
+    found.sort(key=lambda row: row[2])
+    direction, coordinate, p_value = found[0]
+    return Remainder(family_p_value(p_value, len(found)), direction, coordinate, tuple(found[:10]))
+
+
+test_remainder.__test__ = False  # not a test for pytest
+
+
+def hat_functions(values):
+    """Return piecewise linear functions (n_rows, at most KNOTS) that sum to 1, with knots at quantiles of the values."""
+    knots = np.unique(np.quantile(values, np.linspace(0.02, 0.98, KNOTS)))
+    if len(knots) < 2:
+        return np.ones((len(values), 1))
+    return np.stack([np.interp(values, knots, row) for row in np.eye(len(knots))], axis=1)
+
+
+def _score_test(scores):
+    """Return the p-value of block scores having mean zero (Hotelling)."""
+    scores = scores[np.abs(scores).max(axis=1) > 0]
+    count = len(scores)
+    scale = np.sqrt(np.mean(scores**2, axis=0))
+    scores = scores[:, scale > 0] / scale[scale > 0]
+    if count <= 2 * scores.shape[1] or not scores.shape[1]:
+        return 1.0
+    mean = scores.mean(axis=0)
+    values, vectors = np.linalg.eigh(np.cov(scores.T, ddof=1).reshape(len(mean), len(mean)))
+    kept = values > 1e-6 * values[-1]
+    freedom = int(kept.sum())
+    statistic = count * np.sum((vectors[:, kept].T @ mean) ** 2 / values[kept])
+    return float(
+        stats.f.sf(statistic * (count - freedom) / (freedom * (count - 1)), freedom, count - freedom)
+    )

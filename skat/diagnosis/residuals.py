@@ -1,0 +1,378 @@
+"""What a log and a simulation disagree on, in units of the noise, and how each effect would change it.
+
+Three kinds of log, one interface: transitions whose state was measured (`TransitionResiduals`), rows that are
+independent of each other (`RowResiduals`), and episodes of which only some channels were measured
+(`TrajectoryResiduals`, in `trajectories.py`). The rest of the diagnosis knows only whitened residuals and derivatives.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skat.diagnosis.whitening import block_cholesky, estimate_variances
+
+# A derivative by an effect is a difference over a step that moves the predictions by about this much noise ...
+STEP_IN_NOISE = 0.3
+# ... sought from this share of the effect's range, and never beyond that one.
+FIRST_STEP = 1e-4
+LARGEST_STEP = 0.05
+# Smoothed states stay this close to the measured ones, in standard deviations of the noise.
+FARTHEST_SMOOTHED = 3.0
+# Effects regressed out before the noise is estimated: at most one for so many residuals.
+RESIDUALS_PER_REGRESSOR = 10
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """Whitened residuals at a model and their derivatives by its effects.
+
+    Attributes
+    ----------
+    values : dict of str to float
+        The effects that the model has.
+    residuals : ndarray of shape (n_rows, n_channels)
+        Standard normal and uncorrelated where the model is right.
+    derivatives : ndarray of shape (n_rows, n_channels, n_effects)
+        By which adding a unit of each effect lowers the residuals.
+    names : tuple of str
+        The effects of the last axis.
+    """
+
+    values: dict
+    residuals: np.ndarray
+    derivatives: np.ndarray
+    names: tuple
+
+
+class Residuals:
+    """Whitened residuals of independent rows: the inputs are exact, the outputs carry noise.
+
+    Parameters
+    ----------
+    simulator : Simulator
+    log : Log
+    effects : sequence of Effect
+        All that the simulation could take on.
+    deviations : ndarray of shape (n_channels,) or None
+        Standard deviations of the measurement noise; None: estimated from the residuals.
+    """
+
+    def __init__(self, simulator, log, effects, deviations=None):
+        self.simulator, self.log = simulator, log
+        self.effects = {effect.name: effect for effect in effects}
+        self.blocks = log.blocks()
+        self.given_variances = None if deviations is None else np.asarray(deviations, dtype=float) ** 2
+        self.points = log.X
+        self.present = np.ones(len(log), dtype=bool)
+        if any(effect.family == "delay" for effect in effects) and log.consecutive:
+            self.present = log.steps > 0
+        self.smallest = self._smallest_variances()
+        self.variances = self.given_variances
+        self.steps = {}
+        self.n_simulated_rows = 0
+
+    @property
+    def n_channels(self):
+        return len(self.simulator.residual_names)
+
+    @property
+    def deviations(self):
+        """Standard deviations of the measurement noise, in the channels' units."""
+        return np.sqrt(self.variances)
+
+    # -- linearisation ---------------------------------------------------------------------------------------------
+
+    def linearise(self, values, names):
+        """Return the Linearisation at a model, by all named effects; noise and whitening are brought up to date."""
+        if self.variances is None:
+            self.variances = self._first_variances(self.raw_residuals([values])[0])
+        self._update_whitening(values)
+        raw = self.raw_residuals([values])[0]
+        derivatives = self._derivatives(values, names)
+        if self.given_variances is None:
+            for _ in range(2):
+                left = raw - self._explained(raw, derivatives)
+                self.variances = self._estimate(left)
+                self._update_whitening(values)
+        if self._move_points(values, raw, derivatives):
+            raw = self.raw_residuals([values])[0]
+            derivatives = self._derivatives(values, names)
+        return Linearisation(dict(values), self.whiten(raw), self.whiten(derivatives), tuple(names))
+
+    def whitened(self, candidates):
+        """Return whitened residuals (n_candidates, n_rows, n_channels) of other models, in the same whitening.
+
+        A row in which a candidate diverges counts as far off.
+        """
+        raw = self.raw_residuals(candidates)
+        lost = ~np.isfinite(raw).all(axis=-1)
+        raw[lost] = 0
+        white = np.moveaxis(self.whiten(np.moveaxis(raw, 0, -1)), -1, 0)
+        white[lost] = 1e3
+        return white
+
+    def derivatives(self, values, names):
+        """Return the whitened derivatives (n_rows, n_channels, n_effects) at a model."""
+        return self.whiten(self._derivatives(values, names))
+
+    def _derivatives(self, values, names):
+        names = list(names)
+        if not names:
+            return np.zeros((len(self.log), self.n_channels, 0))
+        new = [name for name in names if name not in self.steps]
+        if new:
+            self._choose_steps(values, new)
+        stepped, moves = [], []
+        for name in names:
+            at = values.get(name, self.effects[name].neutral)
+            move = _within(at, self.steps[name], self.effects[name].bounds)
+            stepped.append({**values, name: at + move})
+            moves.append(move)
+        changes = self._changes([values, *stepped])
+        moves = np.where(np.equal(moves, 0), np.inf, moves)
+        return np.nan_to_num(np.moveaxis(changes, 0, -1) / moves, nan=0.0, posinf=0.0, neginf=0.0)
+
+    def _changes(self, candidates, rows=slice(None)):
+        """Return by how much the predictions of the candidates after the first exceed the first's."""
+        base, *moved = self._predict(candidates, rows)
+        return np.stack([self.simulator.residual(one, base) for one in moved])
+
+    def _choose_steps(self, values, names):
+        """Scale each effect's step until the predictions change by little against the noise but well above rounding."""
+        rows = slice(0, min(len(self.log), 240))
+        steps = {name: FIRST_STEP * np.ptp(self.effects[name].bounds) for name in names}
+        largest = {name: LARGEST_STEP * np.ptp(self.effects[name].bounds) for name in names}
+        open_names = list(names)
+        for _ in range(4):
+            moves = [
+                _within(values.get(name, self.effects[name].neutral), steps[name], self.effects[name].bounds)
+                for name in open_names
+            ]
+            candidates = [
+                {**values, name: values.get(name, self.effects[name].neutral) + move}
+                for name, move in zip(open_names, moves)
+            ]
+            still_open = []
+            for name, change in zip(
+                open_names, self._changes([values, *candidates], rows) / self._typical_deviations()
+            ):
+                size = np.sqrt(np.nanmean(change**2)) if np.isfinite(change).any() else np.inf
+                factor = np.clip(STEP_IN_NOISE / size, 1e-3, 1e3) if size > 0 else 1e3
+                step = min(steps[name] * factor, largest[name])
+                if not 0.2 < step / steps[name] < 5:
+                    still_open.append(name)
+                steps[name] = step
+            open_names = still_open
+            if not open_names:
+                break
+        self.steps.update(steps)
+
+    def _explained(self, raw, derivatives):
+        """Return what all effects together, linearly, explain of the residuals: a bound on what is model, not noise."""
+        white, design = self.whiten(raw), self.whiten(derivatives)
+        flat = design.reshape(white.size, -1)
+        scale = np.sqrt(np.einsum("ij,ij->j", flat, flat))
+        usable = scale > 0
+        if not usable.any():
+            return np.zeros_like(raw)
+        flat = flat[:, usable] / scale[usable]
+        weights = np.repeat(robust_weights(white), self.n_channels)
+        values, vectors = np.linalg.eigh((flat * weights[:, None]).T @ flat)
+        most = max(1, flat.shape[0] // RESIDUALS_PER_REGRESSOR)
+        kept = np.argsort(values)[::-1][:most]
+        kept = kept[values[kept] > 1e-8 * values.max()]
+        right = flat.T @ (weights * white.reshape(-1))
+        solution = vectors[:, kept] @ ((vectors[:, kept].T @ right) / values[kept])
+        return derivatives[..., usable] @ (solution / scale[usable])
+
+    def raw_residuals(self, candidates):
+        """Return measured minus predicted (n_candidates, n_rows, n_channels), NaN where a simulation diverges."""
+        return np.stack([self.simulator.residual(self.log.y, one) for one in self._predict(candidates)])
+
+    def _predict(self, candidates, rows=slice(None)):
+        points = self.points[rows]
+        self.n_simulated_rows += len(points) * len(candidates)
+        groups = self.log.episodes[rows] if self.log.consecutive else np.arange(len(self.log))[rows]
+        return self.simulator.predict_many(points, candidates, groups=groups)
+
+    # -- noise -----------------------------------------------------------------------------------------------------
+
+    def _smallest_variances(self):
+        y = self.log.y
+        spread = self.simulator.residual(y, np.broadcast_to(y[:1], y.shape)).std(axis=0)
+        return (1e-6 * np.where(spread > 0, spread, 1.0)) ** 2
+
+    def _first_variances(self, raw):
+        return np.maximum((1.4826 * np.nanmedian(np.abs(raw[self.present]), axis=0)) ** 2, self.smallest)
+
+    def _estimate(self, left):
+        none = np.zeros((len(left), self.n_channels, self.n_channels))
+        return estimate_variances(
+            left[self.present], none[self.present], 0.0 * left[self.present], smallest=self.smallest
+        )
+
+    def _typical_deviations(self):
+        """Standard deviation of each channel's raw residual under a right model."""
+        return np.sqrt(self.variances)
+
+    def _update_whitening(self, values):
+        pass
+
+    def _move_points(self, values, raw, derivatives):
+        """Move the points of linearisation to better estimates of the state; return whether they moved."""
+        return False
+
+    def whiten(self, columns):
+        """Return raw columns (n_rows, n_channels[, k]) in units of the noise; rows without evidence are zero."""
+        shape = (-1,) + (1,) * (columns.ndim - 2)
+        return np.where(self.present.reshape(-1, *shape[:-1], 1), columns, 0.0) / np.sqrt(
+            self.variances
+        ).reshape(shape)
+
+    def unwhiten_adjoint(self, white):
+        """Return the transposed whitening of columns (n_rows, n_channels[, k])."""
+        return self.whiten(white)
+
+    def directions(self, values):
+        """Return raw additive errors of the prediction that a remainder is sought along, and their names.
+
+        Parameters
+        ----------
+        values : dict of str to float
+            The model.
+
+        Returns
+        -------
+        columns : ndarray of shape (n_rows, n_channels, n_directions)
+        names : tuple of str
+        """
+        eye = np.diag(self._typical_deviations())
+        return np.broadcast_to(eye, (len(self.log), *eye.shape)), tuple(self.simulator.residual_names)
+
+    def noise_errors(self, candidates):
+        """Return the squared one-step errors (n_candidates, n_rows) in units of what noise alone gives.
+
+        From the measured states, not the smoothed ones; a right model has 1 on average.
+        """
+        groups = self.log.episodes if self.log.consecutive else None
+        predictions = self.simulator.predict_many(self.log.X, candidates, groups=groups)
+        errors = np.stack([self.simulator.residual(self.log.y, one) for one in predictions]) ** 2
+        return np.mean(errors / self._residual_variances(), axis=-1)[:, self.present]
+
+    def _residual_variances(self):
+        """Variance of each raw residual under a right model, (n_rows, n_channels) or one row for all."""
+        return self.variances
+
+
+class TransitionResiduals(Residuals):
+    """Whitened one-step residuals of measured transitions; the states they start from carry noise, too."""
+
+    def __init__(self, simulator, log, effects, deviations=None):
+        super().__init__(simulator, log, effects, deviations)
+        self.chain, self.step = log.chains()
+        self.n_states = len(simulator.state_names)
+        self.transitions = np.zeros((len(log), self.n_channels, self.n_channels))
+        self.extra = np.zeros((len(log), self.n_channels))
+        self.noise = np.zeros((len(log), self.n_channels))
+
+    def raw_residuals(self, candidates):
+        return super().raw_residuals(candidates) - np.einsum("nij,nj->ni", self.transitions, self.noise)
+
+    def _first_variances(self, raw):
+        spread = np.sqrt(self.smallest) * 1e6
+        deviation = 1.4826 * np.nanmedian(np.abs(raw[self.present]), axis=0) / np.sqrt(2)
+        return np.maximum(np.minimum(deviation, 0.02 * spread) ** 2, self.smallest)
+
+    def _update_whitening(self, values):
+        """Differentiate the next state by the state over one standard deviation of noise to both sides."""
+        deviations = np.sqrt(self.variances)
+        n, d = len(self.log), self.n_channels
+        moved = [self.points]
+        for channel in range(d):
+            for sign in (1, -1):
+                tangent = np.zeros((n, d))
+                tangent[:, channel] = sign * deviations[channel]
+                moved.append(self.simulator.displace(self.points, tangent))
+        stacked = np.concatenate(moved)
+        groups = np.concatenate(
+            [self.log.episodes + copy * self.log.n_episodes for copy in range(len(moved))]
+        )
+        self.n_simulated_rows += len(stacked)
+        next_states = self.simulator.predict_many(stacked, [values], groups=groups)[0].reshape(
+            2 * d + 1, n, -1
+        )
+        base = next_states[0]
+        up = np.stack([self.simulator.residual(one, base) for one in next_states[1::2]], axis=-1)
+        down = np.stack([self.simulator.residual(one, base) for one in next_states[2::2]], axis=-1)
+        curvature = np.nan_to_num((up + down) / 2)
+        self.transitions = np.nan_to_num((up - down) / (2 * deviations))
+        # For normal noise of deviation s, f'' e^2 / 2 has variance (f'' s^2)^2 / 2, and up + down = f'' s^2.
+        self.extra = 2 * np.sum(curvature**2, axis=-1)
+        self.present = self.present & np.isfinite(base).all(axis=-1)
+        self._factorise()
+
+    def _factorise(self):
+        scale = np.sqrt(self.variances)
+        scaled = self.transitions * scale / scale[:, None]
+        self.whitener = block_cholesky(
+            self._padded(scaled),
+            np.ones(self.n_channels),
+            self._padded(self.extra / self.variances),
+            self._padded(self.present),
+        )
+
+    def _padded(self, rows):
+        out = np.zeros((self.chain[-1] + 1, self.step.max() + 1, *rows.shape[1:]), dtype=rows.dtype)
+        out[self.chain, self.step] = rows
+        return out
+
+    def whiten(self, columns):
+        scale = np.sqrt(self.variances).reshape((-1,) + (1,) * (columns.ndim - 2))
+        return self.whitener.whiten(self._padded(columns / scale))[self.chain, self.step]
+
+    def _estimate(self, left):
+        rows = self.present
+        return estimate_variances(
+            left[rows], self.transitions[rows], self.extra[rows], smallest=self.smallest
+        )
+
+    def unwhiten_adjoint(self, white):
+        scale = np.sqrt(self.variances).reshape((-1,) + (1,) * (white.ndim - 2))
+        return self.whitener.unwhiten_adjoint(self._padded(white))[self.chain, self.step] / scale
+
+    def _residual_variances(self):
+        return np.einsum("nij,j->ni", self.transitions**2, self.variances) + self.variances + self.extra
+
+    def _typical_deviations(self):
+        return np.sqrt(np.median(self._residual_variances(), axis=0))
+
+    def _move_points(self, values, raw, derivatives):
+        scale = np.sqrt(self.variances)
+        left = np.where(self.present[:, None], raw - self._explained(raw, derivatives), 0.0)
+        noise = self.whitener.smooth(self._padded(left / scale))[self.chain, self.step]
+        self.noise = np.clip(noise, -FARTHEST_SMOOTHED, FARTHEST_SMOOTHED) * scale
+        self.points = self.simulator.displace(self.log.X, -self.noise)
+        self._update_whitening(values)
+        return True
+
+
+def robust_weights(residuals):
+    """Return a weight in (0, 1] for each row: small where its residual is far beyond what is typical.
+
+    Rows within what is typical, or within what noise explains (the 99.9 % quantile), weigh 1.
+    """
+    sizes = np.sum(residuals**2, axis=-1)
+    n_channels = residuals.shape[-1]
+    noise = n_channels + 3.1 * np.sqrt(2 * n_channels) + 6
+    typical = 4 * np.median(sizes[sizes > 0]) if (sizes > 0).any() else noise
+    return np.sqrt(np.minimum(1.0, max(noise, typical) / np.maximum(sizes, 1e-300)))
+
+
+def _within(at, step, bounds):
+    """Return the step, turned or shortened so that at + step stays within the bounds."""
+    low, high = bounds
+    if at + step <= high:
+        return step
+    if at - step >= low:
+        return -step
+    return high - at if high - at >= at - low else low - at

@@ -1,0 +1,409 @@
+"""Which effects explain the residuals: screen all, refit the best few, add one, prune, and find what cannot be told apart."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import stats
+
+from skat.diagnosis.evidence import family_p_value, grams, screen, wald
+
+SHORTLIST = 8
+REFIT_STEPS = 8
+# A refit ends when its step is below this share of the standard error.
+CONVERGED = 0.05
+# Effects within this loss quantile of the named one (paired over blocks, one-sided) cannot be told from it.
+ALIAS_LEVEL = 0.05
+# Values tried over an effect's range when the model is far off, in units of the way to each bound.
+GRID = (0.02, 0.06, 0.15, 0.35, 0.7)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A model fitted to the log.
+
+    Attributes
+    ----------
+    values : dict of str to float
+    losses : ndarray of shape (n_blocks,)
+        Robust loss of each block, in noise units.
+    """
+
+    values: dict
+    losses: np.ndarray
+
+    @property
+    def loss(self):
+        """Sum of the losses."""
+        return float(self.losses.sum())
+
+
+@dataclass(frozen=True)
+class Selected:
+    """The effects named, with what the decision rests on.
+
+    Attributes
+    ----------
+    values : dict of str to float
+        Most telling first.
+    p_values : dict of str to float
+        Family-wise, over all effects screened.
+    intervals : dict of str to tuple of two floats
+        95 %.
+    aliases : dict of str to tuple of str
+    linearisation : Linearisation
+        At the final model.
+    gram : Grams
+        Of the same, by block.
+    """
+
+    values: dict
+    p_values: dict
+    intervals: dict
+    aliases: dict
+    linearisation: object
+    gram: object
+    history: list = field(default_factory=list)
+
+
+class Selection:
+    """Forward selection with refits and backward pruning.
+
+    Parameters
+    ----------
+    residuals : Residuals
+    names : sequence of str
+        Effects to choose from.
+    alpha : float
+        Chance of naming anything where nothing is wrong.
+    max_effects : int
+    progress : callable
+        ``progress(stage, done, total)``.
+    """
+
+    def __init__(self, residuals, names, *, alpha, max_effects, progress):
+        self.residuals, self.names = residuals, list(names)
+        self.alpha, self.max_effects, self.progress = alpha, max_effects, progress
+        self.blocks = residuals.blocks
+        self.starts = np.flatnonzero(np.r_[True, np.diff(self.blocks) > 0])
+        self.effects = residuals.effects
+
+    def run(self):
+        """Return the Selected effects."""
+        values, history = {}, []
+        line = self.residuals.linearise(values, self.names)
+        while True:
+            values, line = self._polish(values, line)
+            self.progress("select", len(values), self.max_effects)
+            if len(values) == self.max_effects:
+                break
+            added = self._add(values, line)
+            if added is None:
+                break
+            history.append(added)
+            values = added
+            line = self.residuals.linearise(values, self.names)
+        values, line = self._prune(values, line)
+        return self._result(values, line, history)
+
+    # -- one effect more -------------------------------------------------------------------------------------------
+
+    def _add(self, values, line):
+        """Return the values of the model with the best further effect, None if no effect is significant."""
+        gram = grams(line.residuals, line.derivatives, self.blocks)
+        first = screen(gram, line.names, values, self.effects, list(values))
+        self._set_scale(line.residuals)
+        misfit = np.median(np.sum(line.residuals**2, axis=-1)) / line.residuals.shape[1]
+        best_p = family_p_value(first.p_values.min(), len(self.names))
+        if best_p > 0.5 and misfit < 2:
+            return None
+        starts = self._starts(values, first, misfit)
+        if not starts:
+            return None
+        fits = self.refit([{**values, **start} for start in starts])
+        order = np.argsort([fit.loss for fit in fits])
+        for index in order[:3]:
+            fit = fits[index]
+            new = [name for name in fit.values if name not in values]
+            p_value = self._p_values(fit.values)[new[0]]
+            if family_p_value(p_value, len(self.names)) < self.alpha:
+                return fit.values
+        return None
+
+    def _starts(self, values, first, misfit):
+        """Return starting values {name: value} of effects worth refitting."""
+        order = [
+            k for k in np.argsort(first.gains)[::-1] if first.gains[k] > 0 and first.names[k] not in values
+        ]
+        telling = [
+            k for k in np.argsort(first.p_values) if first.gains[k] > 0 and first.names[k] not in values
+        ]
+        chosen = list(dict.fromkeys(order[:SHORTLIST] + telling[:3]))
+        starts = [
+            {
+                first.names[k]: values.get(first.names[k], self.effects[first.names[k]].neutral)
+                + first.moves[k]
+            }
+            for k in chosen
+        ]
+        if misfit > 2:
+            starts += self._grid(values, order)
+        return starts
+
+    def _grid(self, values, order):
+        """Return the best starting values over the whole range of every effect: far off, a derivative misleads."""
+        candidates = []
+        for name in self.names:
+            if name in values:
+                continue
+            effect = self.effects[name]
+            for share in GRID:
+                for bound in effect.bounds:
+                    if bound != effect.neutral:
+                        candidates.append({name: effect.neutral + share * (bound - effect.neutral)})
+            if effect.neutral == 1 and effect.bounds[0] < 0:
+                candidates += [{name: 0.0}, {name: -1.0}]
+        losses = self._losses([{**values, **candidate} for candidate in candidates])
+        best = {}
+        for candidate, loss in zip(candidates, losses.sum(axis=1)):
+            (name,) = candidate
+            if name not in best or loss < best[name][0]:
+                best[name] = (loss, candidate)
+        ranked = sorted(best.values(), key=lambda pair: pair[0])
+        return [candidate for _, candidate in ranked[:SHORTLIST]]
+
+    # -- refits ----------------------------------------------------------------------------------------------------
+
+    def refit(self, models):
+        """Fit the values of several models by damped Gauss-Newton, all side by side, and return their Fits."""
+        current = [dict(model) for model in models]
+        damping = np.full(len(models), 1e-4)
+        best = [None] * len(models)
+        proposals = current
+        active = list(range(len(models)))
+        for _ in range(REFIT_STEPS):
+            candidates, places = [], []
+            for m in active:
+                places.append(len(candidates))
+                candidates.append(proposals[m])
+                candidates += [self._moved(proposals[m], name) for name in proposals[m]]
+            white = self._whitened(candidates)
+            still = []
+            for m, place in zip(active, places):
+                residuals = white[place]
+                losses = self._block_losses(residuals)
+                if best[m] is None or losses.sum() < best[m][0].sum():
+                    moves = [
+                        (self._moved(proposals[m], name)[name] - proposals[m][name]) or 1.0
+                        for name in proposals[m]
+                    ]
+                    derivatives = np.stack(
+                        [(residuals - white[place + 1 + i]) / move for i, move in enumerate(moves)], axis=-1
+                    )
+                    weights = self._weights(residuals)
+                    flat = derivatives * weights[:, None, None]
+                    information = np.einsum("ndk,ndl->kl", flat, derivatives)
+                    score = np.einsum("ndk,nd->k", flat, residuals)
+                    best[m] = (losses, dict(proposals[m]), information, score)
+                    damping[m] = max(damping[m] / 10, 1e-9)
+                else:
+                    damping[m] = max(damping[m] * 30, 1e-2)
+                losses, at, information, score = best[m]
+                proposals[m], size = self._step(at, information, score, damping[m])
+                if size > CONVERGED and damping[m] < 1e4:
+                    still.append(m)
+            active = still
+            if not active:
+                break
+        return [Fit(one[1], one[0]) for one in best]
+
+    def _step(self, at, information, score, damping):
+        """Return the values after a damped step within the bounds, and the step's length in standard errors."""
+        names = list(at)
+        scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+        free = np.ones(len(names), dtype=bool)
+        move = np.zeros(len(names))
+        for _ in names:
+            inner = information[np.ix_(free, free)] / np.outer(scale[free], scale[free])
+            move[:] = 0
+            move[free] = (
+                np.linalg.lstsq(inner + damping * np.eye(free.sum()), (score / scale)[free], rcond=1e-10)[0]
+                / scale[free]
+            )
+            blocked = np.array(
+                [
+                    (at[name] + step > high and at[name] >= high - 1e-12 * (high - low))
+                    or (at[name] + step < low and at[name] <= low + 1e-12 * (high - low))
+                    for name, step in zip(names, move)
+                    for low, high in [self.effects[name].bounds]
+                ]
+            )
+            if not (blocked & free).any():
+                break
+            free &= ~blocked
+            move[~free] = 0
+        new = {
+            name: float(np.clip(at[name] + step, *self.effects[name].bounds))
+            for name, step in zip(names, move)
+        }
+        size = max((abs(new[name] - at[name]) * scale[i] for i, name in enumerate(names)), default=0.0)
+        return new, size
+
+    def _moved(self, values, name):
+        low, high = self.effects[name].bounds
+        step = self.residuals.steps[name]
+        at = values[name]
+        return {**values, name: at + step if at + step <= high else at - step}
+
+    def _whitened(self, candidates):
+        """Return whitened residuals of many models, a bounded number at a time."""
+        return np.concatenate(
+            [self.residuals.whitened(candidates[i : i + 32]) for i in range(0, len(candidates), 32)]
+        )
+
+    def _losses(self, candidates):
+        return np.concatenate(
+            [
+                np.stack([self._block_losses(one) for one in self.residuals.whitened(candidates[i : i + 32])])
+                for i in range(0, len(candidates), 32)
+            ]
+        )
+
+    def _set_scale(self, residuals):
+        """Fix the size beyond which a row's residual counts linearly, for all models compared with each other."""
+        sizes = np.sum(residuals**2, axis=-1)
+        n = residuals.shape[1]
+        typical = np.median(sizes[sizes > 0]) if (sizes > 0).any() else 0.0
+        self.cut = max(n + 3.1 * np.sqrt(2 * n) + 6, 4 * typical)
+
+    def _weights(self, residuals):
+        return np.sqrt(np.minimum(1.0, self.cut / np.maximum(np.sum(residuals**2, axis=-1), 1e-300)))
+
+    def _block_losses(self, residuals):
+        sizes = np.sum(residuals**2, axis=-1)
+        losses = np.where(sizes <= self.cut, sizes, 2 * np.sqrt(self.cut * sizes) - self.cut)
+        return np.add.reduceat(losses, self.starts)
+
+    def _polish(self, values, line):
+        """Bring the model to the optimum of its own linearisation, with noise and whitening brought up to date."""
+        if not values:
+            return values, line
+        for _ in range(3):
+            self._set_scale(line.residuals)
+            inside = [line.names.index(name) for name in values]
+            gram = grams(
+                line.residuals, line.derivatives[..., inside], self.blocks, self._weights(line.residuals)
+            )
+            information, score = gram.information.sum(axis=0), gram.scores.sum(axis=0)
+            _, size = self._step(values, information, score, 0.0)
+            if size < 0.2:
+                break
+            values = self.refit([values])[0].values
+            line = self.residuals.linearise(values, self.names)
+        return values, line
+
+    # -- decisions -------------------------------------------------------------------------------------------------
+
+    def _covariance(self, values):
+        """Return (names, covariance, degrees of freedom) of fitted values."""
+        names = list(values)
+        residuals = self.residuals.whitened([values])[0]
+        derivatives = self.residuals.derivatives(values, names)
+        gram = grams(residuals, derivatives, self.blocks, self._weights(residuals))
+        return (names, *wald(gram))
+
+    def _p_values(self, values):
+        names, covariance, freedom = self._covariance(values)
+        p_values = {}
+        for k, name in enumerate(names):
+            distance = values[name] - self.effects[name].neutral
+            p_values[name] = float(
+                2 * stats.t.sf(abs(distance) / np.sqrt(max(covariance[k, k], 1e-300)), freedom[k])
+            )
+        return p_values
+
+    def _prune(self, values, line):
+        """Drop effects that are no longer significant beside the others."""
+        while values:
+            self._set_scale(line.residuals)
+            p_values = {
+                name: family_p_value(p, len(self.names)) for name, p in self._p_values(values).items()
+            }
+            worst = max(p_values, key=p_values.get)
+            if p_values[worst] < self.alpha:
+                break
+            kept = {name: value for name, value in values.items() if name != worst}
+            values = self.refit([kept])[0].values if kept else {}
+            line = self.residuals.linearise(values, self.names)
+            values, line = self._polish(values, line)
+        return values, line
+
+    def _result(self, values, line, history):
+        self._set_scale(line.residuals)
+        gram = grams(line.residuals, line.derivatives, self.blocks)
+        if not values:
+            return Selected({}, {}, {}, {}, line, gram, history)
+        names, covariance, freedom = self._covariance(values)
+        p_values, intervals, telling = {}, {}, {}
+        for k, name in enumerate(names):
+            error = np.sqrt(covariance[k, k])
+            distance = values[name] - self.effects[name].neutral
+            telling[name] = abs(distance) / error
+            p_values[name] = family_p_value(2 * stats.t.sf(telling[name], freedom[k]), len(self.names))
+            reach = stats.t.ppf(0.975, freedom[k]) * error
+            low, high = self.effects[name].bounds
+            intervals[name] = (max(values[name] - reach, low), min(values[name] + reach, high))
+        order = sorted(names, key=telling.get, reverse=True)
+        aliases = self._aliases({name: values[name] for name in order}, line)
+        return Selected(
+            {name: values[name] for name in order}, p_values, intervals, aliases, line, gram, history
+        )
+
+    # -- what cannot be told apart -----------------------------------------------------------------------------------
+
+    def _aliases(self, values, line):
+        """Return for each named effect those that, put in its place and refitted, explain the log as well."""
+        self.progress("aliases", 0, len(values))
+        derivatives = line.derivatives.reshape(-1, len(line.names))
+        fit = Fit(values, self._losses([values])[0])
+        aliases = {}
+        for done, name in enumerate(values):
+            others = [line.names.index(other) for other in values if other != name]
+            columns = derivatives
+            if others:
+                basis = np.linalg.qr(derivatives[:, others] / np.linalg.norm(derivatives[:, others], axis=0))[
+                    0
+                ]
+                columns = derivatives - basis @ (basis.T @ derivatives)
+            norms = np.linalg.norm(columns, axis=0)
+            own = columns[:, line.names.index(name)]
+            usable = norms > 1e-6 * np.maximum(np.linalg.norm(derivatives, axis=0), 1e-300)
+            cosines = np.where(usable, own @ columns / np.maximum(norms * np.linalg.norm(own), 1e-300), 0.0)
+            rivals = [
+                k
+                for k in np.argsort(-np.abs(cosines))
+                if line.names[k] not in values and abs(cosines[k]) > 0.5
+            ][:SHORTLIST]
+            starts = []
+            rest = {other: value for other, value in values.items() if other != name}
+            distance = values[name] - self.effects[name].neutral
+            for k in rivals:
+                effect = self.effects[line.names[k]]
+                move = distance * cosines[k] * np.linalg.norm(own) / norms[k]
+                starts.append({**rest, effect.name: float(np.clip(effect.neutral + move, *effect.bounds))})
+            aliases[name] = ()
+            if starts:
+                swapped = self.refit(starts)
+                aliases[name] = tuple(
+                    line.names[k]
+                    for k, other in zip(rivals, swapped)
+                    if self._as_good(other.losses, fit.losses)
+                )
+            self.progress("aliases", done + 1, len(values))
+        return aliases
+
+    def _as_good(self, losses, reference):
+        """Whether the losses are not significantly higher, paired by block (Vuong)."""
+        worse = losses - reference
+        total, count = worse.sum(), len(worse)
+        error = np.sqrt(count * worse.var(ddof=1))
+        return bool(total <= stats.t.isf(ALIAS_LEVEL, count - 1) * error + 1e-9 * reference.sum())

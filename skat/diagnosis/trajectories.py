@@ -1,0 +1,117 @@
+"""Whitened residuals of open-loop trajectories, for logs of which some state channels were not measured."""
+
+import numpy as np
+
+from skat.diagnosis.open_loop import Episodes
+from skat.diagnosis.residuals import Linearisation, Residuals
+
+
+class TrajectoryResiduals(Residuals):
+    """Residuals of measured channels along whole episodes, each with an initial state of its own that is fitted.
+
+    What an initial state can explain is projected out of residuals and derivatives alike; what is left of the noise is
+    taken as an autoregression of first order.
+
+    Parameters
+    ----------
+    simulator, log, effects, deviations
+        As in `Residuals`.
+    hidden : sequence of str
+        State channels that were not measured.
+    """
+
+    def __init__(self, simulator, log, effects, deviations=None, *, hidden):
+        self.episodes = Episodes(simulator, log, hidden)
+        super().__init__(simulator, log, effects, deviations)
+        self.initial = self.episodes.initial
+        self.present = np.ones(len(log), dtype=bool)
+        self.correlation = np.zeros(self.n_channels)
+        self.nuisance = None
+        self.channel_names = tuple(name for name in simulator.residual_names if name not in hidden)
+
+    @property
+    def n_channels(self):
+        return int(self.episodes.measured.sum())
+
+    def linearise(self, values, names):
+        if self.variances is None:
+            raw = self.episodes.residuals([values])[0]
+            self.variances = np.maximum(raw.var(axis=0), self.smallest)
+        for _ in range(2):
+            self.initial = self.episodes.fit_initial_states(values, self.deviations)
+            steps = 1e-4 * self._spread()
+            raw, self.nuisance = self.episodes.sensitivities(values, self.initial, steps)
+            derivatives = self._derivatives(values, names)
+            if self.given_variances is None:
+                self._update_noise(raw, derivatives)
+        return Linearisation(dict(values), self.whiten(raw), self.whiten(derivatives), tuple(names))
+
+    def raw_residuals(self, candidates):
+        self.n_simulated_rows += len(self.log) * len(candidates)
+        return self.episodes.residuals(candidates, self.initial)
+
+    def _changes(self, candidates, rows=slice(None)):
+        raw = self.raw_residuals(candidates)[:, rows]
+        return raw[:1] - raw[1:]
+
+    def _spread(self):
+        y = self.log.y
+        spread = self.simulator.residual(y, np.broadcast_to(y[:1], y.shape)).std(axis=0)
+        return np.where(spread > 0, spread, 1.0)
+
+    def _smallest_variances(self):
+        return (1e-6 * self._spread()[self.episodes.measured]) ** 2
+
+    def _update_noise(self, raw, derivatives):
+        """Estimate variance and correlation of what neither initial states nor all effects explain."""
+        left = raw - self._explained(raw, derivatives)
+        left = self._without_initial_states(left[..., None], self.nuisance)[..., 0]
+        lost = self.log.n_episodes * len(self.episodes.measured) / self.n_channels
+        lost += min(derivatives.shape[-1], max(1, left.size // 10)) / self.n_channels
+        share = max(1 - lost / len(left), 0.1)
+        self.variances = np.maximum(np.mean(left**2, axis=0) / share, self.smallest)
+        follows = np.flatnonzero(np.diff(self.log.episodes) == 0)
+        products = np.mean(left[follows] * left[follows + 1], axis=0) / np.maximum(
+            np.mean(left**2, axis=0), 1e-300
+        )
+        # What is projected out leaves residuals correlated by about -lost / n.
+        self.correlation = np.clip(products + lost / len(left), 0.0, 0.95)
+
+    def _without_initial_states(self, columns, initial_state):
+        out = np.array(columns)
+        for episode in range(self.log.n_episodes):
+            rows = self.log.episodes == episode
+            nuisance = initial_state[rows].reshape(-1, initial_state.shape[-1])
+            norms = np.linalg.norm(nuisance, axis=0)
+            basis, values, _ = np.linalg.svd(nuisance[:, norms > 0] / norms[norms > 0], full_matrices=False)
+            basis = basis[:, values > 1e-8]
+            flat = columns[rows].reshape(len(nuisance), -1)
+            out[rows] = (flat - basis @ (basis.T @ flat)).reshape(columns[rows].shape)
+        return out
+
+    def whiten(self, columns):
+        wide = columns[..., None] if columns.ndim == 2 else columns
+        scaled = wide / self.deviations[:, None]
+        nuisance = self._decorrelated(self.nuisance / self.deviations[:, None])
+        white = self._without_initial_states(self._decorrelated(scaled), nuisance)
+        return white[..., 0] if columns.ndim == 2 else white
+
+    def _decorrelated(self, columns):
+        rho = self.correlation[:, None]
+        white = np.array(columns)
+        follows = np.flatnonzero(np.diff(self.log.episodes) == 0) + 1
+        white[follows] = (columns[follows] - rho * columns[follows - 1]) / np.sqrt(1 - rho**2)
+        return white
+
+    def directions(self, values):
+        """Return no directions: what is left of a trajectory is not tested for a place in state space."""
+        return np.zeros((len(self.log), self.n_channels, 0)), ()
+
+    def noise_errors(self, candidates):
+        """Return the squared distances of whole trajectories (n_candidates, n_rows) in units of what noise alone gives."""
+        errors = []
+        for values in candidates:
+            initial = self.episodes.fit_initial_states(values, self.deviations)
+            raw = self.episodes.residuals([values], initial)[0]
+            errors.append(np.mean(raw**2 / self.variances, axis=-1))
+        return np.stack(errors)

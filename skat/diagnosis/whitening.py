@@ -1,0 +1,151 @@
+r"""Noise of a measured state, seen through a simulation: whitening, smoothing and estimating it.
+
+A measured state is :math:`s_t = x_t + e_t` with :math:`e_t \sim (0, R)`, R diagonal. The one-step residual of a right
+model is then :math:`r_t = s_{t+1} - f(s_t) \approx e_{t+1} - A_t e_t`, a moving average whose covariance is block
+tridiagonal: :math:`C_{tt} = A_t R A_t^T + R + Q_t` and :math:`C_{t,t-1} = -A_t R`. The derivation is in the theory page.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import optimize, stats
+
+# Squared residuals, in units of their variance, count up to this much in the estimate of the noise.
+LARGEST_SQUARE = 9.0
+
+
+@dataclass(frozen=True)
+class Whitener:
+    """The block Cholesky factor of the covariance of chains of residuals.
+
+    Attributes
+    ----------
+    factors : ndarray of shape (n_chains, n_steps, n_channels, n_channels)
+        Lower triangular diagonal blocks.
+    gains : ndarray of shape (n_chains, n_steps, n_channels, n_channels)
+        Blocks below the diagonal: how the previous whitened residual enters.
+    transitions : ndarray of shape (n_chains, n_steps, n_channels, n_channels)
+        A, the derivative of the next state by the state.
+    variances : ndarray of shape (n_channels,)
+        The diagonal of R.
+    present : ndarray of bool of shape (n_chains, n_steps)
+        False where a residual is missing; a chain starts afresh behind it.
+    """
+
+    factors: np.ndarray
+    gains: np.ndarray
+    transitions: np.ndarray
+    variances: np.ndarray
+    present: np.ndarray
+
+    def whiten(self, residuals):
+        """Return residuals of shape (n_chains, n_steps, n_channels[, n_columns]) as uncorrelated ones of unit variance."""
+        columns = residuals[..., None] if residuals.ndim == 3 else residuals
+        columns = np.where(self.present[..., None, None], columns, 0.0)
+        white = np.empty_like(columns)
+        previous = np.zeros_like(columns[:, 0])
+        for t in range(columns.shape[1]):
+            previous = np.linalg.solve(self.factors[:, t], columns[:, t] - self.gains[:, t] @ previous)
+            white[:, t] = previous
+        return white[..., 0] if residuals.ndim == 3 else white
+
+    def unwhiten_adjoint(self, white):
+        """Return the transposed whitening of columns of shape (n_chains, n_steps, n_channels[, n_columns]).
+
+        Of whitened residuals it gives the inverse covariance times the residuals: what each one says when what its
+        neighbours say is taken into account.
+        """
+        columns = white[..., None] if white.ndim == 3 else white
+        weights = np.empty_like(columns)
+        following = np.zeros_like(columns[:, 0])
+        n_steps = columns.shape[1]
+        for t in reversed(range(n_steps)):
+            right = columns[:, t]
+            if t + 1 < n_steps:
+                right = right - np.swapaxes(self.gains[:, t + 1], 1, 2) @ following
+            following = np.linalg.solve(np.swapaxes(self.factors[:, t], 1, 2), right)
+            weights[:, t] = following
+        weights = np.where(self.present[..., None, None], weights, 0.0)
+        return weights[..., 0] if white.ndim == 3 else weights
+
+    def smooth(self, residuals):
+        r"""Return the expected noise :math:`E[e_t | r]` of each measured state that a residual starts from.
+
+        For Gaussian noise the error that is left, :math:`e - E[e | r]`, is independent of the residuals; a derivative
+        taken at the smoothed state is therefore not correlated with them, as one taken at the measured state is.
+        """
+        weights = self.unwhiten_adjoint(self.whiten(residuals))
+        noise = -np.einsum("ctji,ctj->cti", self.transitions, weights)
+        noise[:, 1:] += weights[:, :-1]
+        return noise * self.variances
+
+
+def block_cholesky(transitions, variances, extra_variances, present):
+    """Return the Whitener of chains with the given derivatives and noise.
+
+    Parameters
+    ----------
+    transitions : ndarray of shape (n_chains, n_steps, n_channels, n_channels)
+        A. All zero for a simulation whose inputs carry no noise.
+    variances : ndarray of shape (n_channels,)
+        The diagonal of R, positive.
+    extra_variances : ndarray of shape (n_chains, n_steps, n_channels)
+        The diagonal of Q, what the curvature of the simulation adds.
+    present : ndarray of bool of shape (n_chains, n_steps)
+    """
+    n_steps, n_channels = transitions.shape[1:3]
+    noisy_inputs = transitions * variances
+    covariances = noisy_inputs @ np.swapaxes(transitions, -1, -2)
+    diagonal = np.arange(n_channels)
+    covariances[..., diagonal, diagonal] += variances * (1 + 1e-10) + extra_variances
+    covariances[~present] = np.diag(variances)
+    factors, gains = np.empty_like(covariances), np.zeros_like(covariances)
+    for t in range(n_steps):
+        if t:
+            linked = present[:, t] & present[:, t - 1]
+            gains[linked, t] = np.swapaxes(
+                np.linalg.solve(factors[linked, t - 1], -np.swapaxes(noisy_inputs[linked, t], -1, -2)), -1, -2
+            )
+        factors[:, t] = np.linalg.cholesky(covariances[:, t] - gains[:, t] @ np.swapaxes(gains[:, t], -1, -2))
+    return Whitener(factors, gains, transitions, variances, present)
+
+
+def estimate_variances(residuals, transitions, extra_variances, *, smallest):
+    r"""Return the variances of the measurement noise that explain the size of one-step residuals.
+
+    .. math:: E[r_{ti}^2] = R_i + \sum_j A_{tij}^2 R_j + Q_{ti}
+
+    is linear in R: a generalised linear model with a gamma variance, solved by reweighted non-negative least squares.
+    Squares beyond a few times their expectation are cut, with the cut's own bias for Gaussian noise taken out, so
+    that rows at contacts, where the simulation is not smooth, do not pass for noise.
+
+    Parameters
+    ----------
+    residuals : ndarray of shape (n_rows, n_channels)
+        What the simulation and everything it could take on do not explain.
+    transitions : ndarray of shape (n_rows, n_channels, n_channels)
+    extra_variances : ndarray of shape (n_rows, n_channels)
+    smallest : ndarray of shape (n_channels,)
+        Lower bound of each variance.
+    """
+    n_channels = residuals.shape[1]
+    kept_share = stats.chi2.cdf(LARGEST_SQUARE, 3) + LARGEST_SQUARE * stats.chi2.sf(LARGEST_SQUARE, 1)
+    squares = residuals**2
+    # Cutting is relative to the model's own expectation: start from the middle of the squares.
+    design = transitions**2
+    design[:, np.arange(n_channels), np.arange(n_channels)] += 1
+    typical = np.median(squares, axis=0) / stats.chi2.median(1)
+    expected = np.maximum(np.broadcast_to(typical, squares.shape), smallest)
+    scale = np.sqrt(np.maximum(typical, smallest))
+    variances = None
+    for _ in range(50):
+        cut = np.minimum(squares, LARGEST_SQUARE * expected) / kept_share - extra_variances
+        weights = 1.0 / expected
+        rows = (design * weights[..., None]).reshape(-1, n_channels) * scale**2
+        solution = optimize.nnls(rows.T @ rows, rows.T @ (cut * weights).ravel())[0]
+        new = np.maximum(solution * scale**2, smallest)
+        if variances is not None and np.allclose(new, variances, rtol=1e-4):
+            break
+        variances = new
+        expected = np.maximum(design @ variances + extra_variances, smallest)
+    return new
