@@ -10,6 +10,7 @@ from skat.cli.terminal import (
     clear_errors,
     existing_file,
     output_console,
+    print_line,
     progress_bars,
     table_of,
     unused,
@@ -61,11 +62,12 @@ def demo_ball_drops(
         path = _report_path(output, "skat-ball-drops-report.html", force)
         with progress_bars() as progress:
             studies = study_ball_drops(ball or None, random_state=seed, progress=progress)
-        console = output_console()
         for study in studies.values():
             _show(study, None)
-        console.print(table_of(ball_drop_table(studies), title="Every ball: trajectory error on drop 2, m"))
-        _write_report(max(studies.values(), key=lambda study: study.improvement), path)
+        output_console().print(
+            table_of(ball_drop_table(studies), title="Every ball: trajectory error on drop 2, m")
+        )
+        _write_report(max(studies.values(), key=lambda study: study.gain.ratio), path)
 
 
 @demo.command("cube-tosses")
@@ -140,7 +142,7 @@ def diagnose(
         _show(study, path)
         if extended is not None:
             study.diagnosis.extended_simulator_.to_mjcf(extended)
-            _say_file(output_console(), "Extended model", extended)
+            print_line(f"Extended model: {extended}")
 
 
 class Method(StrEnum):
@@ -186,10 +188,9 @@ def transport(
             score = estimator.score(rows.to_numpy(), measured.to_numpy())
             progress("fitting", 1, 1)
         moved.to_csv(path, index=False)
-        console = output_console()
-        console.print(table_of(_moments(source=rows, target=measured, transported=moved)))
-        console.print(f"Affinity score of the transported and the target rows: {score:.4g}")
-        _say_file(console, "Transported rows", path)
+        output_console().print(table_of(_moments(source=rows, target=measured, transported=moved)))
+        print_line(f"Affinity score of the transported and the target rows: {score:.4g}")
+        print_line(f"Transported rows: {path}")
 
 
 class Experiment(StrEnum):
@@ -224,31 +225,27 @@ def experiment(
                 table = experiments.domain_matrix(
                     name.value, n_transitions=n_transitions, random_state=seed, progress=progress
                 )
-        console = output_console()
-        console.print(table_of(table))
+        output_console().print(table_of(table))
         if path is not None:
             table.to_csv(path, index=False)
-            _say_file(console, "Table", path)
+            print_line(f"Table: {path}")
 
 
 def _show(study, report):
     console = output_console()
-    diagnosis = study.diagnosis
-    console.print()
-    console.print(f"{study.title}: {diagnosis.verdict_}", style="bold", markup=False)
+    diagnosis, gain = study.diagnosis, study.gain
+    print_line("")
+    print_line(f"{study.title}: {diagnosis.verdict_}", style="bold")
     for cause in diagnosis.causes_:
-        console.print(f"  {cause.sentence}", markup=False, soft_wrap=True)
+        print_line(f"  {cause.sentence}")
     if diagnosis.causes_:
         console.print(table_of(_causes(diagnosis.causes_)))
     console.print(table_of(study.errors, title="One-step error on data not used"))
-    gain, (low, high) = study.gain, study.gain.interval
-    console.print(
+    print_line(
         f"{study.error_name}, on data not used: {gain.nominal:.3g} before, {gain.extended:.3g} after, "
-        f"{study.improvement:.3g} times smaller",
-        markup=False,
-        soft_wrap=True,
+        f"{gain.ratio:.3g} times smaller"
     )
-    console.print(f"gain: {gain.explained:.1%} explained, interval {low:.1%} to {high:.1%}", markup=False)
+    print_line("gain: {:.1%} explained, interval {:.1%} to {:.1%}".format(gain.explained, *gain.interval))
     if report is not None:
         _write_report(study, report)
 
@@ -283,8 +280,4 @@ def _report_path(given, default, force):
 
 def _write_report(study, path):
     study.diagnosis.report_.to_html(path)
-    _say_file(output_console(), "Report with pictures", path)
-
-
-def _say_file(console, what, path):
-    console.print(f"{what}: {path}", markup=False, soft_wrap=True)
+    print_line(f"Report with pictures: {path}")

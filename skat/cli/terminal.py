@@ -7,6 +7,7 @@ from pathlib import Path
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
@@ -84,23 +85,23 @@ def unused(path):
 
 @contextmanager
 def progress_bars():
-    """Show a bar for each stage of the work; yield the function to call with (stage, done, total)."""
-    bars = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        console=error_console(),
-        transient=True,
-    )
+    """Show the stages of the work; yield the function to call with (stage, done, total).
+
+    On a terminal a stage has a bar, which goes away at the end; elsewhere its name is printed as it begins.
+    """
+    console = error_console()
+    if not console.is_terminal:
+        yield _stage_printer(console)
+        return
     tasks = {}
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
+    with Progress(*columns, console=console, transient=True) as bars:
 
-    def report(stage, done, total):
-        if stage not in tasks:
-            tasks[stage] = bars.add_task(stage, total=total)
-        bars.update(tasks[stage], completed=done, total=total)
+        def report(stage, done, total):
+            if stage not in tasks:
+                tasks[stage] = bars.add_task(stage, total=total)
+            bars.update(tasks[stage], completed=done, total=total)
 
-    with bars:
         yield report
 
 
@@ -136,17 +137,32 @@ def table_of(frame, *, title=None, formats=None):
     return table
 
 
+def print_line(text, style=None):
+    """Print a line on standard output as it is, however long."""
+    output_console().print(text, style=style, markup=False, soft_wrap=True)
+
+
 def _cell(value, number):
     if isinstance(value, float):
         return "" if value != value else format(value, number)
-    return str(value)
+    return escape(str(value))
 
 
 def _console(stream):
     # A pipe has no width; 110 keeps rows of a table on one line.
-    return Console(file=stream, highlight=False, soft_wrap=False, width=None if stream.isatty() else 110)
+    return Console(file=stream, highlight=False, width=None if stream.isatty() else 110)
+
+
+def _stage_printer(console):
+    begun = set()
+
+    def report(stage, done, total):
+        if stage not in begun:
+            begun.add(stage)
+            console.print(f"{stage} ...", markup=False, soft_wrap=True)
+
+    return report
 
 
 def _say(console, word, colour, message):
-    console.print(f"[{colour}]{word}:[/{colour}]", end=" ")
-    console.print(str(message), markup=False, soft_wrap=True)
+    console.print(f"[{colour}]{word}:[/{colour}] {escape(str(message))}", soft_wrap=True)

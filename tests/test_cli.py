@@ -1,0 +1,249 @@
+"""The command line: what it prints, what it writes, and how it ends when the input is wrong."""
+
+import subprocess
+import sys
+
+import mujoco
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from skat.cli import app
+
+MODEL = """
+<mujoco>
+  <option timestep="0.005"/>
+  <worldbody>
+    <body name="cart">
+      <joint name="rail" type="slide" axis="1 0 0"/>
+      <geom name="cart" type="box" size="0.1 0.1 0.1" mass="1"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="push" joint="rail"/></actuator>
+</mujoco>
+"""
+
+
+def measured_cart(n_episodes=6, n_rows=40, damping=0.6, noise=1e-4, seed=0):
+    """A log of the cart in a world with viscous friction, which the model has not."""
+    model = mujoco.MjModel.from_xml_string(MODEL)
+    model.dof_damping[:] = damping
+    rng = np.random.default_rng(seed)
+    rows = []
+    for episode in range(n_episodes):
+        data = mujoco.MjData(model)
+        data.qvel[:] = rng.normal()
+        for row in range(n_rows):
+            data.ctrl[:] = round(rng.uniform(-3, 3), 3)
+            state = np.array([data.qpos[0], data.qvel[0]]) + noise * rng.normal(size=2)
+            rows.append([round(0.02 * row, 2), episode, *state, data.ctrl[0]])
+            for _ in range(4):
+                mujoco.mj_step(model, data)
+    return pd.DataFrame(rows, columns=["time", "episode", "qpos.rail", "qvel.rail", "ctrl.push"])
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("SKAT_DATA_HOME", raising=False)
+    (tmp_path / "model.xml").write_text(MODEL)
+    measured_cart().to_csv(tmp_path / "log.csv", index=False)
+    return tmp_path
+
+
+def skat(*arguments):
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def refused(*arguments):
+    """Run a command that must end with exit code 2 and one message; return the message."""
+    result = skat(*arguments)
+    assert result.exit_code == 2, result.output
+    assert isinstance(result.exception, SystemExit)
+    assert "Traceback" not in result.output
+    assert result.stdout == ""
+    *stages, message = result.stderr.splitlines()
+    assert all(stage.endswith(" ...") for stage in stages)
+    assert message.startswith("Error: ")
+    return message
+
+
+def edited(here, **columns):
+    """Write the log with some columns replaced, None to drop one, and return its path."""
+    log = pd.read_csv(here / "log.csv")
+    for name, values in columns.items():
+        log = log.drop(columns=name) if values is None else log.assign(**{name: values})
+    log.to_csv(here / "edited.csv", index=False)
+    return here / "edited.csv"
+
+
+def test_help_names_the_commands():
+    result = skat("--help")
+    assert result.exit_code == 0
+    for command in ("demo", "diagnose", "transport", "experiment"):
+        assert command in result.stdout
+
+
+def test_help_loads_nothing_heavy():
+    code = (
+        "import sys\nfrom skat.cli import app\n"
+        "heavy = {'mujoco', 'matplotlib', 'pandas', 'sklearn', 'scipy'}\n"
+        "assert not heavy & set(sys.modules), heavy & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_diagnose_names_the_hidden_friction_and_writes_a_report(here):
+    result = skat("diagnose", "model.xml", "log.csv", "--effect", "damping[rail]", "--effect", "mass[cart]")
+    assert result.exit_code == 0, result.output
+    assert "damping[rail]" in result.stdout
+    for method in ("AffineTransport", "ProcrustesAffineTransport", "CORAL", "ExactTransport", "extended"):
+        assert method in result.stdout
+    report = (here / "log-report.html").read_text()
+    assert "damping[rail]" in report
+    assert "<svg" in report or "<img" in report
+
+
+def test_extended_model_is_one_that_mujoco_loads(here):
+    result = skat(
+        "diagnose",
+        "model.xml",
+        "log.csv",
+        "--effect",
+        "damping[rail]",
+        "--extended",
+        "better.xml",
+        "-o",
+        "r.html",
+    )
+    assert result.exit_code == 0, result.output
+    damping = mujoco.MjModel.from_xml_path(str(here / "better.xml")).dof_damping
+    np.testing.assert_allclose(np.ravel(damping)[0], 0.6, atol=0.02)
+
+
+def test_a_second_report_gets_another_name_unless_one_is_given(here):
+    (here / "log-report.html").write_text("mine")
+    (here / "r.html").write_text("mine")
+    assert "r.html exists" in refused("diagnose", "model.xml", "log.csv", "-o", "r.html")
+    arguments = ("diagnose", "model.xml", "log.csv", "--effect", "damping[rail]")
+    assert skat(*arguments).exit_code == 0
+    assert (here / "log-report.html").read_text() == "mine"
+    assert (here / "log-report-2.html").exists()
+    assert skat(*arguments, "-o", "r.html", "--force").exit_code == 0
+    assert "damping[rail]" in (here / "r.html").read_text()
+
+
+@pytest.mark.parametrize("missing", ["model.xml", "log.csv"])
+def test_a_missing_file_is_named(here, missing):
+    (here / missing).unlink()
+    assert f"There is no file {missing}" in refused("diagnose", "model.xml", "log.csv")
+
+
+def test_a_broken_model_is_refused_with_mujocos_reason(here):
+    (here / "model.xml").write_text(
+        "<mujoco><worldbody><body><joint type='slip'/></body></worldbody></mujoco>"
+    )
+    message = refused("diagnose", "model.xml", "log.csv")
+    assert "slip" in message or "type" in message
+
+
+@pytest.mark.parametrize("text", ["", "<mujoco>", "no xml at all"])
+def test_a_file_that_is_no_model_is_refused(here, text):
+    (here / "model.xml").write_text(text)
+    assert "model.xml" in refused("diagnose", "model.xml", "log.csv")
+
+
+def test_columns_that_do_not_match_are_listed(here):
+    renamed = edited(here, **{"qvel.rail": None, "qvel.track": 0.0})
+    message = refused("diagnose", "model.xml", renamed)
+    assert "Missing: qvel.rail." in message
+    assert "Not in the model: qvel.track." in message
+
+
+def test_nan_is_refused_with_its_line(here):
+    values = pd.read_csv(here / "log.csv")["qvel.rail"]
+    values[7] = np.nan
+    assert "line 9, column qvel.rail: expected a finite number" in refused(
+        "diagnose", "model.xml", edited(here, **{"qvel.rail": values})
+    )
+
+
+def test_too_few_rows_are_refused(here):
+    pd.read_csv(here / "log.csv").head(15).to_csv(here / "short.csv", index=False)
+    assert "14 transitions in 1 episodes; at least 20 are needed" in refused(
+        "diagnose", "model.xml", "short.csv"
+    )
+
+
+def test_an_uneven_clock_is_refused_with_its_line(here):
+    time = pd.read_csv(here / "log.csv")["time"]
+    time[10:40] += 0.02
+    message = refused("diagnose", "model.xml", edited(here, time=time))
+    assert "line 12: 0.04 s after the row before, while the usual step is 0.02 s" in message
+
+
+def test_an_unknown_effect_is_refused_with_those_that_exist(here):
+    message = refused("diagnose", "model.xml", "log.csv", "--effect", "dumping[rail]")
+    assert "dumping[rail]" in message
+    assert "damping[rail]" in message
+
+
+def test_an_unknown_ball_is_refused_before_any_download(here):
+    assert "no ball 'Football'" in refused("demo", "ball-drops", "--ball", "Football")
+
+
+def test_an_unknown_command_or_option_is_refused(here):
+    for arguments in (("diagnoze",), ("diagnose", "model.xml"), ("experiment", "walker")):
+        result = skat(*arguments)
+        assert result.exit_code == 2
+        assert "Traceback" not in result.output
+
+
+def test_in_a_process_of_its_own_an_error_is_one_message_and_exit_code_2(here):
+    result = subprocess.run(
+        [sys.executable, "-m", "skat", "diagnose", "model.xml", "nothing.csv"],
+        cwd=here,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert result.returncode == 2
+    assert result.stdout == ""
+    assert result.stderr == "Error: There is no file nothing.csv; expected a log in CSV. Check the path.\n"
+
+
+def write_samples(here, seed=0):
+    rng = np.random.default_rng(seed)
+    source = rng.normal(size=(400, 2))
+    pd.DataFrame(source, columns=["a", "b"]).to_csv(here / "source.csv", index=False)
+    pd.DataFrame(source * [2, 0.5] + [3, -1], columns=["a", "b"])[["b", "a"]].to_csv(
+        here / "target.csv", index=False
+    )
+
+
+@pytest.mark.parametrize("method", ["affine", "procrustes"])
+def test_transport_carries_the_source_onto_the_target(here, method):
+    write_samples(here)
+    result = skat("transport", "source.csv", "target.csv", "-o", "out.csv", "--method", method)
+    assert result.exit_code == 0, result.output
+    moved, target = pd.read_csv(here / "out.csv"), pd.read_csv(here / "target.csv")
+    assert list(moved.columns) == ["a", "b"]
+    np.testing.assert_allclose(moved[["a", "b"]], target[["a", "b"]], atol=0.1)
+    np.testing.assert_allclose(moved.cov(), target[["a", "b"]].cov(), rtol=1e-9, atol=1e-9)
+
+
+def test_transport_refuses_bad_input(here):
+    write_samples(here)
+    assert "There is no file none.csv" in refused("transport", "none.csv", "target.csv", "-o", "out.csv")
+    (here / "out.csv").write_text("mine")
+    assert "out.csv exists" in refused("transport", "source.csv", "target.csv", "-o", "out.csv")
+    assert (here / "out.csv").read_text() == "mine"
+    pd.read_csv(here / "target.csv").rename(columns={"a": "c"}).to_csv(here / "other.csv", index=False)
+    assert "only one of them has: c, a." in refused("transport", "source.csv", "other.csv", "-o", "new.csv")
+    (here / "text.csv").write_text("a,b\n1,2\n3,four\n")
+    assert "line 3, column b: expected a finite number, got 'four'" in refused(
+        "transport", "text.csv", "target.csv", "-o", "new.csv"
+    )
+    assert "There is no folder" in refused("transport", "source.csv", "target.csv", "-o", "no/new.csv")
+    assert not (here / "new.csv").exists()
