@@ -75,8 +75,9 @@ class Effect:
             )
         object.__setattr__(self, "family", match["family"])
         object.__setattr__(self, "target", match["target"])
-        if self.describe is None:
-            object.__setattr__(self, "describe", partial(_sentence, self.name, self.unit, self.neutral))
+        given: Callable[[float], str] | None = self.describe
+        sentence = partial(_sentence, self.name, self.unit, self.neutral)
+        object.__setattr__(self, "describe", sentence if given is None else given)
 
     @property
     def is_factor(self) -> bool:

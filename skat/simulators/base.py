@@ -1,7 +1,7 @@
 """What every simulator offers: rows of inputs in, rows of outputs out, under any effects."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Self
 
@@ -47,8 +47,8 @@ class Simulator(BaseEstimator, ABC):
         The values of an effect are relative to this simulator: where an effect is built in already, its
         bounds are what is left of the original ones.
         """
-        built_in = self._built_in()
-        return tuple(_rebased(effect, built_in.get(effect.name)) for effect in self._all_effects())
+        repeated = self._repeated_effects()
+        return tuple(effect for effect in self._by_name.values() if effect.name not in repeated)
 
     def predict(
         self, X: ArrayLike, *, effects: Mapping[str, float] | None = None, groups: ArrayLike | None = None
@@ -285,24 +285,53 @@ class Simulator(BaseEstimator, ABC):
     def _unit(self, channel: str) -> str:
         return "unit of " + channel
 
-    def _all_effects(self) -> tuple[Effect, ...]:
-        return (*self._own_effects(), *self._sensor_effects())
+    def _repeated_effects(self) -> frozenset[str]:
+        """Return the names of effects that are accepted, but not listed as they only repeat another."""
+        return frozenset()
+
+    @property
+    def _all_by_name(self) -> dict[str, Effect]:
+        """Every effect, its bounds relative to the model without the built-in ones."""
+        every = (*self._own_effects(), *self._sensor_effects())
+        return self._cached("all_by_name", lambda: {effect.name: effect for effect in every})
+
+    @property
+    def _by_name(self) -> dict[str, Effect]:
+        """Every effect, its bounds relative to this simulator."""
+        built_in = self._built_in()
+        return self._cached(
+            "by_name",
+            lambda: {
+                name: _rebased(effect, built_in.get(name)) for name, effect in self._all_by_name.items()
+            },
+        )
 
     def _built_in(self) -> dict[str, float]:
-        return checked_values(self._all_effects(), self.built_in) if self.built_in else {}
+        return checked_values(self._all_by_name.values(), self.built_in) if self.built_in else {}
 
     def _total(self, values: Mapping[str, float] | None) -> dict[str, float]:
-        """Return the given values combined with the built-in ones, without those that are neutral."""
-        checked = checked_values(self.effects(), values)
+        """Return the given values with the built-in ones, in the effects' order, without neutral ones."""
         total = self._built_in()
-        for effect in self._all_effects():
-            if effect.name in checked:
-                value = checked[effect.name]
-                total[effect.name] = (
-                    effect.combined(total[effect.name], value) if effect.name in total else value
-                )
-        neutral = {effect.name: effect.neutral for effect in self._all_effects() if effect.name in total}
-        return {name: total[name] for name in neutral if total[name] != neutral[name]}
+        for name, value in checked_values(self._by_name.values(), values).items():
+            total[name] = self._by_name[name].combined(total[name], value) if name in total else value
+        every = self._all_by_name
+        return {name: total[name] for name in every if name in total and total[name] != every[name].neutral}
+
+    def _cached(self, key: Any, make: Callable[[], Any]) -> Any:
+        """Return what was made before under this key; nothing of it is pickled or copied."""
+        memory = self.__dict__.setdefault("_memory", {})
+        if key not in memory:
+            memory[key] = make()
+        return memory[key]
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        self.__dict__.pop("_memory", None)
+        super().__setattr__(name, value)
+
+    def __getstate__(self) -> dict[str, Any]:
+        state = dict(super().__getstate__())
+        state.pop("_memory", None)
+        return state
 
     def _actions(self, inputs: Array) -> Array:
         return inputs[..., len(self.state_names) :]

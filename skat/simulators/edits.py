@@ -1,0 +1,158 @@
+"""Edits of a MjSpec that express effects: masses, lengths, joints, actuators, gravity, the time step.
+
+Bodies, joints and actuators are meant by their index in the spec's lists, which copies keep. Each edit
+changes the spec in place; a list of indices means the edit of each.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+
+import mujoco
+import numpy as np
+
+CAPSULE, CYLINDER = int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER)
+FROM_GEOMS = int(mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE)
+AUTOMATIC = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+
+
+def scale_mass(bodies: Sequence[int], spec: mujoco.MjSpec, factor: float) -> None:
+    """Multiply the mass of bodies, and their inertia with it."""
+    for body in _bodies(spec, bodies):
+        body.mass = body.mass * factor
+        body.inertia = body.inertia * factor
+        body.fullinertia = body.fullinertia * factor
+        for geom in body.geoms:
+            if math.isnan(geom.mass):
+                geom.density = geom.density * factor
+            else:
+                geom.mass = geom.mass * factor
+
+
+def scale_length(bodies: Sequence[int], spec: mujoco.MjSpec, factor: float) -> None:
+    """Multiply places along links: of child bodies, joints, geoms, sites, and ends of capsules and cylinders.
+
+    Radii and other sizes stay. So does the mass; the inertia follows from the geoms. Where a body's inertia
+    is given explicitly, it is multiplied by the factor squared, as for a thin rod.
+    """
+    for body in _bodies(spec, bodies):
+        for part in [*body.bodies, *body.joints, *body.sites, *body.frames]:
+            part.pos = part.pos * factor
+        body.ipos = body.ipos * factor
+        body.inertia = body.inertia * factor**2
+        body.fullinertia = body.fullinertia * factor**2
+        for geom in body.geoms:
+            geom.pos = geom.pos * factor
+            has_ends = not math.isnan(geom.fromto[0])
+            if has_ends or int(geom.type) in (CAPSULE, CYLINDER):
+                _lengthen(geom, factor, has_ends)
+
+
+def shift_centre_of_mass(body: int, axis: int, spec: mujoco.MjSpec, shift: float) -> None:
+    """Move a body's centre of mass in the body's frame; the mass and the inertia about it stay."""
+    if int(spec.compiler.inertiafromgeom) == FROM_GEOMS:
+        for other in spec.bodies:
+            other.explicitinertial = False
+        spec.compiler.inertiafromgeom = AUTOMATIC
+    (element,) = _bodies(spec, [body])
+    if not element.explicitinertial:
+        spec.adopt_inertial(element)
+    element.ipos[axis] = element.ipos[axis] + shift
+
+
+def scale_gravity(spec: mujoco.MjSpec, factor: float) -> None:
+    """Multiply gravity."""
+    spec.option.gravity = np.asarray(spec.option.gravity) * factor
+
+
+def tilt_gravity(axis: int, spec: mujoco.MjSpec, angle: float) -> None:
+    """Turn gravity so that (0, 0, -g) becomes g sin(angle) along the axis and -g cos(angle) along z."""
+    gravity = np.array(spec.option.gravity)
+    along, down = gravity[axis], gravity[2]
+    gravity[axis] = math.cos(angle) * along - math.sin(angle) * down
+    gravity[2] = math.sin(angle) * along + math.cos(angle) * down
+    spec.option.gravity = gravity
+
+
+def add_damping(joints: Sequence[int], spec: mujoco.MjSpec, value: float) -> None:
+    """Add linear damping."""
+    for joint in _joints(spec, joints):
+        joint.damping[0] = joint.damping[0] + value
+
+
+def add_quadratic_damping(joints: Sequence[int], spec: mujoco.MjSpec, value: float) -> None:
+    """Add damping that grows with the square of the velocity."""
+    for joint in _joints(spec, joints):
+        joint.damping[1] = joint.damping[1] + value
+
+
+def add_dry_friction(joints: Sequence[int], spec: mujoco.MjSpec, value: float) -> None:
+    """Add dry friction."""
+    for joint in _joints(spec, joints):
+        joint.frictionloss = joint.frictionloss + value
+
+
+def add_armature(joints: Sequence[int], spec: mujoco.MjSpec, value: float) -> None:
+    """Add armature, the inertia of a geared rotor."""
+    for joint in _joints(spec, joints):
+        joint.armature = joint.armature + value
+
+
+def add_stiffness(joints: Sequence[int], spec: mujoco.MjSpec, value: float) -> None:
+    """Add stiffness about the joint's spring reference."""
+    for joint in _joints(spec, joints):
+        joint.stiffness[0] = joint.stiffness[0] + value
+
+
+def scale_gain(actuators: Sequence[int], spec: mujoco.MjSpec, factor: float) -> None:
+    """Multiply the force of actuators, also the part of it that does not depend on the control."""
+    elements = spec.actuators
+    for index in actuators:
+        actuator = elements[index]
+        actuator.gainprm = np.asarray(actuator.gainprm) * factor
+        actuator.biasprm = np.asarray(actuator.biasprm) * factor
+
+
+def delay_actuators(spec: mujoco.MjSpec, delay: float) -> None:
+    """Delay every actuator's control, linear between the time steps."""
+    for actuator in spec.actuators:
+        actuator.delay = delay
+        actuator.nsample = math.ceil(delay / spec.option.timestep - 1e-9) + 1
+        actuator.interp = 1
+
+
+def scale_timestep(spec: mujoco.MjSpec, factor: float) -> None:
+    """Multiply the time step."""
+    spec.option.timestep = spec.option.timestep * factor
+
+
+def fix_total_mass(spec: mujoco.MjSpec) -> None:
+    """Replace the compiler's ``settotalmass``, which would undo edits of masses, by the resulting masses."""
+    total = spec.compiler.settotalmass
+    if total <= 0:
+        return
+    spec.compiler.settotalmass = -1
+    natural = float(np.sum(spec.copy().compile().body_mass))
+    scale_mass(range(len(spec.bodies)), spec, total / natural)
+
+
+def _lengthen(geom: mujoco.MjsGeom, factor: float, has_ends: bool) -> None:
+    """Multiply the distance of a geom's ends, at constant mass."""
+    if has_ends:
+        length = float(np.linalg.norm(geom.fromto[3:] - geom.fromto[:3]))
+        geom.fromto = geom.fromto * factor
+    else:
+        length = 2 * float(geom.size[1])
+        geom.size[1] = geom.size[1] * factor
+    if math.isnan(geom.mass):
+        caps = 4 / 3 * float(geom.size[0]) if int(geom.type) == CAPSULE else 0.0
+        geom.density = geom.density * (length + caps) / (length * factor + caps)
+
+
+def _bodies(spec: mujoco.MjSpec, indices: Sequence[int]) -> Iterator[mujoco.MjsBody]:
+    elements = spec.bodies
+    return (elements[index] for index in indices)
+
+
+def _joints(spec: mujoco.MjSpec, indices: Sequence[int]) -> Iterator[mujoco.MjsJoint]:
+    elements = spec.joints
+    return (elements[index] for index in indices)

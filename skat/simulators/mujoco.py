@@ -1,0 +1,482 @@
+"""Any MuJoCo model as a simulator: rows of [qpos, qvel, ctrl] in, rows of the next [qpos, qvel] out."""
+
+import json
+import math
+import warnings
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from skat.effects import Effect
+from skat.simulators.base import Array, Simulator
+from skat.simulators.catalogue import EXPLICIT_INTEGRATOR, Anatomy, Listing, actuator_name, effect_listing
+from skat.simulators.channels import StateLayout, state_layout
+from skat.simulators.edits import fix_total_mass
+from skat.simulators.source import ModelSource, broken_model, read_source, write_xml
+from skat.simulators.stepping import Forces, Job, Stepper
+
+CACHED_MODELS = 256
+# Edits that need the outcome of others come last.
+LAST = ("centre_of_mass", "contact_friction", "contact_anisotropy", "restitution")
+BESIDE_THE_MODEL = {"wind", "air_drag", "position_friction", "delay", "timestep", "bias", "scale"}
+
+
+class MujocoSimulator(Simulator):
+    """A MuJoCo model as a simulator.
+
+    X = [qpos, qvel, ctrl], y = [qpos, qvel] after ``frame_skip`` time steps.
+
+    Every row starts from a clean state: time zero, no warm start of the constraint solver. All rows, under
+    all candidate effects, run in one call of ``mujoco.batch``.
+
+    Parameters
+    ----------
+    model : path, str or mujoco.MjSpec
+        Path of an MJCF file, MJCF text, or a MjSpec. It is read at once; the simulator holds the text and
+        assets, so it pickles, deep-copies and survives `sklearn.base.clone`.
+    frame_skip : int, default=1
+        Time steps per transition.
+    built_in : mapping from name to value, optional
+        Effects that are built in; see `extended`.
+    extra_effects : sequence of Effect, default=()
+        Effects of your own, whose ``apply(spec, value)`` edits a copied ``mujoco.MjSpec``.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If MuJoCo cannot read the model; if it has actuators with activation states, delays or mocap bodies,
+        whose state the rows do not hold.
+
+    Examples
+    --------
+    >>> from skat.simulators import MujocoSimulator
+    >>> ball = MujocoSimulator('''
+    ... <mujoco>
+    ...   <worldbody>
+    ...     <body name="ball">
+    ...       <joint name="fall" type="slide" axis="0 0 1"/><geom size="0.1" mass="0.5"/>
+    ...     </body>
+    ...   </worldbody>
+    ... </mujoco>''', frame_skip=50)
+    >>> ball.input_names
+    ('qpos.fall', 'qvel.fall')
+    >>> ball.predict([[2.0, 0.0]], effects={"air_drag[z]": 0.5}).round(4)
+    array([[ 1.9508, -0.9493]])
+    """
+
+    def __init__(
+        self,
+        model: str | PathLike | mujoco.MjSpec | ModelSource,
+        *,
+        frame_skip: int = 1,
+        built_in: Mapping[str, float] | None = None,
+        extra_effects: Sequence[Effect] = (),
+    ):
+        self.model = read_source(
+            model
+        )  # a MjSpec can neither be copied nor pickled; ModelSource stays as it is
+        self.frame_skip = frame_skip
+        self.built_in = built_in
+        self.extra_effects = extra_effects
+        self._nominal  # noqa: B018 - a model that does not compile is of no use to anybody
+
+    def __repr__(self) -> str:
+        parts = [repr(self._nominal_name), f"frame_skip={self.frame_skip}"]
+        if self.built_in:
+            parts.append(f"built_in={dict(self.built_in)}")
+        return f"{type(self).__name__}({', '.join(parts)})"
+
+    @property
+    def state_names(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Names of the state's columns, [qpos, qvel]."""
+        return self._layout.names
+
+    @property
+    def input_names(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Names of the columns of X, [qpos, qvel, ctrl]."""
+        return (*self._layout.names, *self._cached("controls", self._control_names))
+
+    @property
+    def output_names(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Names of the columns of y, those of the state."""
+        return self._layout.names
+
+    @property
+    def residual_names(self) -> tuple[str, ...]:
+        """Names of the columns of a residual; a rotation vector ``rx, ry, rz`` stands for a quaternion."""
+        return self._layout.tangent_names
+
+    @property
+    def dt(self) -> float:  # type: ignore[override]
+        """Duration of a transition, s."""
+        return self.frame_skip * float(self._nominal.opt.timestep)
+
+    def residual(self, y: ArrayLike, prediction: ArrayLike) -> Array:
+        """Return the difference "y minus prediction" in the tangent space of the prediction.
+
+        As ``mj_differentiatePos``: the rotation vector, in the body's frame, that turns the predicted
+        orientation into that of y.
+
+        Parameters
+        ----------
+        y, prediction : array-like of shape (..., n_states)
+
+        Returns
+        -------
+        ndarray of shape (..., n_residuals)
+        """
+        layout = self._layout
+        return layout.difference(
+            layout.normalised(np.asarray(y, float), "y"),
+            layout.normalised(np.asarray(prediction, float), "prediction"),
+        )
+
+    def displace(self, X: ArrayLike, tangent: ArrayLike) -> Array:
+        """Return the rows with their state moved by a tangent vector, as ``mj_integratePos``.
+
+        Parameters
+        ----------
+        X : array-like of shape (..., n_inputs) or (..., n_states)
+        tangent : array-like of shape (..., n_residuals)
+
+        Returns
+        -------
+        ndarray of the shape of X
+        """
+        rows, tangent = np.asarray(X, float), np.asarray(tangent, float)
+        n_states = len(self.state_names)
+        shape = np.broadcast_shapes(rows.shape[:-1], tangent.shape[:-1])
+        moved = np.array(np.broadcast_to(rows, (*shape, rows.shape[-1])))
+        states = self._layout.normalised(moved[..., :n_states], "X")
+        moved[..., :n_states] = self._layout.displaced(states, tangent)
+        return moved
+
+    def to_mjcf(self, path: str | PathLike) -> tuple[Path, ...]:
+        """Write the model, with the effects that are built in, for any user of MuJoCo.
+
+        Numbers are written with all digits: plain MuJoCo predicts what this simulator predicts. What MJCF
+        cannot express (wind, drag on bodies that turn, friction that grows with the position, sensors, and a
+        delay under the Runge-Kutta integrator, which reads delayed controls between time steps) is written
+        beside it, into ``<name>.effects.json``.
+
+        Parameters
+        ----------
+        path : path
+            Where to write the MJCF; assets are written into the same folder. What is there is overwritten.
+
+        Returns
+        -------
+        tuple of Path
+            The files written.
+        """
+        target = Path(path)
+        values = self._built_in()
+        spec = self.model.spec()
+        fix_total_mass(spec)
+        substeps, beside = self.frame_skip, {}
+        for effect in self._edit_order(values):
+            value = values[effect.name]
+            if (
+                effect.family == "timestep"
+                and abs(self.frame_skip / value - round(self.frame_skip / value)) > 1e-9
+            ):
+                beside[effect.name] = value
+            elif effect.apply is not None and not (effect.family == "delay" and _is_explicit(spec)):
+                effect.apply(spec, value)
+                substeps = round(self.frame_skip / value) if effect.family == "timestep" else substeps
+            else:
+                beside[effect.name] = value
+        beside |= {name: value for name, value in values.items() if name not in self._own_by_name}
+        said = [f"One transition is {substeps} time steps."]
+        said += [self._all_by_name[name].describe(value) + "." for name, value in values.items()]
+        spec.comment = " ".join(said)
+        spec.compile()
+        target.write_text(write_xml(spec), encoding="utf-8")
+        written = [target]
+        for name, content in self.model.assets.items():
+            written.append(target.parent / name)
+            written[-1].write_bytes(content)
+        if beside:
+            written.append(target.with_suffix(".effects.json"))
+            written[-1].write_text(json.dumps(self._beside(beside), indent=2) + "\n", encoding="utf-8")
+        return tuple(written)
+
+    def compiled(self, effects: Mapping[str, float] | None = None) -> mujoco.MjModel:
+        """Return a compiled model with effects, for example to render it or to look at its numbers.
+
+        Parameters
+        ----------
+        effects : mapping from name to value, optional
+            On top of those that are built in. Those that MJCF cannot express are left out.
+        """
+        values = self._total(effects)
+        return self._model(
+            {name: values[name] for name in values if name in self._own_by_name}, self.frame_skip
+        )
+
+    def prepared(
+        self, values: Mapping[str, float], n_substeps: int | None = None
+    ) -> tuple[mujoco.MjModel, int, Forces]:
+        """Return what it takes to step rows under effects: the compiled model, the substeps, the forces.
+
+        Parameters
+        ----------
+        values : mapping from name to value
+            Checked values of the effects other than those of sensors, the built-in ones included.
+        n_substeps : int, optional
+            Time steps to run; `frame_skip` by default.
+        """
+        return self._model(values, self.frame_skip), n_substeps or self.frame_skip, self._forces(values)
+
+    def all_effects(self) -> tuple[Effect, ...]:
+        """Return every effect that is accepted, also those not listed as they repeat another."""
+        return tuple(self._by_name.values())
+
+    def _own_effects(self) -> tuple[Effect, ...]:
+        return (*self._listing.effects, *self.extra_effects)
+
+    def _repeated_effects(self) -> frozenset[str]:
+        return self._listing.repeated
+
+    def _sensor_effects(self) -> tuple[Effect, ...]:
+        return self._cached("sensors", lambda: tuple(_sensor_effects(self._layout)))
+
+    def _lags(self, values: Mapping[str, float]) -> int:
+        return math.ceil(values.get("delay[action]", 0.0) / self.dt - 1e-9)
+
+    def _outputs(
+        self, inputs: Array, candidates: Sequence[Mapping[str, float]], history: Array | None
+    ) -> Array:
+        inputs = self._layout.normalised(inputs, "X")
+        n_states = len(self.state_names)
+        jobs: list[Job] = []
+        shares: list[float] = []
+        for index, values in enumerate(candidates):
+            for share, n_substeps in self._substeps(values):
+                controls = None
+                if values.get("delay[action]"):
+                    lag = values["delay[action]"] * n_substeps / self.dt
+                    controls = _delayed(inputs[index, :, n_states:], history, lag, n_substeps)
+                model = self._model(values, n_substeps)
+                jobs.append(Job(index, model, n_substeps, self._forces(values), controls))
+                shares.append(share)
+        states = self._cached("stepper", Stepper).run(jobs, inputs)
+        outputs = np.empty((len(candidates), *states.shape[1:]))
+        for job, share, result in zip(jobs, shares, states):
+            if share == 1.0:
+                outputs[job.candidate] = result
+            else:  # the second of two jobs: between the first's result and its own
+                step = self._layout.difference(result, outputs[job.candidate])
+                outputs[job.candidate] = self._layout.displaced(outputs[job.candidate], share * step)
+        return self._layout.aligned(outputs, inputs[..., :n_states])
+
+    def _substeps(self, values: Mapping[str, float]) -> list[tuple[float, int]]:
+        """Return the numbers of time steps per transition to run, each with its share in the result.
+
+        Between whole numbers the result is interpolated, so that it is continuous in the time step.
+        """
+        exact = self.frame_skip / values.get("timestep", 1.0)
+        if abs(exact - round(exact)) < 1e-9:
+            return [(1.0, round(exact))]
+        return [(1.0, math.floor(exact)), (exact - math.floor(exact), math.ceil(exact))]
+
+    def _forces(self, values: Mapping[str, float]) -> Forces:
+        anatomy, model = self._anatomy, self._nominal
+        outside = {name: values[name] for name in values if self._own_by_name[name].apply is None}
+        if not outside:
+            return Forces(anatomy.root)
+        joints = {self._joint_target(joint): joint for joint in range(model.njnt)}
+        friction = []
+        for name, value in outside.items():
+            if name.startswith("position_friction["):
+                joint = joints[self._own_by_name[name].target]
+                friction.append((int(model.jnt_dofadr[joint]), int(model.jnt_qposadr[joint]), value))
+        return Forces(
+            body=anatomy.root,
+            wind=tuple(outside.get(f"wind[{axis}]", 0.0) for axis in "xyz"),  # type: ignore[arg-type]
+            drag=tuple(outside.get(f"air_drag[{axis}]", 0.0) for axis in "xyz"),  # type: ignore[arg-type]
+            drag_all=outside.get("air_drag[all]", 0.0),
+            position_friction=tuple(friction),
+        )
+
+    def _joint_target(self, joint: int) -> str | None:
+        return self._nominal.joint(joint).name or f"joint{joint}"
+
+    def _model(self, values: Mapping[str, float], n_substeps: int) -> mujoco.MjModel:
+        """Return the model with the effects that edit it, compiled."""
+        edited = [effect for effect in self._edit_order(values) if effect.family not in {"timestep", "delay"}]
+        edited = [effect for effect in edited if effect.apply is not None]
+        cache: OrderedDict[tuple, mujoco.MjModel] = self._cached("models", OrderedDict)
+        key = (n_substeps, *((effect.name, values[effect.name]) for effect in edited))
+        if key not in cache:
+            spec = self._spec.copy()
+            for effect in edited:
+                effect.apply(spec, values[effect.name])  # type: ignore[misc]
+            if n_substeps != self.frame_skip:
+                spec.option.timestep = spec.option.timestep * self.frame_skip / n_substeps
+            try:
+                cache[key] = _compile(spec)
+            except ValueError as error:
+                raise broken_model(f"the model with the effects {dict(values)}", error) from None
+            if len(cache) > CACHED_MODELS:
+                cache.popitem(last=False)
+        cache.move_to_end(key)
+        return cache[key]
+
+    def _edit_order(self, values: Mapping[str, float]) -> list[Effect]:
+        return self._cached(
+            ("order", tuple(values)),
+            lambda: sorted(
+                (effect for effect in self._own_effects() if effect.name in values),
+                key=lambda effect: LAST.index(effect.family) + 1 if effect.family in LAST else 0,
+            ),
+        )
+
+    def _beside(self, values: Mapping[str, float]) -> dict[str, Any]:
+        effects = [
+            {
+                "name": name,
+                "value": value,
+                "unit": self._all_by_name[name].unit,
+                "meaning": self._all_by_name[name].describe(value),
+            }
+            for name, value in values.items()
+        ]
+        return {
+            "about": "Effects that belong to the model beside this file and that MJCF cannot express.",
+            "acts on body": self._anatomy.body_name(self._anatomy.root),
+            "effects": effects,
+        }
+
+    def _control_names(self) -> tuple[str, ...]:
+        return tuple(f"ctrl.{actuator_name(self._nominal, index)}" for index in range(self._nominal.nu))
+
+    @property
+    def _spec(self) -> mujoco.MjSpec:
+        """The model as a spec, without what only the eye needs."""
+        return self._cached("spec", lambda: _lean_spec(self.model))
+
+    @property
+    def _nominal(self) -> mujoco.MjModel:
+        return self._cached("nominal", lambda: _checked_model(self._spec, self.frame_skip))
+
+    @property
+    def _nominal_name(self) -> str:
+        return self._spec.modelname
+
+    @property
+    def _layout(self) -> StateLayout:
+        return self._cached("layout", lambda: state_layout(self._nominal))
+
+    @property
+    def _anatomy(self) -> Anatomy:
+        return self._cached("anatomy", lambda: Anatomy(self._nominal))
+
+    @property
+    def _listing(self) -> Listing:
+        return self._cached("listing", lambda: effect_listing(self._anatomy, self.frame_skip))
+
+    @property
+    def _own_by_name(self) -> dict[str, Effect]:
+        return self._cached("own_by_name", lambda: {effect.name: effect for effect in self._own_effects()})
+
+
+def _delayed(controls: Array, history: Array | None, lag: float, n_substeps: int) -> Array:
+    """Return the controls of each substep that come ``lag`` substeps late, linear between substeps.
+
+    Parameters
+    ----------
+    controls : ndarray of shape (n_rows, nu)
+    history : ndarray of shape (n_rows, n_lags, nu)
+        Controls of the transitions before: one back, two back, ...
+    lag : float
+    n_substeps : int
+
+    Returns
+    -------
+    ndarray of shape (n_rows, n_substeps, nu)
+    """
+    known = controls[:, None] if history is None else np.concatenate([controls[:, None], history], axis=1)
+    delayed = np.empty((len(controls), n_substeps, controls.shape[1]))
+    for substep in range(n_substeps):
+        moment = substep - lag
+        before = math.floor(moment + 1e-9)
+        weight = moment - before
+        earlier, later = (
+            known[:, -math.floor(index / n_substeps)] for index in (before, min(before + 1, substep))
+        )
+        delayed[:, substep] = earlier if weight <= 1e-9 else (1 - weight) * earlier + weight * later
+    return delayed
+
+
+def _sensor_effects(layout: StateLayout) -> list[Effect]:
+    quaternion_columns = {column + part for column, _ in layout.quaternions for part in range(4)}
+    limits = {"m": 10.0, "rad": math.pi, "m/s": 100.0, "rad/s": 100.0}
+    channels = [
+        (name, unit)
+        for column, (name, unit) in enumerate(zip(layout.names, layout.units))
+        if column not in quaternion_columns
+    ]
+    biases = [
+        Effect(f"bias[{name}]", unit=unit, neutral=0.0, bounds=(-limits[unit], limits[unit]))
+        for name, unit in channels
+    ]
+    return biases + [
+        Effect(f"scale[{name}]", unit="1", neutral=1.0, bounds=(0.1, 10.0)) for name, _ in channels
+    ]
+
+
+def _lean_spec(source: ModelSource) -> mujoco.MjSpec:
+    try:
+        spec = source.spec()
+        fix_total_mass(spec)
+    except ValueError as error:
+        raise broken_model("the model", error) from None
+    for geom in [*spec.geoms, *spec.sites, *spec.skins]:
+        geom.material = ""
+    for element in [*spec.materials, *spec.textures, *spec.skins]:
+        spec.delete(element)
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a diverged row must not restart
+    spec.option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)  # sleeping needs memory between calls
+    return spec
+
+
+def _compile(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # said once, when the source was read
+        return spec.compile()
+
+
+def _checked_model(spec: mujoco.MjSpec, frame_skip: int) -> mujoco.MjModel:
+    if isinstance(frame_skip, bool) or int(frame_skip) != frame_skip or frame_skip < 1:
+        raise ValueError(f"frame_skip must be a positive whole number of time steps; got {frame_skip!r}")
+    try:
+        model = _compile(spec)
+    except ValueError as error:
+        raise broken_model("the model", error) from None
+    if model.nq == 0:
+        raise ValueError("the model has no joints: nothing in it can move, so there is no state to predict")
+    hidden = {
+        f"{model.na} actuator activations (dyntype other than 'none')": model.na,
+        "a history (delay, nsample); for a delay take the effect delay[action]": model.nhistory,
+        f"{model.nmocap} mocap bodies": model.nmocap,
+        "a plugin with a state": model.npluginstate,
+    }
+    for what, count in hidden.items():
+        if count:
+            raise ValueError(
+                f"the model has {what}: a state that the rows [qpos, qvel, ctrl] do not hold; remove it"
+            )
+    return model
+
+
+def _is_explicit(spec: mujoco.MjSpec) -> bool:
+    return int(spec.option.integrator) == EXPLICIT_INTEGRATOR
