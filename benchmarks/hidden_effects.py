@@ -108,11 +108,9 @@ def run(task):
 
 def nominal_simulator(kind):
     """Return the simulator that a user of this world would hand to a diagnosis."""
-    from skat.simulators import MujocoSimulator, make_simulator
+    from skat.simulators import MujocoSimulator
 
-    if kind == "puck":
-        return MujocoSimulator(nominal_mjcf(kind), frame_skip=FRAME_SKIP[kind])
-    return make_simulator(kind)
+    return MujocoSimulator(nominal_mjcf(kind), frame_skip=FRAME_SKIP[kind])
 
 
 def _fresh_errors(log, extended):

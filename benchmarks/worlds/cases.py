@@ -20,7 +20,7 @@ _ADDED_EITHER = (
     "magnet",
     "cubic_spring",
 )
-_FACTORS = ("mass", "length", "gravity", "contact_friction", "contact_anisotropy", "restitution", "timestep")
+_FACTORS = ("mass", "length", "gravity", "contact_friction", "contact_anisotropy", "restitution")
 _LINEAR_FACTORS = ("gain", "scale")
 
 
@@ -86,6 +86,9 @@ def value_of(family, strength, sign):
         return float(np.exp(sign * strength))
     if family in _LINEAR_FACTORS:
         return 1.0 + sign * strength
+    if family == "timestep":
+        # A whole number of steps instead of HalfCheetah's and Ant's five.
+        return 5 / max(1, round(5 * np.exp(-sign * strength)))
     return sign * strength
 
 
@@ -148,7 +151,7 @@ def causes():
         ant = kind == "ant"
         add(kind, "mass", bodies, 1.5, 1.2)
         add(kind, "mass", "all", 1.0, 1.0)
-        add(kind, "length", bodies if kind != "halfcheetah" else bodies[1:], 0.5, 0.4)
+        add(kind, "length", bodies if kind == "hopper" else bodies[1:], 0.5, 0.4)
         add(kind, "gravity", None, 0.8, 0.6)
         add(kind, "tilt", ("x", "y") if ant else "x", 0.6, 0.6)
         add(kind, "damping", joints, {"hopper": 0.9, "halfcheetah": 1.3, "ant": 0.9}[kind], 6.0)
@@ -171,7 +174,7 @@ def causes():
     add("hopper", "restitution", "all", 1.5, 0.7)
     add("halfcheetah", "damping", "all", 0.0, 4.0)
     add("ant", "armature", _elements("ant")[1], 0.9, 2.0)
-    add("ant", "timestep", None, 0.3, 0.3)
+    add("ant", "timestep", None, 1.1, 0.6)
     add("puck", "mass", "puck", 0.7, 0.7)
     add("puck", "tilt", ("x", "y"), 0.3, 0.3)
     add("puck", "gain", ("push_x", "push_y", "twist"), 0.8, 0.8)

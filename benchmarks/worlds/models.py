@@ -129,19 +129,17 @@ def _edit_arrays(model, family, target, value):
         model.actuator_gear[list(chosen)] *= value
     elif family == "contact_friction":
         if target == "all":
-            model.geom_friction[:] *= value
-            model.pair_friction[:] *= value
+            model.geom_friction[:, 0] *= value
+            model.pair_friction[:, :2] *= value
         elif target in [model.pair(i).name for i in range(model.npair)]:
-            model.pair_friction[model.pair(target).id] *= value
+            model.pair_friction[model.pair(target).id, :2] *= value
         else:
-            model.geom_friction[model.geom(target).id] *= value
+            model.geom_friction[model.geom(target).id, 0] *= value
     elif family == "contact_anisotropy":
         model.pair_friction[:, 1] = model.pair_friction[:, 0] * value
     elif family == "restitution":
         model.geom_solref[:, 1] *= value
         model.pair_solref[:, 1] *= value
-    elif family == "timestep":
-        model.opt.timestep *= value
 
 
 def actuator_names(model):
@@ -172,7 +170,8 @@ def _text(numbers):
 
 
 def _forget_total_mass(tree):
-    tree.find("compiler").attrib.pop("settotalmass", None)
+    for compiler in tree.findall("compiler"):
+        compiler.attrib.pop("settotalmass", None)
 
 
 def _state_geom_masses(tree, model):

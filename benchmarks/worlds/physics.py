@@ -22,6 +22,12 @@ class Physics:
         self.kind = kind
         self.model = compile_model(kind, hidden, refinement=refinement)
         self.substeps = FRAME_SKIP[kind] * refinement
+        for family, _, value in hidden:
+            if family == "timestep":
+                # Another time step for the same transition: a whole number of them.
+                substeps = round(self.substeps / value)
+                self.model.opt.timestep *= self.substeps / substeps
+                self.substeps = substeps
         if refined:
             self.model.opt.solver, self.model.opt.iterations, self.model.opt.tolerance = SOLVER, 500, 1e-12
         self.delay = sum(value for family, _, value in hidden if family == "delay")
