@@ -2,6 +2,18 @@
 
 from skat.datasets.ball_drops import ball_drop_simulator, fetch_ball_drops
 from skat.datasets.cube_tosses import cube_toss_simulator, fetch_cube_tosses
+from skat.datasets.logs import load_log, split_episodes
 from skat.datasets.originals import data_home
+from skat.datasets.pucks import make_hidden_puck, make_real_puck
 
-__all__ = ["ball_drop_simulator", "cube_toss_simulator", "data_home", "fetch_ball_drops", "fetch_cube_tosses"]
+__all__ = [
+    "ball_drop_simulator",
+    "cube_toss_simulator",
+    "data_home",
+    "fetch_ball_drops",
+    "fetch_cube_tosses",
+    "load_log",
+    "make_hidden_puck",
+    "make_real_puck",
+    "split_episodes",
+]

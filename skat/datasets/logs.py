@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from sklearn.utils import Bunch
+from sklearn.utils import Bunch, check_random_state
 
 # The clock of a log may deviate by this much of a transition; more cannot be told from a lost row.
 CLOCK_TOLERANCE = 0.01
@@ -253,3 +253,82 @@ def _steps_per_row(time, arrivals, timestep, path):
 
 def _listed(names, limit=12):
     return ", ".join(names[:limit]) + (f", ... ({len(names)} in all)" if len(names) > limit else "")
+
+
+def split_episodes(log, *, test_size, random_state=None):
+    """Split a log into two, by whole episodes where there are several.
+
+    Parameters
+    ----------
+    log : Bunch
+        With data, target and, unless its rows are independent, groups.
+
+    test_size : float
+        Part of the episodes that the second log gets, between 0 and 1. A single episode is cut, and its end
+        is the second log. Independent rows are drawn one by one.
+
+    random_state : int, RandomState or None, default=None
+        Draws the episodes.
+
+    Returns
+    -------
+    fit, test : Bunch
+        Copies of `log` with a part of the rows each.
+
+    Raises
+    ------
+    ValueError
+        If `test_size` leaves one of them empty.
+    """
+    n_rows = len(log.data)
+    groups = np.arange(n_rows) if log.get("groups") is None else np.asarray(log.groups)
+    names = np.unique(groups)
+    if len(names) == 1:
+        chosen = np.arange(n_rows) >= n_rows - round(test_size * n_rows)
+    else:
+        drawn = check_random_state(random_state).permutation(names)[: round(test_size * len(names))]
+        chosen = np.isin(groups, drawn)
+    if chosen.all() or not chosen.any():
+        raise ValueError(
+            f"test_size={test_size} of {len(names)} episodes and {n_rows} rows leaves one side empty; "
+            "choose a value between 0 and 1, such as 0.3."
+        )
+    return tuple(
+        Bunch(
+            **{
+                **log,
+                **{
+                    name: log[name][rows]
+                    for name in ("data", "target", "groups")
+                    if log.get(name) is not None
+                },
+            }
+        )
+        for rows in (~chosen, chosen)
+    )
+
+
+def with_same_columns(table, other):
+    """Return a table with its columns in the order of another's.
+
+    Parameters
+    ----------
+    table, other : DataFrame
+        Tables that should have the same columns.
+
+    Returns
+    -------
+    DataFrame
+        Columns of `table`, in the order of `other`.
+
+    Raises
+    ------
+    ValueError
+        If one has a column that the other has not.
+    """
+    if differing := [name for name in [*table, *other] if (name in table) != (name in other)]:
+        raise ValueError(
+            f"The two tables must have the same columns; only one of them has: {_listed(differing)}. "
+            "Remove these columns, or add them to the other table."
+        )
+    return table[list(other)]
