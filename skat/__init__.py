@@ -1,3 +1,16 @@
 """Carry simulated samples onto measured ones, and find out what the simulation gets wrong."""
 
+from skat.baselines import CORAL, ExactTransport, IdentityTransport
+from skat.transport import AffineTransport, ConditionalAffineTransport, ProcrustesAffineTransport
+
 __version__ = "0.1.0"
+
+__all__ = [
+    "CORAL",
+    "AffineTransport",
+    "ConditionalAffineTransport",
+    "ExactTransport",
+    "IdentityTransport",
+    "ProcrustesAffineTransport",
+    "__version__",
+]

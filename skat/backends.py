@@ -1,0 +1,257 @@
+"""Moments and maps of rows wherever the rows live: in NumPy, behind the array API, or in dask.
+
+Whatever the size of the data is done where the data are; what has the size of the features is done in NumPy.
+"""
+
+import numpy as np
+
+from skat._compat import (
+    convert_to_numpy,
+    get_namespace_and_device,
+    is_numpy_namespace,
+    supported_float_dtypes,
+)
+from skat.moments import Moments, row_moments
+
+__all__ = ["apply_map", "beside", "is_dask", "moments_of", "to_namespace"]
+
+
+def is_dask(X):
+    """Whether rows are a dask array, data frame or series; without importing dask."""
+    return type(X).__module__.partition(".")[0] in {"dask", "dask_expr"}
+
+
+def moments_of(sides):
+    """Return the moments of several sets of rows, computed together.
+
+    Parameters
+    ----------
+    sides : sequence of (rows, weight)
+        Rows of shape (n_rows, n_features), and weights of shape (n_rows,) or None.
+
+    Returns
+    -------
+    list of Moments
+        None for a set in which no row has weight.
+    """
+    lazy = [_lazy_moments(rows, weight) if is_dask(rows) else None for rows, weight in sides]
+    if any(part is not None for part in lazy):
+        import dask
+
+        lazy = list(dask.compute(*lazy))
+    return [
+        done if is_dask(rows) else _eager_moments(rows, weight) for done, (rows, weight) in zip(lazy, sides)
+    ]
+
+
+def apply_map(affine, X, *, keep=None, check=None):
+    """Return rows carried over by a map, as the same kind of container, lazily for dask.
+
+    Parameters
+    ----------
+    affine : AffineMap
+        The map.
+    X : array-like of shape (n_rows, n_features)
+        Rows in NumPy, another array library, or dask.
+    keep : array-like of bool of shape (n_rows,), default=None
+        Rows to be returned unchanged.
+    check : callable, default=None
+        Called with rows, in NumPy, whose image is not finite.
+
+    Returns
+    -------
+    array of shape (n_rows, n_features)
+    """
+    if is_dask(X):
+        return _apply_lazily(affine, X, keep, check)
+    xp, _, device = get_namespace_and_device(X)
+    if not is_numpy_namespace(xp):
+        return _apply_on_device(affine, X, keep, check, xp, device)
+    if keep is None:
+        carried = affine(X)
+    else:
+        keep = np.asarray(keep, dtype=bool)
+        carried = np.array(X, dtype=X.dtype if X.dtype == np.float32 else np.float64)
+        if not keep.all():
+            carried[~keep] = affine(X[~keep])
+    # NaN or infinity in a row reaches its image, so one sum over the result checks the input, too.
+    with np.errstate(over="ignore", invalid="ignore"):
+        if check is not None and not np.isfinite(carried.sum()) and not np.isfinite(carried).all():
+            check(X)
+    return carried
+
+
+def beside(X, y):
+    """Return the columns of both, side by side."""
+    if is_dask(X) or is_dask(y):
+        import dask.array as da
+
+        X, y = _dask_array(X), _dask_array(y)
+        return da.concatenate([X, y.rechunk({0: X.chunks[0]})], axis=1)
+    xp, _, _ = get_namespace_and_device(X, y)
+    return np.hstack([X, y]) if is_numpy_namespace(xp) else xp.concat([X, y], axis=1)
+
+
+def to_namespace(array, like):
+    """Return a NumPy array as an array of the library and device that another one has."""
+    if is_dask(like):
+        return array
+    xp, _, device = get_namespace_and_device(like)
+    if is_numpy_namespace(xp):
+        return array
+    return xp.asarray(array.astype(str(_widest(xp, device)).rpartition(".")[2]), device=device)
+
+
+def _eager_moments(rows, weight):
+    xp, _, device = get_namespace_and_device(rows)
+    if not is_numpy_namespace(xp):
+        return _device_moments(rows, weight, xp, device)
+    if weight is not None and not np.any(weight):
+        return None
+    return row_moments(rows, weight)
+
+
+def _widest(xp, device):
+    return supported_float_dtypes(xp, device)[0]
+
+
+def _device_moments(rows, weight, xp, device):
+    """Return moments computed on the rows' own device, with a factor by QR there."""
+    dtype = _widest(xp, device)
+    rows = xp.astype(rows, dtype)
+    n_rows = rows.shape[0]
+    shift = rows[0, :]
+    shifted = rows - shift
+    if weight is None:
+        total = squared = float(n_rows)
+        offset = xp.sum(shifted, axis=0) / n_rows
+    else:
+        host_weight = np.asarray(convert_to_numpy(weight, get_namespace_and_device(weight)[0]), dtype=np.float64)
+        n_rows = int(np.count_nonzero(host_weight))
+        total, squared = float(host_weight.sum()), float(host_weight @ host_weight)
+        weight = xp.asarray(weight, dtype=dtype, device=device)
+        offset = (weight @ shifted) / total
+    shifted = shifted - offset
+    if weight is not None:
+        shifted = xp.sqrt(weight)[:, None] * shifted
+    if shifted.shape[0] > shifted.shape[1]:
+        shifted = xp.linalg.qr(shifted, mode="reduced")[1]
+    factor = np.asarray(convert_to_numpy(shifted, xp), dtype=np.float64)
+    shift, offset = (np.asarray(convert_to_numpy(part, xp), dtype=np.float64) for part in (shift, offset))
+    mean = shift + offset
+    return Moments(n_rows, total, squared, mean, offset - (mean - shift), factor=factor)
+
+
+def _apply_on_device(affine, X, keep, check, xp, device):
+    dtype = _widest(xp, device)
+    coef, source_mean, target_mean = (
+        to_namespace(part, X) for part in (affine.coef, affine.source_mean, affine.target_mean)
+    )
+    carried = (xp.astype(X, dtype) - source_mean) @ coef.T + target_mean
+    if keep is not None:
+        carried = xp.where(xp.asarray(keep, device=device)[:, None], xp.astype(X, dtype), carried)
+    if check is not None and not bool(xp.all(xp.isfinite(carried))):
+        check(convert_to_numpy(X, xp))
+    return xp.astype(carried, X.dtype)
+
+
+def _lazy_moments(X, weight):
+    """Return a delayed value: the moments of dask rows, merged pairwise over their blocks."""
+    import dask
+
+    blocks = _row_blocks(X)
+    weights = [None] * len(blocks) if weight is None else _row_blocks(_aligned(weight, X))
+    if len(weights) != len(blocks):
+        raise ValueError(
+            f"rows and their weights must be partitioned alike; there are {len(blocks)} and {len(weights)} blocks."
+        )
+    level = [dask.delayed(_block_moments)(block, part) for block, part in zip(blocks, weights)]
+    while len(level) > 1:
+        level = [dask.delayed(_merged)(level[start : start + 2]) for start in range(0, len(level), 2)]
+    return level[0]
+
+
+def _block_moments(block, weight):
+    rows = np.asarray(block)
+    if not np.issubdtype(rows.dtype, np.floating):
+        rows = rows.astype(np.float64)
+    weight = None if weight is None else np.asarray(weight, dtype=np.float64)
+    if len(rows) == 0 or (weight is not None and not weight.any()):
+        return None
+    return row_moments(rows, weight)
+
+
+def _merged(parts):
+    parts = [part for part in parts if part is not None]
+    if not parts:
+        return None
+    return parts[0] if len(parts) == 1 else parts[0] + parts[1]
+
+
+def _row_blocks(X):
+    """Return the blocks of rows of a dask container as delayed values."""
+    if not hasattr(X, "chunks"):
+        return X.to_delayed()
+    if X.ndim == 2:
+        X = X.rechunk({1: -1})
+    return list(X.to_delayed().ravel())
+
+
+def _aligned(values, X):
+    """Return one value per row, partitioned like the rows."""
+    if is_dask(values) and not (hasattr(values, "chunks") and hasattr(X, "chunks")):
+        return values
+    if not hasattr(X, "chunks") or np.isnan(X.chunks[0]).any():
+        if is_dask(values):
+            return values
+        raise ValueError(
+            "the number of rows in each dask partition is unknown, so values in NumPy cannot be laid beside them. "
+            "Give a dask series of the same partitions, or a dask array of known chunks."
+        )
+    import dask.array as da
+
+    values = values if is_dask(values) else da.from_array(np.asarray(values), chunks=(X.chunks[0],))
+    return values.rechunk((X.chunks[0],))
+
+
+def _dask_array(X):
+    import dask.array as da
+
+    if not is_dask(X):
+        return da.from_array(X, chunks=X.shape)
+    return X if hasattr(X, "chunks") else X.to_dask_array(lengths=True)
+
+
+def _apply_lazily(affine, X, keep, check):
+    if not hasattr(X, "chunks"):
+        if keep is None:
+            return X.map_partitions(_carried_frame, affine, check=check, meta=X._meta.astype(float))
+        return X.map_partitions(
+            _carried_frame, affine, _aligned(keep, X), check=check, meta=X._meta.astype(float), align_dataframes=False
+        )
+    import dask.array as da
+
+    X = X.rechunk({1: -1})
+    dtype = np.float32 if X.dtype == np.float32 else np.float64
+    if keep is None:
+        return X.map_blocks(_carried_block, affine=affine, check=check, dtype=dtype, meta=np.empty((0, 0), dtype))
+    return da.map_blocks(
+        _carried_block,
+        X,
+        _aligned(keep, X)[:, np.newaxis],
+        affine=affine,
+        check=check,
+        dtype=dtype,
+        meta=np.empty((0, 0), dtype),
+    )
+
+
+def _carried_block(block, keep=None, *, affine, check):
+    rows = np.asarray(block)
+    return apply_map(affine, rows, keep=None if keep is None else np.asarray(keep)[:, 0], check=check)
+
+
+def _carried_frame(frame, affine, keep=None, *, check):
+    rows = frame.to_numpy()
+    carried = apply_map(affine, rows, keep=keep, check=check)
+    return type(frame)(carried, index=frame.index, columns=frame.columns)

@@ -1,0 +1,374 @@
+"""What all transports share: whose rows are whose, whether they are fit for use, and scikit-learn's conventions."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from sklearn.base import BaseEstimator, OneToOneFeatureMixin, TransformerMixin
+from sklearn.utils import assert_all_finite, check_array
+from sklearn.utils.validation import check_is_fitted, validate_data
+
+from skat._compat import (
+    check_feature_names,
+    check_n_features,
+    check_same_namespace,
+    check_sample_weight,
+    convert_to_numpy,
+    feature_names,
+    get_namespace_and_device,
+    is_numpy_namespace,
+    supported_float_dtypes,
+)
+from skat.backends import is_dask
+from skat.wasserstein import affinity
+
+__all__ = ["BaseTransport", "Samples", "on_host"]
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """The rows of the two domains with their weights.
+
+    Attributes
+    ----------
+    source, target : array of shape (n_rows, n_features) or None
+        Rows; None where only the other side was given.
+    source_weight, target_weight : ndarray of shape (n_rows,) or None
+        Weights; None is uniform.
+    stacked : bool
+        Whether both came as one array.
+    """
+
+    source: Any
+    target: Any
+    source_weight: Any = None
+    target_weight: Any = None
+    stacked: bool = False
+
+
+class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
+    """Carry rows of a source domain onto a target domain.
+
+    A subclass implements ``_fit(samples)``, ``_carry(X, keep=None)`` and ``_carry_back(X)``.
+    """
+
+    _array_api = False
+
+    # The domain has to reach every step that tells source rows from target rows, so it is asked for by default.
+    __metadata_request__fit = {"sample_domain": True}
+    __metadata_request__partial_fit = {"sample_domain": True}
+    __metadata_request__transform = {"sample_domain": True}
+    __metadata_request__score = {"sample_domain": True}
+
+    def fit(self, X, y=None, sample_weight=None, sample_domain=None):
+        """Learn the map from source rows to target rows.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            Source rows; or the rows of both domains, stacked, with `sample_domain`.
+        y : array-like of shape (n_target_samples, n_features)
+            Target rows, of the same columns as `X`; ignored with `sample_domain`.
+        sample_weight : array-like of shape (n_samples,) or tuple of two, default=None
+            One weight per row of `X` and the row of `y` beside it; a tuple (source, target) gives each side its own,
+            and either may be None. With `sample_domain`, one weight per stacked row.
+        sample_domain : array-like of shape (n_samples,), default=None
+            Positive for source rows and negative for target rows of a stacked `X`.
+
+        Returns
+        -------
+        self : object
+            The fitted transport.
+
+        Raises
+        ------
+        ValueError
+            If the target is missing, if rows are too few or not finite, if columns differ, or if no map of the
+            required kind exists.
+        """
+        samples = self._samples(X, y, sample_weight, sample_domain, reset=True)
+        for rows, name in ((samples.source, "source"), (samples.target, "target")):
+            if not is_dask(rows) and rows.shape[0] < 2:
+                self._refuse_few_rows(rows.shape[0], name)
+        self._stacked = sample_domain is not None
+        self._fit(samples)
+        return self
+
+    def fit_transform(self, X, y=None, sample_weight=None, sample_domain=None):
+        """Fit, and return the rows of `X` with its source rows carried over.
+
+        Parameters
+        ----------
+        X, y, sample_weight, sample_domain
+            As for `fit`.
+
+        Returns
+        -------
+        array of shape (n_samples, n_features)
+            Target rows of a stacked `X` are returned unchanged.
+        """
+        given = {"sample_weight": sample_weight, "sample_domain": sample_domain}
+        self.fit(X, y, **{name: value for name, value in given.items() if value is not None})
+        return self.transform(X, **({} if sample_domain is None else {"sample_domain": sample_domain}))
+
+    def transform(self, X, sample_domain=None):
+        """Carry source rows over.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            Rows.
+        sample_domain : array-like of shape (n_samples,), default=None
+            Positive for source rows; rows with a negative value are target rows and are returned unchanged. None
+            means that all are source rows, which is an error after a stacked fit.
+
+        Returns
+        -------
+        array of shape (n_samples, n_features)
+            Float32 for float32, float64 otherwise; lazy for dask.
+
+        Raises
+        ------
+        ValueError
+            If rows are not finite, have other columns than at fit, or if `sample_domain` is missing.
+        """
+        self._check_is_fitted()
+        if sample_domain is None and self._stacked:
+            raise ValueError(
+                f"this {type(self).__name__} was fitted to stacked rows, so transform cannot tell which rows of X are "
+                "source rows. Pass sample_domain=... (positive: source row, carried over; negative: target row, "
+                "returned unchanged), or fit it with two arrays, fit(X_source, X_target), after which every row is a "
+                "source row."
+            )
+        X = self._rows(X, "X", reset=False)
+        if hasattr(self, "coef_") and not is_dask(X):
+            check_same_namespace(X, self, attribute="coef_", method="transform")
+        if sample_domain is None:
+            return self._carry(X)
+        return self._carry(X, keep=_domain(sample_domain, X) < 0)
+
+    def inverse_transform(self, X):
+        """Carry target rows back.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            Target rows.
+
+        Returns
+        -------
+        array of shape (n_samples, n_features)
+            Rows of the source domain.
+
+        Raises
+        ------
+        ValueError
+            If the map has no inverse.
+        """
+        self._check_is_fitted()
+        return self._carry_back(self._rows(X, "X", reset=False))
+
+    def score(self, X, y=None, sample_weight=None, sample_domain=None):
+        r"""Return the affinity of the carried source rows and the target rows.
+
+        .. math:: \rho = 1 - \frac{W_2(T X, Y)}{\sqrt{2 \operatorname{tr} \Sigma(Y)}}
+
+        It is not clipped: on rows that were not fitted it may be negative. Time grows with the cube of the number
+        of rows; see `skat.metrics` for estimates at scale and for what the score does not tell.
+
+        Parameters
+        ----------
+        X, y, sample_weight, sample_domain
+            As for `fit`.
+
+        Returns
+        -------
+        float
+            At most one.
+        """
+        self._check_is_fitted()
+        samples = self._samples(X, y, sample_weight, sample_domain, reset=False)
+        carried, target = (on_host(rows) for rows in (self._carry(samples.source), samples.target))
+        return affinity(carried, target, x_weight=samples.source_weight, y_weight=samples.target_weight)
+
+    def __sklearn_tags__(self):
+        tags = super().__sklearn_tags__()
+        tags.target_tags.required = True
+        tags.target_tags.two_d_labels = True
+        tags.array_api_support = self._array_api
+        return tags
+
+    def _check_is_fitted(self):
+        check_is_fitted(self)
+
+    def _see_columns(self, X):
+        """Look at the container as given, while its column names are at hand."""
+
+    def _refuse_few_rows(self, n_rows, name):
+        raise ValueError(
+            f"{type(self).__name__} needs at least 2 rows of each domain to see them vary; the {name} has "
+            f"{n_rows} sample(s), n_samples = {n_rows}. Give more rows."
+        )
+
+    def _samples(self, X, y, sample_weight, sample_domain, *, reset, either=False):
+        """Return the rows of both domains, validated but for being finite."""
+        if sample_domain is not None:
+            rows = self._rows(X, "X", reset=reset)
+            if reset:
+                self._see_columns(X)
+            return self._split(rows, sample_weight, sample_domain, either=either)
+        if y is None:
+            raise ValueError(
+                f"This {type(self).__name__} estimator requires y to be passed, but the target y is None. Give the "
+                "target rows either as an array of their own, fit(X_source, X_target), or stacked with the source "
+                "rows, fit(X, sample_domain=d) with d positive for source rows and negative for target rows."
+            )
+        source = self._rows(X, "X", reset=reset)
+        if reset:
+            self._see_columns(X)
+        target = self._target(y)
+        return self._weighted(source, target, sample_weight)
+
+    def _weighted(self, source, target, sample_weight):
+        """Return samples with their weights; either side may be None."""
+        if not isinstance(sample_weight, tuple) and sample_weight is not None:
+            if source is not None and target is not None and not _same_length(source, target):
+                raise ValueError(
+                    f"one array of weights is for rows side by side, but there are {source.shape[0]} source rows and "
+                    f"{target.shape[0]} target rows. Give a tuple, sample_weight=(source_weight, target_weight)."
+                )
+            sample_weight = (sample_weight, sample_weight)
+        source_weight, target_weight = (None, None) if sample_weight is None else sample_weight
+        return Samples(
+            source, target, _checked_weight(source_weight, source), _checked_weight(target_weight, target)
+        )
+
+    def _split(self, X, sample_weight, sample_domain, *, either):
+        """Return the samples of stacked rows."""
+        domain = _domain(sample_domain, X)
+        weight = _checked_weight(sample_weight, X)
+        if is_dask(X):
+            one = 1.0 if weight is None else weight
+            return Samples(X, X, (domain > 0) * one, (domain < 0) * one, stacked=True)
+        parts, weights = [], []
+        xp, _, _ = get_namespace_and_device(X)
+        for name, mask in (("source (positive)", domain > 0), ("target (negative)", domain < 0)):
+            if not mask.any() and not either:
+                raise ValueError(
+                    f"sample_domain marks none of the {len(domain)} rows as {name}. Give rows of both domains, "
+                    "or two arrays, fit(X_source, X_target)."
+                )
+            if not mask.any():
+                parts.append(None)
+            elif is_numpy_namespace(xp):
+                parts.append(X[mask])
+            else:
+                parts.append(xp.take(X, xp.asarray(np.flatnonzero(mask)), axis=0))
+            weights.append(None if weight is None else weight[mask])
+        return Samples(*parts, *weights, stacked=True)
+
+    def _refuse_flat_target(self, y):
+        if not is_dask(y) and np.ndim(y) == 1:
+            raise ValueError(
+                f"{type(self).__name__} needs target rows: y must be 2-D with the columns of X; it is 1-D, of "
+                f"shape {np.shape(y)}. If these are labels and X holds both domains, pass sample_domain=... too."
+            )
+
+    def _target(self, y):
+        self._refuse_flat_target(y)
+        self._check_target_names(y)
+        y = self._rows(y, "y", reset=None)
+        if y.shape[1] != self.n_features_in_:
+            raise ValueError(
+                f"X and y must have the same columns; X has {self.n_features_in_} features, y has {y.shape[1]}."
+            )
+        return y
+
+    def _check_target_names(self, y):
+        ours = getattr(self, "feature_names_in_", None)
+        names = feature_names(y._meta if is_dask(y) and hasattr(y, "_meta") else y)
+        if ours is None or names is None or list(ours) == list(names):
+            return
+        if set(ours) == set(names):
+            raise ValueError(
+                f"the columns of y must be in the order of those of X; X has {list(ours)}, y has {list(names)}. "
+                "Give y[X.columns]."
+            )
+        raise ValueError(
+            f"y must have the columns of X; missing: {sorted(set(ours) - set(names))}, "
+            f"unexpected: {sorted(set(names) - set(ours))}."
+        )
+
+    def _rows(self, X, name, *, reset):
+        """Return rows as a 2-D array of floats, whether finite or not; `reset` None leaves the features alone."""
+        if is_dask(X):
+            return self._dask_rows(X, name, reset=reset)
+        xp, _, device = get_namespace_and_device(X)
+        options = {"dtype": supported_float_dtypes(xp, device), "ensure_all_finite": False}
+        if reset is None:
+            return check_array(X, input_name=name, estimator=self, **options)
+        return validate_data(self, X, reset=reset, **options)
+
+    def _dask_rows(self, X, name, *, reset):
+        if X.ndim != 2:
+            raise ValueError(f"{name} must be 2-D; it is a dask {type(X).__name__} of {X.ndim} dimensions.")
+        if reset is not None:
+            meta = X._meta if not hasattr(X, "chunks") else np.empty((1, X.shape[1]))
+            check_feature_names(self, meta, reset=reset)
+            check_n_features(self, np.empty((1, X.shape[1])), reset=reset)
+        return X
+
+    def _refuse_infinite(self, rows, name):
+        """Raise scikit-learn's error on NaN or infinity in the rows, or say that their squares overflow."""
+        if not is_dask(rows):
+            assert_all_finite(rows, estimator_name=type(self).__name__, input_name=name)
+            raise ValueError(f"the squares of {name} exceed the range of float64. Choose larger units.")
+        raise ValueError(
+            f"Input {name} contains NaN or infinity, or values whose squares exceed the range of float64. "
+            "Drop or fill those rows."
+        )
+
+
+def _domain(sample_domain, X):
+    """Return the domain of each row, validated."""
+    if is_dask(sample_domain):
+        return sample_domain
+    domain = on_host(sample_domain)
+    if domain.ndim != 1 or not np.issubdtype(domain.dtype, np.number):
+        raise ValueError(
+            "sample_domain must be a 1-D array of numbers, positive for source and negative for target rows; it has "
+            f"shape {domain.shape} and type {domain.dtype}."
+        )
+    if not is_dask(X) and len(domain) != X.shape[0]:
+        raise ValueError(f"sample_domain must have one value per row; it has {len(domain)}, X {X.shape[0]} rows.")
+    undecided = np.count_nonzero(~((domain > 0) | (domain < 0)))
+    if undecided:
+        raise ValueError(
+            f"sample_domain must be positive for source and negative for target rows; {undecided} of {len(domain)} "
+            "values are zero or NaN."
+        )
+    return domain
+
+
+def _same_length(source, target):
+    lengths = (source.shape[0], target.shape[0])
+    return not all(isinstance(length, int | np.integer) for length in lengths) or lengths[0] == lengths[1]
+
+
+def _checked_weight(weight, rows):
+    """Return weights as a float array in NumPy (or lazily, for dask), or None."""
+    if weight is None or rows is None or is_dask(weight):
+        return weight
+    if is_dask(rows):
+        return np.asarray(weight, dtype=np.float64)
+    if np.isscalar(weight):
+        weight = np.full(rows.shape[0], float(weight))
+    return check_sample_weight(on_host(weight), np.empty((rows.shape[0], 1)), ensure_non_negative=True, dtype=np.float64)
+
+
+def on_host(array):
+    """Return any array as one in NumPy."""
+    if is_dask(array):
+        array = array.compute()
+    xp, is_array_api, _ = get_namespace_and_device(array)
+    return np.asarray(convert_to_numpy(array, xp) if is_array_api else array)

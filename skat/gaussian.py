@@ -1,0 +1,426 @@
+r"""Maps and distances between normal approximations.
+
+Everything here works on *roots*: matrices :math:`L` of shape (n_features, rank) and full column rank with
+:math:`L L^T` the covariance. A root has the square root of the covariance's condition, and taking one is where the
+rank is decided; from there on only products, orthogonal factors and divisions by singular values remain.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import lapack, solve_triangular
+
+from skat.moments import Moments, row_moments
+
+__all__ = [
+    "AffineMap",
+    "Moments",
+    "accurate_svd",
+    "check_that_source_reaches_target",
+    "coefficient_distance",
+    "coral_map",
+    "covariance_root",
+    "distance_of_roots",
+    "gaussian_wasserstein_distance",
+    "optimal_map",
+    "root_of_factor",
+    "root_of_moments",
+    "row_moments",
+    "spectrum",
+    "transport_map",
+]
+
+EPS = np.finfo(np.float64).eps
+# Angles between subspaces are known to about EPS times the condition of the roots that span them.
+SMALLEST_COSINE = np.sqrt(EPS)
+LARGEST_JACOBI = 512
+BLOCK_ELEMENTS = 2**17
+
+
+@dataclass(frozen=True, eq=False)
+class AffineMap:
+    r"""The map :math:`x \mapsto m_t + A (x - m_s)` of rows, or its composition with others.
+
+    Attributes
+    ----------
+    coef : ndarray of shape (n_features, n_features)
+        :math:`A`, unit of feature i per unit of feature j.
+    source_mean : ndarray of shape (n_features,)
+        :math:`m_s`, the point that is carried to `target_mean`.
+    target_mean : ndarray of shape (n_features,)
+        :math:`m_t`.
+
+    Examples
+    --------
+    >>> double = AffineMap(2 * np.eye(1), np.zeros(1), np.ones(1))
+    >>> double(np.array([[3.0]]))
+    array([[7.]])
+    """
+
+    coef: np.ndarray
+    source_mean: np.ndarray
+    target_mean: np.ndarray
+
+    @property
+    def intercept(self):
+        """What the origin is carried to."""
+        return self.target_mean - self.coef @ self.source_mean
+
+    def __call__(self, rows):
+        """Return the rows carried over, in float64 arithmetic and the rows' own floating type.
+
+        The difference from the source mean is taken first, so that no digits are lost far from the origin.
+        """
+        rows = np.asarray(rows)
+        carried = np.empty(rows.shape, dtype=rows.dtype if rows.dtype == np.float32 else np.float64)
+        size = max(BLOCK_ELEMENTS // max(rows.shape[1], 1), 256)
+        buffer = np.empty((min(size, len(rows)), rows.shape[1]))
+        product = np.empty_like(buffer)
+        transposed = np.ascontiguousarray(self.coef.T)
+        for start in range(0, len(rows), size):
+            block = rows[start : start + size]
+            centred, image = buffer[: len(block)], product[: len(block)]
+            np.subtract(block, self.source_mean, out=centred)
+            np.matmul(centred, transposed, out=image)
+            np.add(image, self.target_mean, out=carried[start : start + size], casting="same_kind")
+        return carried
+
+
+def transport_map(source_covariance, target_covariance):
+    r"""Return the symmetric map that carries one covariance to another at the least squared displacement.
+
+    .. math:: A = C_t^{1/2} (C_t^{1/2} C_s C_t^{1/2})^{-1/2} C_t^{1/2}
+
+    with the pseudo-inverse where the target is singular: the map of least rank.
+
+    Parameters
+    ----------
+    source_covariance, target_covariance : array-like of shape (n_features, n_features)
+        Symmetric, positive semi-definite; unit of feature i times unit of feature j.
+
+    Returns
+    -------
+    ndarray of shape (n_features, n_features)
+        Symmetric, positive semi-definite, of the target covariance's rank; unit of feature i per unit of feature j.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        A ValueError: if :math:`C_t^{1/2} C_s C_t^{1/2}` has a lower rank than :math:`C_t`, for then no linear map
+        carries one to the other.
+    ValueError
+        If a covariance is not square, not symmetric or not positive semi-definite.
+
+    References
+    ----------
+    .. [1] Mallasto et al. (2021). Affine Transport for Sim-to-Real Domain Adaptation. Section III.
+
+    Examples
+    --------
+    >>> transport_map(np.eye(2), 4 * np.eye(2))
+    array([[2., 0.],
+           [0., 2.]])
+    """
+    return optimal_map(covariance_root(source_covariance), covariance_root(target_covariance))
+
+
+def gaussian_wasserstein_distance(source_mean, source_covariance, target_mean, target_covariance):
+    r"""Return the 2-Wasserstein distance between two normal distributions.
+
+    .. math:: W_2^2 = \|m_s - m_t\|^2 + \operatorname{tr} C_s + \operatorname{tr} C_t
+              - 2 \operatorname{tr} (C_t^{1/2} C_s C_t^{1/2})^{1/2}
+
+    It is computed as the distance between aligned roots, :math:`\min_Q \|L_s - L_t Q\|_F`, which has all its digits
+    where the two distributions are almost the same and the formula above has none.
+
+    Parameters
+    ----------
+    source_mean, target_mean : array-like of shape (n_features,)
+        Means.
+    source_covariance, target_covariance : array-like of shape (n_features, n_features)
+        Symmetric, positive semi-definite.
+
+    Returns
+    -------
+    float
+        In the unit that the features share.
+
+    Raises
+    ------
+    ValueError
+        If a covariance is not square, not symmetric or not positive semi-definite.
+
+    References
+    ----------
+    .. [1] Mallasto et al. (2021). Affine Transport for Sim-to-Real Domain Adaptation. Equation 6.
+
+    Examples
+    --------
+    >>> gaussian_wasserstein_distance([0.0], [[1.0]], [3.0], [[25.0]])
+    5.0
+    """
+    return distance_of_roots(
+        np.subtract(source_mean, target_mean),
+        covariance_root(source_covariance),
+        covariance_root(target_covariance),
+    )
+
+
+def covariance_root(covariance):
+    """Return a root of a covariance matrix.
+
+    Parameters
+    ----------
+    covariance : array-like of shape (n_features, n_features)
+        Symmetric, positive semi-definite.
+
+    Returns
+    -------
+    ndarray of shape (n_features, rank)
+        A matrix of full column rank whose product with its transpose is the covariance. The rank is that of the
+        correlation matrix, so it does not depend on the features' units.
+
+    Raises
+    ------
+    ValueError
+        If the matrix is not square, symmetric, finite or positive semi-definite.
+
+    Examples
+    --------
+    >>> covariance_root([[4.0, 0.0], [0.0, 0.0]])
+    array([[2.],
+           [0.]])
+    """
+    covariance = np.asarray(covariance, dtype=np.float64)
+    if covariance.ndim != 2 or covariance.shape[0] != covariance.shape[1]:
+        raise ValueError(f"a covariance must be a square matrix; its shape is {covariance.shape}.")
+    if not np.isfinite(covariance).all():
+        raise ValueError("a covariance must be finite; this one contains NaN or infinity.")
+    variance = np.diagonal(covariance)
+    if (variance < 0).any():
+        raise ValueError(f"a covariance must be positive semi-definite; a variance here is {variance.min()}.")
+    scale = np.where(variance > 0, np.sqrt(variance), 1.0)
+    correlation = covariance / scale / scale[:, np.newaxis]
+    if np.abs(correlation - correlation.T).max() > 1e-8:
+        raise ValueError(
+            "a covariance must be symmetric; entries across the diagonal differ by up to "
+            f"{np.abs(covariance - covariance.T).max()}."
+        )
+    eigenvalues, vectors = np.linalg.eigh((correlation + correlation.T) / 2)
+    tolerance = 10 * EPS * len(scale) * max(eigenvalues[-1], 0.0)
+    if eigenvalues[0] < -max(1e-8 * eigenvalues[-1], tolerance):
+        raise ValueError(
+            f"a covariance must be positive semi-definite; an eigenvalue of its correlations is {eigenvalues[0]}."
+        )
+    kept = eigenvalues > tolerance
+    return np.sqrt(eigenvalues[kept]) * vectors[:, kept] * scale[:, np.newaxis]
+
+
+def root_of_moments(moments, scale=None):
+    """Return a root of the covariance of moments.
+
+    Parameters
+    ----------
+    moments : Moments
+        Moments of rows.
+    scale : ndarray of shape (n_features,), default=None
+        Size of each feature against which a direction of no variance is judged; the standard deviations where None.
+
+    Returns
+    -------
+    ndarray of shape (n_features, rank)
+        A matrix of full column rank whose product with its transpose is the covariance.
+    """
+    factor = moments.covariance_factor()
+    if moments.scatter is not None:
+        return factor.T
+    return root_of_factor(factor, scale)
+
+
+def root_of_factor(factor, scale=None):
+    """Return a root of the covariance ``factor.T @ factor``; `scale` as in `root_of_moments`."""
+    n_features = factor.shape[1]
+    if scale is None:
+        scale = np.sqrt(np.square(factor).sum(axis=0))
+    scale = np.where(scale > 0, scale, 1.0)
+    if len(factor) >= n_features and _is_of_full_rank(factor / scale):
+        return (np.linalg.qr(factor, mode="r") if len(factor) > n_features else factor).T
+    _, values, directions = np.linalg.svd(factor / scale, full_matrices=False)
+    kept = values > 10 * EPS * n_features * max(values.max(initial=0.0), SMALLEST_COSINE)
+    return directions[kept].T * values[kept] * scale[:, np.newaxis]
+
+
+def _is_of_full_rank(equilibrated):
+    values = np.linalg.svd(equilibrated, compute_uv=False)
+    return bool(values[-1] > 10 * EPS * len(values) * max(values[0], SMALLEST_COSINE))
+
+
+def optimal_map(source_root, target_root):
+    r"""Return the coefficient of the optimal map between centred normal distributions.
+
+    .. math:: A = L_t U w^{-1} U^T L_t^T \quad\text{with}\quad L_t^T L_s = U w V^T
+
+    Parameters
+    ----------
+    source_root : ndarray of shape (n_features, source_rank)
+        :math:`L_s`.
+    target_root : ndarray of shape (n_features, target_rank)
+        :math:`L_t`.
+
+    Returns
+    -------
+    ndarray of shape (n_features, n_features)
+        Symmetric, positive semi-definite, of rank `target_rank`.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the product of the roots has a lower rank than the target.
+    """
+    n_features = len(source_root)
+    is_full = source_root.shape[1] == target_root.shape[1] == n_features
+    half = None
+    if is_full and n_features > 32:
+        half = _half_of_well_conditioned_map(source_root, target_root)
+    if half is None:
+        source_directions, source_spread = spectrum(source_root)
+        target_directions, target_spread = spectrum(target_root)
+        angles = target_directions.T @ source_directions
+        if source_root.shape[1] < n_features:
+            check_that_source_reaches_target(angles)
+        left, values, _ = accurate_svd(target_spread[:, np.newaxis] * angles * source_spread)
+        half = target_directions @ (target_spread[:, np.newaxis] * left / np.sqrt(values))
+    return half @ half.T
+
+
+def _half_of_well_conditioned_map(source_root, target_root):
+    """Return G with G G^T the map, or None where the roots are not conditioned well enough for a plain product."""
+    core = target_root.T @ source_root
+    if len(core) > 256:
+        squares, right = np.linalg.eigh(core.T @ core)
+        if squares[0] > 1e-5 * squares[-1] and _is_triangular(source_root):
+            return solve_triangular(
+                source_root, right * squares**0.25, lower=True, trans="T", overwrite_b=True, check_finite=False
+            )
+    left, values, _ = np.linalg.svd(core)
+    if values[-1] > 1e-4 * values[0]:
+        return target_root @ (left / np.sqrt(values))
+    return None
+
+
+def _is_triangular(root):
+    return not np.triu(root, 1).any()
+
+
+def check_that_source_reaches_target(angles):
+    """Raise where a direction of the target is at right angles to every one of the source.
+
+    Parameters
+    ----------
+    angles : ndarray of shape (target_rank, source_rank)
+        Products of the principal directions.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        Naming both ranks.
+    """
+    target_rank = len(angles)
+    reached = int((np.linalg.svd(angles, compute_uv=False) > SMALLEST_COSINE).sum()) if angles.size else 0
+    if reached < target_rank:
+        raise np.linalg.LinAlgError(
+            f"no linear map carries the source's covariance to the target's: rank(S_t) is {target_rank}, but "
+            f"rank(S_t^(1/2) S_s S_t^(1/2)) only {reached}, so the target varies where the source does not. "
+            "Give more source rows, drop the columns that do not vary in the source, "
+            "or use a covariance estimator of full rank."
+        )
+
+
+def spectrum(root):
+    """Return the principal directions and standard deviations of a root, small ones with all their digits."""
+    n_features, rank = root.shape
+    if rank == n_features:
+        _, spread, directions = accurate_svd(root.T)
+        return directions.T, spread
+    directions, spread, _ = accurate_svd(root)
+    return directions, spread
+
+
+def accurate_svd(matrix):
+    """Return the thin SVD, by one-sided Jacobi: rows or columns of very different size keep their small values.
+
+    See Drmač and Veselić (2008), New fast and accurate Jacobi SVD algorithm, SIAM J. Matrix Anal. Appl. 29(4).
+    """
+    if matrix.shape[0] < matrix.shape[1]:
+        left, values, right = accurate_svd(matrix.T)
+        return right.T, values, left.T
+    if not 0 < matrix.shape[1] <= LARGEST_JACOBI:
+        return np.linalg.svd(matrix, full_matrices=False)
+    values, left, right, work, _, info = lapack.dgejsv(matrix, joba=2, jobu=0, jobv=0, jobr=0, jobt=0, jobp=0)
+    if info != 0:
+        return np.linalg.svd(matrix, full_matrices=False)
+    return left[:, : matrix.shape[1]], values * (work[0] / work[1]), right.T
+
+
+def coral_map(source_root, target_root):
+    r"""Return the coefficient that whitens by the source and colours by the target.
+
+    .. math:: A = C_t^{1/2} C_s^{-1/2}
+
+    with the pseudo-inverse; where the source has the lower rank, that many of the target's largest principal
+    directions are matched.
+
+    Parameters
+    ----------
+    source_root, target_root : ndarray of shape (n_features, rank)
+        Roots of the two covariances.
+
+    Returns
+    -------
+    ndarray of shape (n_features, n_features)
+        Unit of feature i per unit of feature j. It carries one covariance to the other, but is not optimal.
+
+    References
+    ----------
+    .. [1] Sun, Feng, Saenko (2016). Return of Frustratingly Easy Domain Adaptation. AAAI. Theorem 1.
+    """
+    source_directions, source_spread = spectrum(source_root)
+    target_directions, target_spread = spectrum(target_root)
+    rank = min(len(source_spread), len(target_spread))
+    target_directions, target_spread = target_directions[:, :rank], target_spread[:rank]
+    coloured = (target_directions * target_spread) @ (target_directions.T @ source_directions)
+    return (coloured / source_spread) @ source_directions.T
+
+
+def distance_of_roots(mean_difference, source_root, target_root):
+    """Return the distance of `gaussian_wasserstein_distance` from the difference of the means and two roots."""
+    rank = max(source_root.shape[1], target_root.shape[1])
+    source_root, target_root = (
+        np.pad(root, ((0, 0), (0, rank - root.shape[1]))) for root in (source_root, target_root)
+    )
+    left, _, right = np.linalg.svd(target_root.T @ source_root)
+    unaligned = source_root - target_root @ (left @ right)
+    return float(np.hypot(np.linalg.norm(mean_difference), np.linalg.norm(unaligned)))
+
+
+def coefficient_distance(source, target, coef):
+    """Return the distance of `gaussian_wasserstein_distance` where the optimal map is known.
+
+    Parameters
+    ----------
+    source, target : Moments
+        Moments of the two distributions.
+    coef : ndarray of shape (n_features, n_features)
+        Coefficient of the optimal map.
+
+    Returns
+    -------
+    float
+        In the unit that the features share.
+    """
+    spread = source.variance.sum() + target.variance.sum()
+    unaligned = spread - 2 * np.vdot(coef, source.covariance)
+    if source.n_features <= 256 or unaligned < 1e-3 * spread:
+        factor = source.covariance_factor()
+        unaligned = np.square(factor @ coef.T - factor).sum()
+    return float(np.sqrt(np.square(source.mean - target.mean).sum() + unaligned))

@@ -1,0 +1,279 @@
+"""Transports by an affine map that is a function of the two domains' moments."""
+
+import warnings
+
+import numpy as np
+from sklearn.base import clone
+from sklearn.exceptions import NotFittedError
+from sklearn.utils.validation import has_fit_parameter
+
+from skat.backends import apply_map, is_dask, moments_of, to_namespace
+from skat.base import BaseTransport, on_host
+from skat.gaussian import AffineMap, covariance_root, distance_of_roots, root_of_moments
+from skat.moments import Moments
+from skat.shrinkage import shrunk_towards
+
+__all__ = ["MomentTransport"]
+
+
+class MomentTransport(BaseTransport):
+    """A transport by an affine map that is a function of moments.
+
+    A subclass implements ``_solve(source, target, scale)``, which returns the map and its rank, and
+    ``_solve_back(source, target, scale)``, which returns the way back; both in units of the metric's scale.
+    """
+
+    _array_api = True
+
+    def __init__(self, *, covariance="empirical", metric_scale=None):
+        self.covariance = covariance
+        self.metric_scale = metric_scale
+
+    def partial_fit(self, X=None, y=None, sample_weight=None, sample_domain=None):
+        """Add rows of either domain, or of both.
+
+        The map is the one that `fit` would find on all rows so far. It exists once both domains have rows and
+        the source varies wherever the target does; until then `transform` says what is missing.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features), default=None
+            More source rows; or rows of both domains, stacked, with `sample_domain`.
+        y : array-like of shape (n_target_samples, n_features), default=None
+            More target rows.
+        sample_weight : array-like of shape (n_samples,) or tuple of two, default=None
+            As for `fit`.
+        sample_domain : array-like of shape (n_samples,), default=None
+            As for `fit`.
+
+        Returns
+        -------
+        self : object
+            The transport.
+
+        Raises
+        ------
+        ValueError
+            As for `fit`; and with a covariance estimator, which needs all rows at once.
+        """
+        self._check_parameters()
+        if not isinstance(self.covariance, str):
+            raise ValueError(
+                f"partial_fit merges moments, which covariance={self.covariance!r} cannot use: it needs all "
+                'rows at once. Use covariance="empirical" or "shrunk", or fit.'
+            )
+        if X is None and y is None:
+            raise ValueError("partial_fit needs rows: source rows as X, target rows as y, or both.")
+        first = getattr(self, "_moments", None) is None
+        samples = self._part(X, y, sample_weight, sample_domain, reset=first)
+        collected = self._collect(samples)
+        self._moments = collected if first else tuple(map(_merged, self._moments, collected))
+        self._stacked = sample_domain is not None or (not first and self._stacked)
+        self._learn_if_possible(_given(samples))
+        return self
+
+    def _part(self, X, y, sample_weight, sample_domain, *, reset):
+        """Return validated samples of which either side may be missing."""
+        if X is None:
+            self._refuse_flat_target(y)
+            target = self._rows(y, "y", reset=reset)
+            if reset:
+                self._see_columns(y)
+            return self._weighted(None, target, sample_weight)
+        if sample_domain is not None or y is not None:
+            return self._samples(X, y, sample_weight, sample_domain, reset=reset, either=True)
+        source = self._rows(X, "X", reset=reset)
+        if reset:
+            self._see_columns(X)
+        return self._weighted(source, None, sample_weight)
+
+    def _fit(self, samples):
+        self._check_parameters()
+        self._moments = self._collect(samples)
+        source, target = self._sides()
+        for side, name in ((source, "source"), (target, "target")):
+            if side is None or side.n_rows < 2:
+                self._refuse_few_rows(0 if side is None else side.n_rows, name)
+        self._warns, self._missing = True, None
+        sides = (source, target) if isinstance(self.covariance, str) else self._estimated(samples)
+        self._learn(sides, _given(samples))
+        self._warn_of_few_rows()
+
+    def _check_parameters(self):
+        names = ("empirical", "shrunk")
+        if isinstance(self.covariance, str):
+            if self.covariance not in names:
+                raise ValueError(
+                    f"covariance must be one of {names} or a covariance estimator of scikit-learn; "
+                    f"it is {self.covariance!r}."
+                )
+        elif isinstance(self.covariance, type) or not hasattr(self.covariance, "fit"):
+            raise ValueError(
+                f"covariance must be one of {names} or an instance of a covariance estimator of scikit-learn; "
+                f"it is {self.covariance!r}."
+            )
+
+    def _sets_of_rows(self, samples):
+        """Return the sets of rows, with weights, whose moments the map is a function of."""
+        return [(samples.source, samples.source_weight), (samples.target, samples.target_weight)]
+
+    def _collect(self, samples):
+        moments = tuple(moments_of(self._sets_of_rows(samples)))
+        if not all(part is None or part.is_finite for part in moments):
+            for rows, name in ((samples.source, "X"), (samples.target, "X" if samples.stacked else "y")):
+                if rows is not None:
+                    self._refuse_infinite(rows, name)
+            raise ValueError("the squares of the rows exceed the range of float64. Choose larger units.")
+        return moments
+
+    def _sides(self):
+        """Return the moments of source and target."""
+        return self._moments
+
+    def _learn_if_possible(self, like):
+        """Learn the map from what partial_fit has collected, or note why there is none yet."""
+        self._forget()
+        self._warns = False
+        source, target = self._sides()
+        if source is None or target is None:
+            self._missing = f"there are no {'source' if source is None else 'target'} rows yet"
+            return
+        try:
+            self._learn((source, target), like)
+        except np.linalg.LinAlgError as error:
+            self._forget()
+            self._missing = str(error)
+
+    def _forget(self):
+        self._missing = None
+        for name in list(vars(self)):
+            if name.endswith("_") and name not in ("n_features_in_", "feature_names_in_"):
+                delattr(self, name)
+
+    def _check_is_fitted(self):
+        if getattr(self, "_missing", None) is not None:
+            raise NotFittedError(
+                f"this {type(self).__name__} has no map yet: {self._missing.removesuffix('.')}. "
+                "Add rows of both domains by partial_fit."
+            )
+        super()._check_is_fitted()
+
+    def _estimated(self, samples):
+        """Return the sides with mean and covariance by a scikit-learn covariance estimator."""
+        parts = (
+            (samples.source, samples.source_weight, "source"),
+            (samples.target, samples.target_weight, "target"),
+        )
+        sides = []
+        for (rows, weight, _), moments in zip(parts, self._sides()):
+            if is_dask(rows):
+                raise ValueError(
+                    f"covariance={self.covariance!r} needs all rows in memory. "
+                    'Use covariance="empirical" or "shrunk" with dask, or compute the rows first.'
+                )
+            estimator = clone(self.covariance)
+            if weight is not None and not has_fit_parameter(estimator, "sample_weight"):
+                raise ValueError(
+                    f"{type(estimator).__name__} takes no sample_weight. "
+                    'Use covariance="empirical" or "shrunk" with weights.'
+                )
+            given = {} if weight is None else {"sample_weight": weight}
+            estimator.fit(np.asarray(on_host(rows), dtype=np.float64), **given)
+            mean = np.asarray(estimator.location_, dtype=np.float64)
+            factor = covariance_root(estimator.covariance_).T
+            sides.append(Moments(moments.n_rows, 1.0, 1.0, mean, np.zeros_like(mean), factor=factor))
+        return tuple(sides)
+
+    def _learn(self, sides, like):
+        """Set the fitted attributes, as arrays of the library that `like` is of."""
+        source, target = sides
+        if isinstance(self.covariance, str) and self.covariance == "shrunk":
+            target, self.shrinkage_ = shrunk_towards(target, source)
+        scale = self._scale_of(target)
+        self._learned, self._back = (source, target, scale), None
+        scaled = self._scaled()
+        affine, self.rank_ = self._solve(*scaled, scale)
+        self._map = _in_units(affine, scale)
+        for name, value in {
+            "coef_": self._map.coef,
+            "intercept_": self._map.intercept,
+            "source_mean_": source.mean,
+            "target_mean_": target.mean,
+            "source_covariance_": source.covariance,
+            "target_covariance_": target.covariance,
+            **self._more_attributes(),
+        }.items():
+            setattr(self, name, to_namespace(value, like))
+        self.wasserstein_distance_ = self._distance(*scaled, affine)
+
+    def _more_attributes(self):
+        return {}
+
+    def _scaled(self):
+        """Return the moments in units of the metric's scale."""
+        source, target, scale = self._learned
+        if self.metric_scale is None:
+            return source, target
+        return source.scaled(1 / scale), target.scaled(1 / scale)
+
+    def _scale_of(self, target):
+        """Return the metric's lengths."""
+        if self.metric_scale is None:
+            return np.ones(target.n_features)
+        if isinstance(self.metric_scale, str):
+            if self.metric_scale != "target":
+                raise ValueError(
+                    f'metric_scale must be None, "target" or an array of lengths; it is {self.metric_scale!r}.'
+                )
+            deviation = np.sqrt(target.variance)
+            return np.where(deviation > 0, deviation, 1.0)
+        scale = np.asarray(self.metric_scale, dtype=np.float64)
+        if scale.shape != (target.n_features,) or not (np.isfinite(scale) & (scale > 0)).all():
+            raise ValueError(
+                f"metric_scale must have one positive length per feature, {target.n_features}; "
+                f"it is {self.metric_scale!r}."
+            )
+        return scale
+
+    def _distance(self, source, target, affine):
+        return distance_of_roots(source.mean - target.mean, root_of_moments(source), root_of_moments(target))
+
+    def _warn_of_few_rows(self):
+        source, target, _ = self._learned
+        n_rows = min(source.n_rows, target.n_rows)
+        if n_rows <= self.n_features_in_ and self.rank_ < self.n_features_in_:
+            warnings.warn(
+                f"{n_rows} rows cannot show how {self.n_features_in_} features vary together: the map has rank "
+                f"{self.rank_}, fits these rows and will not generalise to others. Give more rows, or use "
+                'covariance="shrunk" or a covariance estimator.',
+                UserWarning,
+                stacklevel=4,
+            )
+
+    def _carry(self, X, keep=None):
+        return apply_map(self._map, X, keep=keep, check=self._refuse_rows)
+
+    def _carry_back(self, X):
+        if self._back is None:
+            self._back = self._solve_back(*self._scaled(), self._learned[2])
+        return apply_map(_in_units(self._back, self._learned[2]), X, check=self._refuse_rows)
+
+    def _refuse_rows(self, rows):
+        self._refuse_infinite(rows, "X")
+        raise ValueError("the carried rows exceed the range of float64. Choose other units.")
+
+
+def _in_units(affine, scale):
+    """Return the map of rows in units of their features from that in units of the metric's scale."""
+    coef = affine.coef * scale[:, np.newaxis] / scale
+    return AffineMap(coef, affine.source_mean * scale, affine.target_mean * scale)
+
+
+def _merged(first, second):
+    if first is None or second is None:
+        return second if first is None else first
+    return first + second
+
+
+def _given(samples):
+    return samples.target if samples.source is None else samples.source

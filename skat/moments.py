@@ -1,0 +1,317 @@
+"""Mean and covariance of weighted rows: accurate, mergeable, and computed without a centred copy."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import lapack
+
+__all__ = ["Moments", "row_moments"]
+
+# A product X'X squares the condition of X. Beyond this condition of the correlation matrix it costs more than
+# about ten digits of the smallest direction, and the rows go through QR instead.
+WORST_CONDITION_OF_A_PRODUCT = 1e6
+# Below this many operations QR costs next to nothing and is the more accurate anyway.
+CHEAP_QR = 2e7
+BLOCK_ELEMENTS = 2**18
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    r"""Weight, mean and scatter of a set of rows; ``a + b`` are the moments of both sets together.
+
+    The scatter :math:`\sum_k w_k (x_k - m)(x_k - m)^T` is held either as that matrix or, where forming it would
+    lose digits, as a factor :math:`F` with :math:`F^T F` the scatter. The two are never mixed up: a sum with a
+    factor in it is a factor.
+
+    Attributes
+    ----------
+    n_rows : int
+        Number of rows with positive weight.
+    weight : float
+        Sum of the weights.
+    squared_weight : float
+        Sum of the squared weights.
+    mean : ndarray of shape (n_features,)
+        Weighted mean, in the features' units.
+    mean_remainder : ndarray of shape (n_features,)
+        What rounding took from the mean: the sum of both is the mean to about 32 digits, so that sets far from
+        the origin merge without loss.
+    scatter : ndarray of shape (n_features, n_features) or None
+        The matrix above; None where `factor` holds it.
+    factor : ndarray of shape (n_factor_rows, n_features) or None
+        :math:`F`; None where `scatter` holds it.
+
+    Examples
+    --------
+    >>> both = row_moments(np.array([[0.0], [2.0]])) + row_moments(np.array([[4.0]]))
+    >>> both.mean, both.covariance
+    (array([2.]), array([[2.66666667]]))
+    """
+
+    n_rows: int
+    weight: float
+    squared_weight: float
+    mean: np.ndarray
+    mean_remainder: np.ndarray
+    scatter: np.ndarray | None = None
+    factor: np.ndarray | None = None
+
+    @property
+    def n_features(self):
+        """Number of columns."""
+        return len(self.mean)
+
+    @property
+    def covariance(self):
+        """Weighted covariance about the mean, divided by the sum of the weights (not by one less)."""
+        scatter = self.factor.T @ self.factor if self.scatter is None else self.scatter
+        return scatter / self.weight
+
+    @property
+    def variance(self):
+        """The covariance's diagonal."""
+        if self.scatter is None:
+            return np.square(self.factor).sum(axis=0) / self.weight
+        return np.diagonal(self.scatter) / self.weight
+
+    @property
+    def effective_n_rows(self):
+        """Number of rows of equal weight that would give means of the same variance (Kish)."""
+        return self.weight**2 / self.squared_weight
+
+    @property
+    def is_finite(self):
+        """Whether every number is finite."""
+        held = self.factor if self.scatter is None else self.scatter
+        return bool(np.isfinite(self.mean).all() and np.isfinite(held).all())
+
+    def covariance_factor(self):
+        r"""Return :math:`F` with :math:`F^T F` the covariance, of at most as many rows as there are columns."""
+        factor = self.factor if self.scatter is None else _factor_of_scatter(self.scatter)
+        return _compressed(factor, at_most=self.n_features) / np.sqrt(self.weight)
+
+    def scaled(self, factors):
+        """Return the moments of the rows with each column times a factor.
+
+        Parameters
+        ----------
+        factors : ndarray of shape (n_features,)
+            One positive factor per column.
+
+        Returns
+        -------
+        Moments
+        """
+        return Moments(
+            self.n_rows,
+            self.weight,
+            self.squared_weight,
+            self.mean * factors,
+            self.mean_remainder * factors,
+            None if self.scatter is None else self.scatter * factors * factors[:, np.newaxis],
+            None if self.factor is None else self.factor * factors,
+        )
+
+    def columns(self, indices):
+        """Return the moments of some of the columns, in the order given.
+
+        Parameters
+        ----------
+        indices : ndarray of int or slice
+            The columns.
+
+        Returns
+        -------
+        Moments
+        """
+        return Moments(
+            self.n_rows,
+            self.weight,
+            self.squared_weight,
+            self.mean[indices],
+            self.mean_remainder[indices],
+            None if self.scatter is None else self.scatter[indices][:, indices],
+            None if self.factor is None else self.factor[:, indices],
+        )
+
+    def __add__(self, other):
+        if not isinstance(other, Moments):
+            return NotImplemented
+        if self.n_features != other.n_features:
+            raise ValueError(
+                f"moments merge only over the same columns; these have {self.n_features} and {other.n_features}."
+            )
+        weight = self.weight + other.weight
+        shift = (other.mean - self.mean) + (other.mean_remainder - self.mean_remainder)
+        between = np.sqrt(self.weight / weight * other.weight) * shift
+        scatter, factor = None, None
+        if self.scatter is not None and other.scatter is not None and not _swamps(between, self, other):
+            scatter = self.scatter + other.scatter + np.outer(between, between)
+        else:
+            parts = [_factor_of_scatter(m.scatter) if m.factor is None else m.factor for m in (self, other)]
+            factor = _compressed(np.vstack([*parts, between]), at_most=2 * self.n_features)
+        return Moments(
+            self.n_rows + other.n_rows,
+            weight,
+            self.squared_weight + other.squared_weight,
+            *_sum_with_remainder(self.mean, self.mean_remainder + shift * (other.weight / weight)),
+            scatter,
+            factor,
+        )
+
+
+def row_moments(rows, weight=None):
+    """Return the moments of the rows of an array, reading it in blocks.
+
+    The rows are shifted by a mean before they are multiplied, so that a mean that is large against the spread
+    costs no digits, and a constant column has a variance of exactly zero. Ill-conditioned rows go through QR.
+    NaN or infinity in the rows shows as `Moments.is_finite` being False; nothing is raised.
+
+    Parameters
+    ----------
+    rows : ndarray of shape (n_rows, n_features)
+        Of any real type; sums are taken in float64.
+    weight : ndarray of shape (n_rows,), default=None
+        Non-negative weights, of positive sum; None is one each.
+
+    Returns
+    -------
+    Moments
+    """
+    n_rows, n_features = rows.shape
+    if weight is not None:
+        weight = np.asarray(weight, dtype=np.float64)
+        if not weight.all():
+            rows, weight = rows[weight > 0], weight[weight > 0]
+            n_rows = len(rows)
+    total = float(n_rows) if weight is None else float(weight.sum())
+    squared = float(n_rows) if weight is None else float(weight @ weight)
+    with np.errstate(over="ignore", invalid="ignore"):
+        shift = _near_mean(rows, weight)
+        if n_rows * n_features**2 <= CHEAP_QR or n_rows <= n_features:
+            mean, remainder = _sum_with_remainder(shift, _mean_about(rows, weight, shift))
+            factor = _row_factor(rows, weight, mean)
+            return Moments(n_rows, total, squared, mean, remainder, factor=factor)
+        scatter, offset = _scatter_about(rows, weight, shift)
+        if np.isfinite(offset).all() and _is_far(offset, scatter, total):
+            shift = shift + offset
+            scatter, offset = _scatter_about(rows, weight, shift)
+        mean, remainder = _sum_with_remainder(shift, offset)
+        if np.isfinite(scatter).all() and not _is_well_conditioned(scatter):
+            factor = _row_factor(rows, weight, mean)
+            return Moments(n_rows, total, squared, mean, remainder, factor=factor)
+    return Moments(n_rows, total, squared, mean, remainder, scatter=scatter)
+
+
+def _sum_with_remainder(large, small):
+    """Return the rounded sum and what rounding took from it (exact where the first is the larger)."""
+    rounded = large + small
+    return rounded, small - (rounded - large)
+
+
+def _blocks(n_rows, n_features):
+    size = max(BLOCK_ELEMENTS // n_features, 256)
+    return [slice(start, min(start + size, n_rows)) for start in range(0, n_rows, size)]
+
+
+def _near_mean(rows, weight):
+    """Return the mean of the first rows, exact where they are all equal."""
+    first = _blocks(*rows.shape)[0]
+    return rows[0] + _mean_about(rows[first], None if weight is None else weight[first], rows[0])
+
+
+def _mean_about(rows, weight, shift):
+    total = np.zeros(rows.shape[1])
+    for block in _blocks(*rows.shape):
+        shifted = np.subtract(rows[block], shift, dtype=np.float64)
+        total += shifted.sum(axis=0) if weight is None else weight[block] @ shifted
+    return total / (len(rows) if weight is None else weight.sum())
+
+
+def _scatter_about(rows, weight, shift):
+    """Return the scatter about the mean, and the mean less the shift."""
+    n_rows, n_features = rows.shape
+    blocks = _blocks(n_rows, n_features)
+    buffer = np.empty((blocks[0].stop, n_features))
+    ones = np.ones(len(buffer))
+    scatter, total = np.zeros((n_features, n_features)), np.zeros(n_features)
+    for block in blocks:
+        shifted = buffer[: block.stop - block.start]
+        np.subtract(rows[block], shift, out=shifted)
+        if weight is None:
+            total += ones[: len(shifted)] @ shifted
+        else:
+            root = np.sqrt(weight[block])
+            shifted *= root[:, np.newaxis]
+            total += root @ shifted
+        scatter += shifted.T @ shifted
+    weight_sum = n_rows if weight is None else weight.sum()
+    offset = total / weight_sum
+    scatter -= np.outer(total, offset)
+    return scatter, offset
+
+
+def _is_far(offset, scatter, weight):
+    """Whether taking the offset out again has cost more than one or two digits of a variance."""
+    return bool((weight * np.square(offset) > 30 * np.diagonal(scatter)).any())
+
+
+def _row_factor(rows, weight, mean):
+    """Return a factor of the scatter about a mean, by QR of one block of rows after the other."""
+    n_rows, n_features = rows.shape
+    size = max(4 * n_features, BLOCK_ELEMENTS // n_features)
+    factor = np.empty((0, n_features))
+    for start in range(0, n_rows, size):
+        block = slice(start, start + size)
+        centred = np.subtract(rows[block], mean, dtype=np.float64)
+        if weight is not None:
+            centred *= np.sqrt(weight[block])[:, np.newaxis]
+        factor = _compressed(np.vstack([factor, centred]) if len(factor) else centred, at_most=2 * n_features)
+    return factor
+
+
+def _compressed(factor, at_most):
+    """Return a factor of the same product with at most so many rows."""
+    if len(factor) <= at_most or not np.isfinite(factor).all():
+        return factor
+    return np.linalg.qr(factor, mode="r")
+
+
+def _is_well_conditioned(scatter):
+    """Whether the correlations of the columns that vary are far from singular."""
+    scale = np.sqrt(np.diagonal(scatter).clip(0))
+    varies = scale > 0
+    if not varies.any():
+        return True
+    if not varies.all():
+        scatter, scale = scatter[varies][:, varies], scale[varies]
+    correlation = scatter / scale / scale[:, np.newaxis]
+    cholesky, info = lapack.dpotrf(correlation, lower=1)
+    if info != 0:
+        return False
+    reciprocal, _ = lapack.dpocon(cholesky, np.abs(correlation).sum(axis=0).max(), uplo="L")
+    # This is the condition in the 1-norm, which may be n_features times that in the 2-norm.
+    if reciprocal * WORST_CONDITION_OF_A_PRODUCT >= 1:
+        return True
+    if reciprocal * WORST_CONDITION_OF_A_PRODUCT * len(scale) < 1:
+        return False
+    eigenvalues = np.linalg.eigvalsh(correlation)
+    return bool(eigenvalues[0] * WORST_CONDITION_OF_A_PRODUCT >= eigenvalues[-1])
+
+
+def _factor_of_scatter(scatter):
+    """Return the Cholesky factor of a scatter that is well conditioned but for columns that do not vary."""
+    scale = np.sqrt(np.diagonal(scatter).clip(0))
+    varies = np.flatnonzero(scale > 0)
+    factor = np.zeros((len(varies), len(scale)))
+    if len(varies):
+        used = scale[varies]
+        correlation = scatter[np.ix_(varies, varies)] / used / used[:, np.newaxis]
+        factor[:, varies] = np.linalg.cholesky(correlation, upper=True) * used
+    return factor
+
+
+def _swamps(between, first, second):
+    """Whether the scatter between two sets is so much larger than that within that a sum would lose digits."""
+    within = np.diagonal(first.scatter) + np.diagonal(second.scatter)
+    return bool((np.square(between) > 30 * within).any())

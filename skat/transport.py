@@ -1,0 +1,279 @@
+"""Affine maps from source rows to target rows, learned from moments."""
+
+import warnings
+
+import numpy as np
+
+from skat._compat import column_indices
+from skat.alignment import correlation_score, raw_alignment, whitened_alignment
+from skat.backends import beside
+from skat.conditional import conditional_map
+from skat.gaussian import AffineMap, coefficient_distance, optimal_map, root_of_moments
+from skat.moment_transport import MomentTransport
+
+__all__ = ["AffineTransport", "ConditionalAffineTransport", "ProcrustesAffineTransport"]
+
+# Pillai's trace of shuffled pairs is this many standard deviations above its mean about once in a thousand.
+LEAST_CORRELATION_SCORE = 3.3
+
+
+class AffineTransport(MomentTransport):
+    r"""Carry source rows to target rows by the optimal map between their normal approximations.
+
+    .. math:: T(x) = m_t + A (x - m_s), \quad
+              A = C_t^{1/2} (C_t^{1/2} C_s C_t^{1/2})^{-1/2} C_t^{1/2}
+
+    It gives the carried rows exactly the target's mean and covariance, with the least mean squared
+    displacement of all maps that do. It is the map of these data in these units: optimal transport
+    depends on units, see `metric_scale`.
+
+    Parameters
+    ----------
+    covariance : {"empirical", "shrunk"} or estimator, default="empirical"
+        How the covariances are estimated. ``"shrunk"`` draws the target's towards the source's, for few
+        target rows. A covariance estimator of scikit-learn is fitted to each side.
+    metric_scale : None, "target" or array-like of shape (n_features,), default=None
+        Lengths, in the features' units, in which displacement is measured; ``"target"`` takes the target's
+        standard deviations (1 for constant columns), which makes the map independent of units.
+
+    Attributes
+    ----------
+    coef_ : array of shape (n_features, n_features)
+        The linear part: ``transform(X)`` is ``X @ coef_.T + intercept_``.
+    intercept_ : array of shape (n_features,)
+        The constant part.
+    source_mean_, target_mean_ : array of shape (n_features,)
+        Means of the two domains.
+    source_covariance_, target_covariance_ : array of shape (n_features, n_features)
+        Covariances as estimated; empirical ones divide by the sum of the weights.
+    wasserstein_distance_ : float
+        Distance between the two normal approximations, in units of `metric_scale` where that is given.
+    rank_ : int
+        Rank of `coef_`.
+    shrinkage_ : float
+        With ``covariance="shrunk"``: from 0 (the target's own covariance) to 1 (the source's).
+    n_features_in_ : int
+        Number of columns.
+    feature_names_in_ : ndarray of shape (n_features_in_,)
+        Names of the columns, where `X` has them.
+
+    References
+    ----------
+    .. [1] Mallasto et al. (2021). Affine Transport for Sim-to-Real Domain Adaptation. Section III.
+
+    Examples
+    --------
+    >>> from skat import AffineTransport
+    >>> simulated = np.array([[0.0], [1.0], [2.0]])
+    >>> measured = np.array([[1.0], [3.0], [5.0]])
+    >>> AffineTransport().fit(simulated, measured).transform([[4.0]])
+    array([[9.]])
+    """
+
+    def _solve(self, source, target, scale):
+        source_root, target_root = root_of_moments(source), root_of_moments(target)
+        coef = optimal_map(source_root, target_root)
+        return AffineMap(coef, source.mean, target.mean), target_root.shape[1]
+
+    def _solve_back(self, source, target, scale):
+        return self._solve(target, source, scale)[0]
+
+    def _distance(self, source, target, affine):
+        return coefficient_distance(source, target, affine.coef)
+
+
+class ProcrustesAffineTransport(MomentTransport):
+    r"""Carry source rows to target rows by a map learned from rows in pairs.
+
+    ``alignment="whitened"`` takes, of all affine maps that give the carried rows exactly the target's mean
+    and covariance, the one with the least squared error over the pairs,
+
+    .. math:: T = C_t^{1/2} Q C_s^{-1/2}, \quad
+              Q \text{ the orthogonal polar factor of } C_t^{1/2} C_{ts} C_s^{-1/2},
+
+    which recovers every invertible affine map from noise-free pairs. ``alignment="raw"`` is Algorithm 1 of
+    the paper: the source is rotated by the polar factor of :math:`C_{ts}` and then transported.
+
+    Parameters
+    ----------
+    alignment : {"whitened", "raw"}, default="whitened"
+        Which rotation to use.
+    center : bool, default=True
+        False takes the rotation from rows that are not centred, as the letter of Algorithm 1 has it; only with
+        ``alignment="raw"``.
+    covariance : {"empirical", "shrunk"} or estimator, default="empirical"
+        As for `AffineTransport`.
+    metric_scale : None, "target" or array-like of shape (n_features,), default=None
+        Lengths in which errors and displacement are measured, as for `AffineTransport`.
+
+    Attributes
+    ----------
+    rotation_ : array of shape (n_features, n_features)
+        Q or R above; orthogonal, or a partial isometry where a covariance is singular.
+    coef_, intercept_, source_mean_, target_mean_, source_covariance_, target_covariance_
+        As for `AffineTransport`.
+    wasserstein_distance_, rank_, shrinkage_, n_features_in_, feature_names_in_
+        As for `AffineTransport`.
+
+    References
+    ----------
+    .. [1] Mallasto et al. (2021). Affine Transport for Sim-to-Real Domain Adaptation. Algorithm 1.
+
+    Examples
+    --------
+    >>> from skat import ProcrustesAffineTransport
+    >>> simulated = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 2.0], [1.0, 1.0]])
+    >>> measured = simulated @ np.array([[0.0, 1.0], [-1.0, 0.0]])
+    >>> ProcrustesAffineTransport().fit(simulated, measured).coef_.round(12) + 0.0
+    array([[ 0., -1.],
+           [ 1.,  0.]])
+    """
+
+    def __init__(self, *, alignment="whitened", center=True, covariance="empirical", metric_scale=None):
+        super().__init__(covariance=covariance, metric_scale=metric_scale)
+        self.alignment = alignment
+        self.center = center
+
+    def _check_parameters(self):
+        super()._check_parameters()
+        if self.alignment not in ("whitened", "raw"):
+            raise ValueError(f'alignment must be "whitened" or "raw"; it is {self.alignment!r}.')
+        if not self.center and self.alignment != "raw":
+            raise ValueError(
+                'center=False belongs to alignment="raw", the letter of Algorithm 1; whitening is by covariances, '
+                'which are centred. Use center=True or alignment="raw".'
+            )
+
+    def _sets_of_rows(self, samples):
+        """Return the pairs, as rows of twice the columns."""
+        if samples.source is None or samples.target is None:
+            raise ValueError(
+                f"{type(self).__name__} learns from pairs, so each call needs source and target rows together."
+            )
+        n_source, n_target = samples.source.shape[0], samples.target.shape[0]
+        if n_source != n_target and not (np.isnan(n_source) or np.isnan(n_target)):
+            raise ValueError(
+                f"{type(self).__name__} learns from pairs: row k of the target belongs to row k of the source; "
+                f"there are {n_source} source rows and {n_target} target rows. Without pairs, use AffineTransport "
+                "or ConditionalAffineTransport."
+            )
+        if (samples.source_weight is None) != (samples.target_weight is None) or (
+            samples.source_weight is not None and not np.array_equal(samples.source_weight, samples.target_weight)
+        ):
+            raise ValueError("a pair has one weight: give one array of weights, not two that differ.")
+        return [(beside(samples.source, samples.target), samples.source_weight)]
+
+    def _sides(self):
+        (pairs,) = self._moments
+        if pairs is None:
+            return None, None
+        n_features = pairs.n_features // 2
+        return pairs.columns(slice(0, n_features)), pairs.columns(slice(n_features, None))
+
+    def _solve(self, source, target, scale):
+        (pairs,) = self._moments
+        n_features = source.n_features
+        factor = pairs.covariance_factor() / np.concatenate([scale, scale])
+        source_part, target_part = factor[:, :n_features], factor[:, n_features:]
+        if self._warns and correlation_score(source_part, target_part, pairs.n_rows) < LEAST_CORRELATION_SCORE:
+            warnings.warn(
+                "the pairs carry no correlation that shuffled rows would not show as well, so the rotation is "
+                "arbitrary. Check that row k of y belongs to row k of X, or use AffineTransport, which needs no pairs.",
+                UserWarning,
+                stacklevel=4,
+            )
+        roots = {}
+        if not (isinstance(self.covariance, str) and self.covariance == "empirical"):
+            roots = {"source_root": root_of_moments(source), "target_root": root_of_moments(target)}
+        if self.alignment == "raw":
+            if not self.center:
+                roots["mean_product"] = np.outer(target.mean, source.mean)
+            alignment = raw_alignment(source_part, target_part, **roots)
+        else:
+            alignment = whitened_alignment(source_part, target_part, **roots)
+        self._rotation = alignment.rotation
+        if alignment.inverse_coef is not None:
+            self._back = AffineMap(alignment.inverse_coef, target.mean, source.mean)
+        return AffineMap(alignment.coef, source.mean, target.mean), alignment.rank
+
+    def _more_attributes(self):
+        return {"rotation_": self._rotation}
+
+    def _solve_back(self, source, target, scale):
+        if self._back is None:
+            raise np.linalg.LinAlgError(
+                f"this map has no inverse: it carries the source to {self.rank_} directions, fewer than the source "
+                "varies in. Fit it with more target rows."
+            )
+        return self._back
+
+
+class ConditionalAffineTransport(MomentTransport):
+    r"""Carry some columns over given the others, which both domains share by construction.
+
+    Each domain's other columns are regressed on the context, :math:`z \mid c \sim (m + B c, D)`, and the
+    residual is transported:
+
+    .. math:: (c, z) \mapsto \bigl(c,\; m_t + B_t c + A(D_s, D_t)\,(z - m_s - B_s c)\bigr)
+
+    For a simulation of a robot the context is (state, action) and the rest the next state. It needs no
+    pairs. Between normal distributions of equal context it is the block-triangular (Knothe-Rosenblatt) map.
+
+    Parameters
+    ----------
+    context : int, str, slice, list, array of bool or callable
+        An int k: the first k columns (not the k-th, as in `~sklearn.compose.ColumnTransformer`). Anything else
+        selects columns as there: positions or names in a list, a slice, a mask, or a callable of `X`.
+    covariance : {"empirical", "shrunk"} or estimator, default="empirical"
+        As for `AffineTransport`.
+    metric_scale : None, "target" or array-like of shape (n_features,), default=None
+        As for `AffineTransport`.
+
+    Attributes
+    ----------
+    coef_, intercept_, source_mean_, target_mean_, source_covariance_, target_covariance_
+        As for `AffineTransport`; the target's mean and covariance are reached exactly where the contexts have
+        the same.
+    wasserstein_distance_, rank_, shrinkage_, n_features_in_, feature_names_in_
+        As for `AffineTransport`.
+
+    Examples
+    --------
+    >>> from skat import ConditionalAffineTransport
+    >>> simulated = np.array([[0.0, 0.0], [0.0, 2.0], [1.0, 3.0], [1.0, 5.0]])
+    >>> measured = np.array([[0.0, 1.0], [0.0, 2.0], [1.0, 1.0], [1.0, 2.0]])
+    >>> ConditionalAffineTransport(context=1).fit(simulated, measured).transform([[1.0, 4.0]]).round(12)
+    array([[1. , 1.5]])
+    """
+
+    def __init__(self, *, context, covariance="empirical", metric_scale=None):
+        super().__init__(covariance=covariance, metric_scale=metric_scale)
+        self.context = context
+
+    def _see_columns(self, X):
+        """Resolve the context while the container with its names is at hand."""
+        self._context = None
+        context = self.context(X) if callable(self.context) else self.context
+        n_features = X.shape[1]
+        chosen = np.zeros(n_features, dtype=bool)
+        if isinstance(context, int | np.integer) and not isinstance(context, bool | np.bool_):
+            if not 0 < context < n_features:
+                raise ValueError(
+                    f"context={context} means the first {context} columns; it must be at least 1 and less than the "
+                    f"number of columns, {n_features}."
+                )
+            chosen[:context] = True
+        else:
+            chosen[column_indices(X, context)] = True
+        if not 0 < chosen.sum() < n_features:
+            raise ValueError(
+                f"context must leave some columns to transport and name some that are not; {context!r} names "
+                f"{chosen.sum()} of {n_features} columns. Without context, use AffineTransport."
+            )
+        self._context = chosen
+
+    def _solve(self, source, target, scale):
+        return conditional_map(source, target, self._context)
+
+    def _solve_back(self, source, target, scale):
+        return conditional_map(target, source, self._context)[0]
