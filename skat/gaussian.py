@@ -280,7 +280,7 @@ def optimal_map(source_root, target_root):
     n_features = len(source_root)
     is_full = source_root.shape[1] == target_root.shape[1] == n_features
     half = None
-    if is_full and n_features > 32:
+    if is_full:
         half = _half_of_well_conditioned_map(source_root, target_root)
     if half is None:
         source_directions, source_spread = spectrum(source_root)

@@ -12,6 +12,8 @@ __all__ = ["Moments", "row_moments"]
 WORST_CONDITION_OF_A_PRODUCT = 1e6
 # Below this many operations QR costs next to nothing and is the more accurate anyway.
 CHEAP_QR = 2e7
+# Up to here all eigenvalues cost less than waking SciPy's own BLAS threads beside NumPy's.
+LARGEST_CHEAP_SPECTRUM = 400
 BLOCK_ELEMENTS = 2**18
 
 
@@ -286,17 +288,23 @@ def _is_well_conditioned(scatter):
     if not varies.all():
         scatter, scale = scatter[varies][:, varies], scale[varies]
     correlation = scatter / scale / scale[:, np.newaxis]
-    cholesky, info = lapack.dpotrf(correlation, lower=1)
-    if info != 0:
-        return False
-    reciprocal, _ = lapack.dpocon(cholesky, np.abs(correlation).sum(axis=0).max(), uplo="L")
-    # This is the condition in the 1-norm, which may be n_features times that in the 2-norm.
-    if reciprocal * WORST_CONDITION_OF_A_PRODUCT >= 1:
-        return True
-    if reciprocal * WORST_CONDITION_OF_A_PRODUCT * len(scale) < 1:
-        return False
+    if len(scale) > LARGEST_CHEAP_SPECTRUM:
+        condition = _condition_in_1_norm(correlation)
+        # The condition in the 2-norm is at most this, and at least this divided by the number of features.
+        if condition <= WORST_CONDITION_OF_A_PRODUCT:
+            return True
+        if condition > WORST_CONDITION_OF_A_PRODUCT * len(scale):
+            return False
     eigenvalues = np.linalg.eigvalsh(correlation)
     return bool(eigenvalues[0] * WORST_CONDITION_OF_A_PRODUCT >= eigenvalues[-1])
+
+
+def _condition_in_1_norm(matrix):
+    cholesky, info = lapack.dpotrf(matrix, lower=1)
+    if info != 0:
+        return np.inf
+    reciprocal, _ = lapack.dpocon(cholesky, np.abs(matrix).sum(axis=0).max(), uplo="L")
+    return 1 / reciprocal if reciprocal > 0 else np.inf
 
 
 def _factor_of_scatter(scatter):

@@ -122,7 +122,7 @@ class ProcrustesAffineTransport(MomentTransport):
     Examples
     --------
     >>> from skat import ProcrustesAffineTransport
-    >>> simulated = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 2.0], [1.0, 1.0]])
+    >>> simulated = np.random.default_rng(0).normal(size=(20, 2))
     >>> measured = simulated @ np.array([[0.0, 1.0], [-1.0, 0.0]])
     >>> ProcrustesAffineTransport().fit(simulated, measured).coef_.round(12) + 0.0
     array([[ 0., -1.],
