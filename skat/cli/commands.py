@@ -246,6 +246,8 @@ def _show(study, report):
         f"{gain.ratio:.3g} times smaller"
     )
     print_line("gain: {:.1%} explained, interval {:.1%} to {:.1%}".format(gain.explained, *gain.interval))
+    if study.truth is not None:
+        print_line(f"Now the answer: {study.truth}")
     if report is not None:
         _write_report(study, report)
 

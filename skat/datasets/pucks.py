@@ -9,7 +9,7 @@ DESCR = """\
 Hidden puck: shots of a hockey puck, simulated, in a world that differs from `make_simulator("puck")`
 
 A stick strikes a puck, which slides and comes to rest. `data` holds the commands (z0, z1) of the strikes,
-`target` where the puck was found, in m. The world is a MuJoCo model of its own with another time step, something
+`target` where the puck was found, in m. The world is a MuJoCo model of its own: another time step, something
 that differs from the simulator (`truth`, `truth_sentence`), and 0.01 m of noise on each axis.
 """
 
@@ -91,8 +91,8 @@ def make_hidden_puck(n_shots=120, *, effect=None, random_state=None):
 def make_real_puck(colour, z, *, random_state=None):
     """Strike one of two pucks that stand for real ones.
 
-    The recordings of real pucks in the paper [1]_ are not public. These are simulations with a finer time step,
-    other friction and mass, a table that slopes slightly, and 0.05 m of noise from strike to strike on each axis.
+    The recordings of real pucks in the paper [1]_ are not public. These are simulations: a finer time step,
+    other friction and mass, a table that slopes slightly, and 0.05 m of noise between strikes on each axis.
     Nothing else in skat knows their numbers, which were fixed before any estimator was run on them.
 
     Parameters
