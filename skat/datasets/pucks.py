@@ -13,6 +13,20 @@ A stick strikes a puck, which slides and comes to rest. `data` holds the command
 that differs from the simulator (`truth`, `truth_sentence`), and 0.01 m of noise on each axis.
 """
 
+DESCR_REAL = """\
+Real puck: shots of one of two hockey pucks that stand for real ones, simulated
+
+The recordings of the authors' pucks are not public. `data` holds the commands (z0, z1) of the strikes,
+`target` where the puck came to rest, in m, with 0.05 m of noise on each axis.
+"""
+
+_COLUMNS = {
+    "groups": None,
+    "feature_names": ["z0", "z1"],
+    "target_names": ["x", "y"],
+    "units": {"z0": "", "z1": "", "x": "m", "y": "m"},
+}
+
 
 def make_hidden_puck(n_shots=120, *, effect=None, random_state=None):
     """Strike a puck in a world that hides something from the simulator.
@@ -78,13 +92,10 @@ def make_hidden_puck(n_shots=120, *, effect=None, random_state=None):
     return Bunch(
         data=commands,
         target=shoot(world, commands, random_state),
-        groups=None,
-        feature_names=["z0", "z1"],
-        target_names=["x", "y"],
-        units={"z0": "", "z1": "", "x": "m", "y": "m"},
         truth=dict(truth),
         truth_sentence=sentence,
         DESCR=DESCR,
+        **_COLUMNS,
     )
 
 
@@ -108,8 +119,9 @@ def make_real_puck(colour, z, *, random_state=None):
 
     Returns
     -------
-    ndarray of shape (n_shots, 2)
-        Resting places x, y in m.
+    Bunch
+        With data (the commands z), target (the resting places x, y in m), groups (None: shots are independent),
+        feature_names, target_names, units and DESCR.
 
     Raises
     ------
@@ -124,7 +136,7 @@ def make_real_puck(colour, z, *, random_state=None):
     Examples
     --------
     >>> from skat.datasets import make_real_puck
-    >>> make_real_puck("blue", [[0.0, 0.0]], random_state=0).shape
+    >>> make_real_puck("blue", [[0.0, 0.0]], random_state=0).target.shape
     (1, 2)
     """
     if colour not in REAL:
@@ -132,4 +144,5 @@ def make_real_puck(colour, z, *, random_state=None):
     z = check_array(z, dtype=np.float64)
     if z.shape[1] != 2:
         raise ValueError(f"z has {z.shape[1]} columns; expected two, z0 and z1.")
-    return shoot(REAL[colour], z, check_random_state(random_state))
+    places = shoot(REAL[colour], z, check_random_state(random_state))
+    return Bunch(data=z, target=places, DESCR=DESCR_REAL, **_COLUMNS)
