@@ -158,13 +158,11 @@ def unknown_name_message(name: Any, known: Iterable[str]) -> str:
     for other in known:
         family, _, target = other.partition("[")
         targets.setdefault(family, []).append(target.rstrip("]"))
-    if close:
-        hint = f"Close names: {', '.join(close)}. "
-    elif (family := str(name).partition("[")[0]) in targets:
-        hint = f"Targets of {family}: {', '.join(targets[family])}. "
-    else:
-        hint = ""
-    listing = ", ".join(f"{family}[...]" if any(found) else family for family, found in targets.items())
+    hint = f"Close names: {', '.join(close)}. " if close else ""
+    family = str(name).partition("[")[0]
+    if family in targets:
+        hint += f"Targets of {family}: {', '.join(targets[family])}. "
+    listing = ", ".join(f"{other}[...]" if any(found) else other for other, found in targets.items())
     return (
         f"unknown effect {name!r}. {hint}Families of this simulator: {listing or 'none'}. effects() "
         f"lists all names"

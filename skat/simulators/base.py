@@ -282,9 +282,6 @@ class Simulator(BaseEstimator, ABC):
             *(Effect(f"scale[{name}]", unit="1", neutral=1.0, bounds=(0.1, 10.0)) for name in channels),
         )
 
-    def _unit(self, channel: str) -> str:
-        return "unit of " + channel
-
     def _repeated_effects(self) -> frozenset[str]:
         """Return the names of effects that are accepted, but not listed as they only repeat another."""
         return frozenset()

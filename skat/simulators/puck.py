@@ -146,8 +146,11 @@ class PuckSimulator(Simulator):
     def _own_effects(self) -> tuple[Effect, ...]:
         return self._cached("own_effects", lambda: _puck_effects(self.world))
 
-    def _unit(self, channel: str) -> str:
-        return "m"
+    def _sensor_effects(self) -> tuple[Effect, ...]:
+        return (
+            *(Effect(f"bias[{axis}]", unit="m", neutral=0.0, bounds=(-2.0, 2.0)) for axis in "xy"),
+            *(Effect(f"scale[{axis}]", unit="1", neutral=1.0, bounds=(0.1, 10.0)) for axis in "xy"),
+        )
 
     def _outputs(
         self, inputs: Array, candidates: Sequence[Mapping[str, float]], history: Array | None

@@ -116,6 +116,7 @@ def _source_of_spec(spec: mujoco.MjSpec, folder: Path) -> ModelSource:
                     name and _stored(assets, given, folder, subfolder, name) for name in asset.cubefiles
                 ]
     spec.meshdir = spec.texturedir = ""
+    spec.assets = assets
     return ModelSource(write_xml(spec), assets)
 
 

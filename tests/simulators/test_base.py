@@ -1,0 +1,195 @@
+"""Laws of every simulator, checked on a pendulum written as a function."""
+
+import copy
+import pickle
+
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn.base import clone
+
+from skat.effects import Effect
+from skat.simulators import FunctionSimulator
+
+STATE = ("angle", "rate")
+EFFECTS = (
+    Effect("gravity", unit="1", neutral=1.0, bounds=(0.0, 3.0)),
+    Effect("damping[joint]", unit="1/s", neutral=0.0, bounds=(0.0, 5.0)),
+)
+
+
+def swing(X, **values):
+    angle, rate, torque = X.T
+    change = -9.81 * values["gravity"] * np.sin(angle) - values["damping[joint]"] * rate + torque
+    return np.stack([angle + 0.1 * rate, rate + 0.1 * change], axis=1)
+
+
+@pytest.fixture
+def pendulum():
+    return FunctionSimulator(
+        swing, input_names=(*STATE, "torque"), output_names=STATE, state_names=STATE, effects=EFFECTS, dt=0.1
+    )
+
+
+@pytest.fixture
+def rows():
+    return np.random.default_rng(0).normal(size=(30, 3))
+
+
+def test_predict_is_predict_many_with_one_candidate(pendulum, rows):
+    values = {"gravity": 1.5}
+    np.testing.assert_array_equal(
+        pendulum.predict(rows, effects=values), pendulum.predict_many(rows, [{}, values])[1]
+    )
+
+
+def test_built_in_effects_are_those_given_to_predict(pendulum, rows):
+    values = {"gravity": 1.5, "bias[angle]": 0.1, "scale[rate]": 1.2}
+    np.testing.assert_array_equal(
+        pendulum.extended(values).predict(rows), pendulum.predict(rows, effects=values)
+    )
+
+
+def test_extensions_compose(pendulum, rows):
+    twice = pendulum.extended({"gravity": 1.5, "damping[joint]": 0.2}).extended(
+        {"gravity": 0.5, "damping[joint]": 0.3}
+    )
+    once = pendulum.extended({"gravity": 0.75, "damping[joint]": 0.5})
+    assert twice.built_in == once.built_in
+    np.testing.assert_array_equal(twice.predict(rows), once.predict(rows))
+
+
+def test_extension_by_the_inverse_is_the_nominal_simulator(pendulum):
+    assert pendulum.extended({"gravity": 2.0}).extended({"gravity": 0.5}).built_in is None
+
+
+def test_bounds_are_relative_to_what_is_built_in(pendulum):
+    bounds = {
+        effect.name: effect.bounds
+        for effect in pendulum.extended({"gravity": 2.0, "damping[joint]": 1.0}).effects()
+    }
+    assert bounds["gravity"] == (0.0, 1.5)
+    assert bounds["damping[joint]"] == (-1.0, 4.0)
+
+
+def test_sensors_read_scale_times_true_plus_bias_in_inputs_and_outputs(pendulum, rows):
+    true = pendulum.predict(rows)
+    measured = rows * [1.0, 2.0, 1.0] + [0.3, 0.0, 0.0]
+    found = pendulum.predict(measured, effects={"bias[angle]": 0.3, "scale[rate]": 2.0})
+    np.testing.assert_allclose(found, true * [1.0, 2.0] + [0.3, 0.0], atol=1e-14)
+
+
+@pytest.mark.parametrize("values", [{}, {"gravity": 1.5}, {"bias[angle]": 0.2, "scale[rate]": 1.1}])
+def test_rollout_is_repeated_prediction(pendulum, values):
+    random = np.random.default_rng(1)
+    states, actions = random.normal(size=(4, 2)), random.normal(size=(4, 6, 1))
+    found = pendulum.rollout(states, actions, n_steps=6, effects=values)
+    assert found.shape == (4, 7, 2)
+    for step in range(6):
+        states = pendulum.predict(np.hstack([states, actions[:, step]]), effects=values)
+        np.testing.assert_allclose(found[:, step + 1], states, atol=1e-12)
+
+
+def test_missing_actions_are_zero(pendulum):
+    np.testing.assert_array_equal(
+        pendulum.rollout([[0.1, 0.0]], n_steps=3),
+        pendulum.rollout([[0.1, 0.0]], np.zeros((1, 3, 1)), n_steps=3),
+    )
+
+
+def test_residual_and_displacement_are_inverse(pendulum, rows):
+    tangent = np.random.default_rng(2).normal(size=(30, 2))
+    moved = pendulum.displace(rows, tangent)
+    np.testing.assert_array_equal(moved[:, 2], rows[:, 2])
+    np.testing.assert_allclose(pendulum.residual(moved[:, :2], rows[:, :2]), tangent, atol=1e-14)
+
+
+def test_simulator_pickles_copies_and_clones(pendulum, rows):
+    extended = pendulum.extended({"gravity": 1.5})
+    expected = extended.predict(rows)
+    for other in (pickle.loads(pickle.dumps(extended)), copy.deepcopy(extended), clone(extended)):
+        np.testing.assert_array_equal(other.predict(rows), expected)
+        assert other.effects() == extended.effects()
+
+
+def test_parameters_can_be_set(pendulum):
+    assert pendulum.set_params(dt=0.2).get_params()["dt"] == 0.2
+    assert pendulum.get_params()["effects"] == EFFECTS
+    with pytest.raises(ValueError, match="unknown parameters mass"):
+        pendulum.set_params(mass=1)
+
+
+def test_data_frame_columns_are_matched_by_name(pendulum, rows):
+    frame = pd.DataFrame(rows, columns=pendulum.input_names)[["torque", "rate", "angle"]]
+    np.testing.assert_array_equal(pendulum.predict(frame), pendulum.predict(rows))
+    with pytest.raises(ValueError, match="X lacks the columns torque; expected angle, rate, torque"):
+        pendulum.predict(frame[["angle", "rate"]])
+
+
+def test_wrong_number_of_columns_lists_the_columns(pendulum):
+    with pytest.raises(
+        ValueError, match=r"\(n_rows, 3\), with the columns angle, rate, torque; got .*\(5, 2\)"
+    ):
+        pendulum.predict(np.zeros((5, 2)))
+
+
+def test_missing_value_is_located(pendulum, rows):
+    rows[7, 1] = np.nan
+    with pytest.raises(ValueError, match="1 values that are not finite, the first in row 7, column 'rate'"):
+        pendulum.predict(rows)
+
+
+def test_diverged_rows_are_named(pendulum):
+    broken = FunctionSimulator(
+        lambda X: np.where(X > 2, np.inf, X), input_names=("a",), output_names=("b",), effects=()
+    )
+    with pytest.raises(RuntimeError, match=r"diverged in 2 of 4 rows \(row 1, 3\)"):
+        broken.predict([[0.0], [3.0], [1.0], [4.0]])
+    assert np.isnan(broken.predict_many([[0.0], [3.0]], [{}])[0, :, 0]).tolist() == [False, True]
+
+
+def test_diverged_episode_is_nan_from_there_on():
+    growing = FunctionSimulator(
+        lambda X: np.where(X > 4, np.inf, 2 * X), input_names=("a",), output_names=("a",), state_names=("a",)
+    )
+    states = growing.rollout_many([[1.0], [0.1]], None, [{}], n_steps=5)[0, :, :, 0]
+    np.testing.assert_array_equal(np.isnan(states[0]), [False] * 4 + [True] * 2)
+    assert np.isfinite(states[1]).all()
+    with pytest.raises(RuntimeError, match="episode 0 diverged at step 4 of 5"):
+        growing.rollout([[1.0], [0.1]], n_steps=5)
+
+
+def test_one_shot_simulation_has_no_state():
+    shot = FunctionSimulator(lambda X: X**2, input_names=("z",), output_names=("x",))
+    assert {effect.name for effect in shot.effects()} == {"bias[x]", "scale[x]"}
+    np.testing.assert_allclose(shot.predict([[3.0]], effects={"scale[x]": 2.0, "bias[x]": 1.0}), [[19.0]])
+    with pytest.raises(ValueError, match="one-shot"):
+        shot.rollout([[1.0]], n_steps=1)
+    with pytest.raises(ValueError, match="one-shot"):
+        shot.displace([[1.0]], [[1.0]])
+
+
+def test_names_must_fit_together():
+    with pytest.raises(ValueError, match="first inputs and the outputs must be the state"):
+        FunctionSimulator(swing, input_names=("u", *STATE), output_names=STATE, state_names=STATE)
+    with pytest.raises(ValueError, match="a occurs more than once"):
+        FunctionSimulator(swing, input_names=("a", "a"), output_names=("b",))
+
+
+def test_function_of_the_wrong_shape_is_named():
+    wrong = FunctionSimulator(lambda X: X[:, 0], input_names=("a",), output_names=("b",))
+    with pytest.raises(
+        ValueError, match=r"must return the shape .* \(2, 1\), with the columns b; it returned \(2,\)"
+    ):
+        wrong.predict([[1.0], [2.0]])
+
+
+@pytest.mark.parametrize("n_steps", [0, -1, 1.5])
+def test_number_of_steps_is_checked(pendulum, n_steps):
+    with pytest.raises(ValueError, match="n_steps must be a positive whole number"):
+        pendulum.rollout([[0.0, 0.0]], n_steps=n_steps)
+
+
+def test_actions_of_another_shape_are_refused(pendulum):
+    with pytest.raises(ValueError, match=r"\(1, 3, 1\), with the columns torque; got \(1, 2, 1\)"):
+        pendulum.rollout([[0.0, 0.0]], np.zeros((1, 2, 1)), n_steps=3)

@@ -1,0 +1,412 @@
+"""Each effect of a MuJoCo model against plain MuJoCo with the same change made by hand in the MJCF."""
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+
+from skat.simulators import MujocoSimulator
+
+ARM = """
+<mujoco model="arm">
+  <option timestep="0.002" gravity="0 0 -9.81" integrator="RK4"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="5 5 .1" pos="0 0 -.5" friction="0.8"/>
+    <body name="upper">
+      <joint name="shoulder" axis="0 1 0" damping="0.1" stiffness="2" armature="0.02"/>
+      <geom name="upper" type="capsule" size=".03" fromto="0 0 0 .4 0 0" density="900" contype="0"
+      conaffinity="0"/> <body name="lower" pos=".4 0 0">
+        <joint name="elbow" axis="0 1 0" pos="0.05 0 0" damping="0.2"/>
+        <geom name="lower" type="capsule" size=".02 .15" pos=".15 0 0" euler="0 90 0" mass="0.5"/>
+        <geom name="hand" size=".04" pos=".3 0 0" mass="0.2" friction="0.5"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor joint="shoulder" gear="5" ctrlrange="-1 1" ctrllimited="true"/>
+    <position name="servo" joint="elbow" kp="4" kv="0.1"/>
+  </actuator>
+</mujoco>
+"""
+CUBE = """
+<mujoco model="cube">
+  <option timestep="0.002" cone="elliptic"/>
+  <worldbody>
+    <geom name="table" type="plane" size="5 5 .1"/>
+    <body name="cube"><freejoint name="toss"/><geom name="cube" type="box" size=".05 .05 .05"
+    mass=".4"/></body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def changed(text, *changes):
+    for old, new in changes:
+        assert text.count(old) >= 1, old
+        text = text.replace(old, new)
+    return text
+
+
+def plain(text, rows, n_steps, force=None):
+    """Step each row in plain MuJoCo, each from a new MjData."""
+    model = mujoco.MjModel.from_xml_string(text)
+    found = []
+    for row in rows:
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:], data.ctrl[:] = np.split(row, [model.nq, model.nq + model.nv])
+        for _ in range(n_steps):
+            if force is not None:
+                data.xfrc_applied[1, :3] = force
+            mujoco.mj_step(model, data)
+        found.append(np.r_[data.qpos, data.qvel])
+    return np.array(found)
+
+
+def arm_rows(n=12):
+    return np.random.default_rng(0).normal(size=(n, 6))
+
+
+def cube_rows(n=12):
+    random = np.random.default_rng(1)
+    quaternions = random.normal(size=(n, 4))
+    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
+    heights = random.uniform(0.04, 0.07, size=(n, 1))
+    return np.hstack([random.normal(size=(n, 2)), heights, quaternions, random.normal(size=(n, 6))])
+
+
+# Hand and floor touch in half of the rows: inferred contact parameters matter.
+ARM_CASES = {
+    "gravity": ({"gravity": 1.3}, [("-9.81", "-12.753")]),
+    "tilt[x]": ({"tilt[x]": 0.1}, [("0 0 -9.81", f"{9.81 * math.sin(0.1)} 0 {-9.81 * math.cos(0.1)}")]),
+    "mass[upper]": ({"mass[upper]": 1.5}, [('density="900"', 'density="1350"')]),
+    "mass[lower]": ({"mass[lower]": 0.5}, [('mass="0.5"', 'mass="0.25"'), ('mass="0.2"', 'mass="0.1"')]),
+    "mass[all]": (
+        {"mass[all]": 2.0},
+        [('density="900"', 'density="1800"'), ('mass="0.5"', 'mass="1"'), ('mass="0.2"', 'mass="0.4"')],
+    ),
+    "length[lower]": (
+        {"length[lower]": 1.2},
+        [('size=".02 .15" pos=".15 0 0"', 'size=".02 .18" pos=".18 0 0"'), ('pos=".3 0 0"', 'pos=".36 0 0"'),
+         ('pos="0.05 0 0"', 'pos="0.06 0 0"')],
+    ),
+    "damping[elbow]": ({"damping[elbow]": 0.15}, [('damping="0.2"', 'damping="0.35"')]),
+    "damping[elbow] less": ({"damping[elbow]": -0.15}, [('damping="0.2"', 'damping="0.05"')]),
+    "damping[all]": (
+        {"damping[all]": 0.1},
+        [('damping="0.2"', 'damping="0.3"'), ('damping="0.1"', 'damping="0.2"')],
+    ),
+    "dry_friction[elbow]": (
+        {"dry_friction[elbow]": 0.3},
+        [('damping="0.2"', 'damping="0.2" frictionloss="0.3"')],
+    ),
+    "armature[shoulder]": ({"armature[shoulder]": 0.03}, [('armature="0.02"', 'armature="0.05"')]),
+    "stiffness[shoulder]": ({"stiffness[shoulder]": 3.0}, [('stiffness="2"', 'stiffness="5"')]),
+    "gain[shoulder]": ({"gain[shoulder]": -1.0}, [('gear="5"', 'gear="-5"')]),
+    "gain[servo]": ({"gain[servo]": 0.5}, [('kp="4" kv="0.1"', 'kp="2" kv="0.05"')]),
+    "contact_friction[all]": (
+        {"contact_friction[all]": 0.25},
+        [('friction="0.8"', 'friction="0.2"'), ('friction="0.5"', 'friction="0.1"'),
+         ('density="900"', 'density="900" friction="0.25"'), ('mass="0.5"', 'mass="0.5" friction="0.25"')],
+    ),
+    "contact_friction[hand]": ({"contact_friction[hand]": 1.5}, [('friction="0.5"', 'friction="1.2"')]),
+    "timestep": ({"timestep": 0.5}, [('timestep="0.002"', 'timestep="0.001"')]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", ARM_CASES)
+def test_effect_is_the_change_made_by_hand(case):
+    values, changes = ARM_CASES[case]
+    text = changed(ARM, *changes)
+    rows = arm_rows()
+    n_steps = 4 if case != "timestep" else 8
+    simulator = MujocoSimulator(ARM, frame_skip=4)
+    found = simulator.predict(rows, effects=values)
+    np.testing.assert_allclose(found, plain(text, rows, n_steps), rtol=1e-9, atol=1e-9)
+    assert np.abs(found - simulator.predict(rows)).max() > 1e-8
+
+
+def test_length_keeps_the_mass_and_recomputes_the_inertia():
+    simulator = MujocoSimulator(ARM)
+    nominal, longer = simulator.compiled(), simulator.compiled({"length[upper]": 1.5})
+    np.testing.assert_allclose(longer.body_mass, nominal.body_mass, rtol=1e-12)
+    by_hand = mujoco.MjModel.from_xml_string(
+        changed(
+            ARM,
+            ("0 0 0 .4 0 0", "0 0 0 .6 0 0"),
+            ('density="900"', f'mass="{float(nominal.body_mass[1])!r}"'),
+        )
+    )
+    np.testing.assert_allclose(longer.body_inertia[1], by_hand.body_inertia[1], rtol=1e-9)
+    np.testing.assert_allclose(longer.body_pos[2], [0.6, 0, 0])
+
+
+def test_mass_scales_the_inertia_too():
+    simulator = MujocoSimulator(CUBE)
+    nominal, heavy = simulator.compiled(), simulator.compiled({"mass[cube]": 3.0})
+    np.testing.assert_allclose(heavy.body_mass, 3 * nominal.body_mass)
+    np.testing.assert_allclose(heavy.body_inertia, 3 * nominal.body_inertia)
+
+
+@pytest.mark.parametrize("mode", ["", '<compiler inertiafromgeom="true"/>'])
+def test_shifted_centre_of_mass_is_an_explicit_inertial(mode):
+    simulator = MujocoSimulator(CUBE.replace("<option", mode + "<option"), frame_skip=5)
+    inertia = 0.4 * 0.1**2 / 6
+    inertial = f'<inertial pos="0 .02 0" mass=".4" diaginertia="{inertia!r} {inertia!r} {inertia!r}"/>'
+    text = changed(CUBE, ("<freejoint", inertial + "<freejoint"))
+    found = simulator.predict(cube_rows(), effects={"centre_of_mass[cube.y]": 0.02})
+    np.testing.assert_allclose(found, plain(text, cube_rows(), 5), rtol=1e-8, atol=1e-8)
+
+
+def test_wind_is_a_constant_force_at_the_centre_of_mass():
+    values = {"wind[x]": 0.7, "wind[z]": -0.2}
+    found = MujocoSimulator(CUBE, frame_skip=5).predict(cube_rows(), effects=values)
+    np.testing.assert_allclose(
+        found, plain(CUBE, cube_rows(), 5, force=[0.7, 0, -0.2]), rtol=1e-12, atol=1e-12
+    )
+
+
+@pytest.mark.parametrize(
+    ("values", "exponent"),
+    [({"air_drag[all]": 0.02}, None), ({"air_drag[x]": 0.02, "air_drag[y]": 0.01}, "axes")],
+)
+def test_air_drag_on_a_free_body_follows_its_equation(values, exponent):
+    weightless = CUBE.replace("<option", '<option gravity="0 0 0"')
+    rows = np.zeros((1, 13))
+    rows[0, :7], rows[0, 7:10], rows[0, 10:] = [0, 0, 9, 1, 0, 0, 0], [30.0, -20.0, 0.0], [1.0, 2.0, 3.0]
+    n_steps, mass = 500, 0.4
+    found = MujocoSimulator(weightless, frame_skip=n_steps).predict(rows, effects=values)[0, 7:9]
+    time, start = 0.002 * n_steps, rows[0, 7:9]
+    if exponent is None:  # dv/dt = -c/m |v| v: 1/|v| grows by c t / m
+        expected = start / (1 + 0.02 / mass * np.linalg.norm(start) * time)
+    else:
+        expected = start / (1 + np.array([0.02, 0.01]) / mass * np.abs(start) * time)
+    np.testing.assert_allclose(
+        found, expected, rtol=2e-3
+    )  # explicit Euler of step 2 ms; halves with the step
+    finer = MujocoSimulator(weightless.replace("0.002", "0.0005"), frame_skip=4 * n_steps)
+    error = [np.abs(other - expected).max() for other in (found, finer.predict(rows, effects=values)[0, 7:9])]
+    assert error[1] < 0.3 * error[0]
+
+
+def test_air_drag_along_a_slide_is_quadratic_damping():
+    ball = """<mujoco><option integrator="RK4"/><worldbody><body name="ball"><joint name="fall" type="slide"
+    axis="0 0 1"%s/><geom size=".1" mass=".5"/></body></worldbody></mujoco>"""
+    rows = np.array([[50.0, -3.0], [20.0, 12.0]])
+    found = MujocoSimulator(ball % "", frame_skip=20).predict(rows, effects={"air_drag[z]": 0.03})
+    np.testing.assert_allclose(found, plain(ball % ' damping="0 0.03"', rows, 20), rtol=1e-12)
+    speed = math.sqrt(0.5 * 9.81 / 0.03)
+    fallen = MujocoSimulator(ball % "", frame_skip=1000).predict(
+        [[50.0, 0.0]], effects={"air_drag[all]": 0.03}
+    )
+    np.testing.assert_allclose(fallen[0, 1], -speed * math.tanh(9.81 * 2 / speed), rtol=1e-6)
+
+
+def test_position_friction_holds_up_to_its_size_times_the_angle():
+    arm = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="hinge" axis="0 0 1"/>
+    <geom size=".1" pos=".3 0 0" mass="1"/></body></worldbody>
+    <actuator><motor joint="hinge"/></actuator></mujoco>"""
+    rows = np.array([[angle, 0.0, torque] for angle in (-0.5, 0.5) for torque in (0.9, 1.1)])
+    simulator = MujocoSimulator(arm, frame_skip=20)
+    rates = simulator.predict(rows, effects={"position_friction[hinge]": 2.0})[:, 1]
+    free = simulator.predict(rows)[:, 1]
+    assert np.abs(rates[[0, 2]]).max() < 0.03 * free[0]  # the hold of MuJoCo's dry friction is soft
+    np.testing.assert_allclose(rates[[1, 3]], free[[1, 3]] * 0.1 / 1.1, rtol=0.05)
+    constant = simulator.predict(rows, effects={"dry_friction[hinge]": 1.0})
+    np.testing.assert_allclose(rates, constant[:, 1], rtol=0.05, atol=1e-4)
+
+
+def test_anisotropy_is_an_explicit_pair():
+    text = changed(
+        CUBE,
+        (
+            "</mujoco>",
+            '<contact><pair geom1="table" geom2="cube" friction="1 .4 .005"/></contact></mujoco>',
+        ),
+    )
+    rows = cube_rows()
+    rows[:, 3:7], rows[:, 2], rows[:, 10:] = [1, 0, 0, 0], 0.0499, 0
+    found = MujocoSimulator(CUBE, frame_skip=10).predict(rows, effects={"contact_anisotropy[all]": 0.4})
+    np.testing.assert_allclose(found, plain(text, rows, 10), rtol=1e-9, atol=1e-9)
+
+
+def test_restitution_scales_the_damping_ratio():
+    text = changed(
+        CUBE, ('size="5 5 .1"', 'size="5 5 .1" solref=".02 .3"'), ('mass=".4"', 'mass=".4" solref=".02 .3"')
+    )
+    found = MujocoSimulator(CUBE, frame_skip=10).predict(cube_rows(), effects={"restitution[all]": 0.3})
+    np.testing.assert_allclose(found, plain(text, cube_rows(), 10), rtol=1e-9, atol=1e-9)
+    single = MujocoSimulator(CUBE, frame_skip=10).predict(
+        cube_rows(), effects={"restitution[table/cube]": 0.3}
+    )
+    np.testing.assert_allclose(found, single, rtol=1e-8, atol=1e-8)
+
+
+GEOMS = {
+    "defaults": ("", ""),
+    "friction": ('friction="0.3 0.01 0.002"', 'friction="0.9 0.004 0.001"'),
+    "priority": (
+        'priority="1" friction="0.3" condim="4" solref="0.03 0.7"',
+        'friction="0.9" solref="0.01 1"',
+    ),
+    "weights": (
+        'solmix="3" solref="0.03 0.7" solimp="0.5 0.9 0.01"',
+        'solref="0.01 1" solimp="0.9 0.99 0.002"',
+    ),
+    "direct": ('solref="-3000 -20"', 'solref="0.02 1"'),
+    "margin": ('margin="0.004" gap="0.001"', 'margin="0.002" gap="0.002"'),
+    "rolling": ('condim="6" friction="0.3 0.01 0.002"', 'condim="3"'),
+}
+
+
+@pytest.mark.parametrize("case", GEOMS)
+def test_explicit_pair_has_the_parameters_that_mujoco_infers(case):
+    table, cube = GEOMS[case]
+    text = CUBE.replace('size="5 5 .1"', f'size="5 5 .1" {table}').replace('mass=".4"', f'mass=".4" {cube}')
+    simulator = MujocoSimulator(text)
+    nominal = simulator.compiled()
+    paired = simulator.compiled({"contact_anisotropy[table/cube]": 2.0})
+    contacts = []
+    for model in (nominal, paired):
+        data = mujoco.MjData(model)
+        data.qpos[2] = 0.0499
+        mujoco.mj_forward(model, data)
+        contacts.append(data.contact)
+    inferred, explicit = contacts
+    assert paired.npair == 1
+    np.testing.assert_allclose(explicit.friction[:, 1], 2 * inferred.friction[:, 1])
+    for field in ("dim", "includemargin", "solref", "solimp", "dist", "frame"):
+        np.testing.assert_allclose(
+            getattr(explicit, field), getattr(inferred, field), atol=1e-14, err_msg=field
+        )
+    np.testing.assert_allclose(explicit.friction[:, [0, 2, 3, 4]], inferred.friction[:, [0, 2, 3, 4]])
+
+
+def transitions(actions, rows, delay, n_steps, timestep, text):
+    """Step plain MuJoCo, the control changing at time ``delay`` of a transition from the previous row's."""
+    model = mujoco.MjModel.from_xml_string(text)
+    found = []
+    for index, row in enumerate(rows):
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:] = np.split(row[: model.nq + model.nv], 2)
+        for step in range(n_steps):
+            data.ctrl[:] = actions[max(index - 1, 0)] if (step + 0.5) * timestep < delay else actions[index]
+            mujoco.mj_step(model, data)
+        found.append(np.r_[data.qpos, data.qvel])
+    return np.array(found)
+
+
+def test_delay_holds_the_previous_action_for_the_first_part_of_each_transition():
+    rows = arm_rows()
+    simulator = MujocoSimulator(ARM, frame_skip=4)
+    found = simulator.predict(rows, effects={"delay[action]": 0.004})
+    np.testing.assert_allclose(found, transitions(rows[:, 4:], rows, 0.004, 4, 0.002, ARM), rtol=1e-12)
+    grouped = simulator.predict(rows, effects={"delay[action]": 0.004}, groups=np.repeat([0, 1], 6))
+    nominal = simulator.predict(rows)
+    np.testing.assert_array_equal(grouped[[0, 6]], nominal[[0, 6]])
+    np.testing.assert_array_equal(np.delete(grouped, 6, axis=0), np.delete(found, 6, axis=0))
+
+
+def test_delay_of_a_whole_transition_is_the_previous_action():
+    rows = arm_rows()
+    simulator = MujocoSimulator(ARM, frame_skip=4)
+    late = rows.copy()
+    late[1:, 4:] = rows[:-1, 4:]
+    for delay, lag in ((0.008, 1), (0.016, 2)):
+        late[lag:, 4:] = rows[:-lag, 4:]
+        late[:lag, 4:] = rows[0, 4:]
+        found = simulator.predict(rows, effects={"delay[action]": delay})
+        np.testing.assert_allclose(found, simulator.predict(late), rtol=1e-12)
+
+
+def test_delay_is_continuous():
+    rows, simulator = arm_rows(), MujocoSimulator(ARM, frame_skip=4)
+    delays = np.linspace(0, 0.012, 49)
+    found = simulator.predict_many(rows, [{"delay[action]": delay} for delay in delays])
+    jumps = np.abs(np.diff(found, axis=0)).max(axis=(1, 2))
+    assert jumps.max() < 3 * np.median(jumps)
+
+
+def test_timestep_is_continuous_between_whole_numbers_of_steps():
+    rows, simulator = arm_rows(), MujocoSimulator(ARM, frame_skip=4)
+    exact = simulator.predict_many(
+        rows, [{"timestep": value} for value in (1.0, 0.8, 4 / 4.5, 1 - 1e-9, 4 / (5 - 1e-7))]
+    )
+    np.testing.assert_allclose(exact[2], (exact[0] + exact[1]) / 2, atol=1e-12)
+    np.testing.assert_allclose(exact[3], exact[0], atol=1e-9)
+    np.testing.assert_allclose(exact[4], exact[1], atol=1e-7)
+
+
+@pytest.mark.parametrize("text", [ARM, CUBE])
+def test_neutral_values_change_no_bit(text):
+    simulator = MujocoSimulator(text, frame_skip=4)
+    rows = arm_rows() if text is ARM else cube_rows()
+    neutral = {effect.name: effect.neutral for effect in simulator.all_effects()}
+    np.testing.assert_array_equal(simulator.predict(rows, effects=neutral), simulator.predict(rows))
+
+
+@pytest.mark.parametrize("text", [ARM, CUBE])
+def test_every_bound_compiles_and_stays_finite(text):
+    simulator = MujocoSimulator(text, frame_skip=4)
+    rows = arm_rows(4) if text is ARM else cube_rows(4)
+    for effect in simulator.effects():
+        if effect.family not in {"bias", "scale"}:
+            simulator.predict_many(rows, [{effect.name: bound} for bound in effect.bounds])
+            assert np.isfinite(simulator.predict(rows, effects={effect.name: effect.bounds[1]})).all(), (
+                effect.name
+            )
+
+
+@pytest.mark.parametrize("text", [ARM, CUBE])
+def test_every_listed_effect_changes_something(text):
+    simulator = MujocoSimulator(text, frame_skip=10)
+    rows = arm_rows(60) if text is ARM else cube_rows(40)
+    for effect in simulator.effects():
+        low, high = effect.bounds
+        value = effect.neutral + 0.2 * (high - effect.neutral) if high > effect.neutral else 0.5 * low
+        change = np.abs(simulator.predict(rows, effects={effect.name: value}) - simulator.predict(rows)).max()
+        # The cube's place on the table does not matter, nor its mass where gravity is the only other force.
+        invisible = {"bias[qpos.toss.x]", "bias[qpos.toss.y]", "mass[cube]"}
+        assert change > 1e-9 or effect.name in invisible, effect.name
+
+
+def test_effects_that_cannot_matter_are_not_listed():
+    arm = {effect.name for effect in MujocoSimulator(ARM).effects()}
+    cube = {effect.name for effect in MujocoSimulator(CUBE).effects()}
+    assert not arm & {
+        "tilt[y]",
+        "wind[y]",
+        "air_drag[y]",
+        "centre_of_mass[upper.y]",
+    }  # it moves in the x, z plane
+    assert not {
+        name for name in cube if name.startswith(("gain", "delay", "length", "armature", "dry_friction"))
+    }
+    assert {"tilt[x]", "tilt[y]", "wind[z]", "damping[toss]", "contact_friction[all]"} <= cube
+    no_contact = MujocoSimulator(CUBE.replace('size="5 5 .1"', 'size="5 5 .1" contype="0" conaffinity="0"'))
+    families = {effect.family for effect in no_contact.effects()}
+    assert not families & {"contact_friction", "contact_anisotropy", "restitution"}
+
+
+def test_effects_that_repeat_another_are_accepted_but_not_listed():
+    simulator = MujocoSimulator(CUBE)
+    listed = {effect.name for effect in simulator.effects()}
+    assert "mass[all]" not in listed
+    assert "contact_friction[cube]" not in listed
+    rows = cube_rows()
+    np.testing.assert_array_equal(
+        simulator.predict(rows, effects={"mass[all]": 2.0}),
+        simulator.predict(rows, effects={"mass[cube]": 2.0}),
+    )
+
+
+def test_scaling_masses_and_all_forces_together_is_a_symmetry():
+    values = {"mass[all]": 2.0, "armature[shoulder]": 0.02, "damping[shoulder]": 0.1, "damping[elbow]": 0.2}
+    values |= {"stiffness[shoulder]": 2.0, "gain[all]": 2.0}
+    rows, simulator = (
+        arm_rows(),
+        MujocoSimulator(ARM.replace("<geom ", '<geom contype="0" conaffinity="0" ', 1), frame_skip=4),
+    )
+    np.testing.assert_allclose(
+        simulator.predict(rows, effects=values), simulator.predict(rows), rtol=1e-8, atol=1e-9
+    )
