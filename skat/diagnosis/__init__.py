@@ -1,6 +1,7 @@
 """Find out what a simulation gets wrong: name the cause, size it, build it in, and measure the gain."""
 
+from skat.diagnosis.comparison import compare_transports
 from skat.diagnosis.estimator import SimulationDiagnosis
 from skat.diagnosis.findings import Cause, Gain
 
-__all__ = ["Cause", "Gain", "SimulationDiagnosis"]
+__all__ = ["Cause", "Gain", "SimulationDiagnosis", "compare_transports"]

@@ -1,0 +1,378 @@
+"""How far maps learned from data alone come beside the named causes: a ceiling of what could be explained."""
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from sklearn.base import clone
+from sklearn.utils import check_random_state
+from sklearn.utils.validation import check_is_fitted
+
+from skat.baselines import CORAL, ExactTransport
+from skat.diagnosis.log import check_log
+from skat.diagnosis.open_loop import Episodes
+from skat.transport import AffineTransport, ConditionalAffineTransport, ProcrustesAffineTransport
+
+NOMINAL, EXTENDED = "nominal simulation", "extended simulation"
+TRANSPORTS = (
+    "AffineTransport",
+    "ProcrustesAffineTransport",
+    "ConditionalAffineTransport",
+    "CORAL",
+    "ExactTransport",
+)
+# Exact transport takes time and memory with the square of the number of rows.
+MOST_EXACT_ROWS = 2_000
+N_BOOTSTRAP = 999
+# A map learned from noisy states averages some of their noise out, which the true simulation cannot: a
+# smaller advantage than this is no sign of a cause.
+TELLING_RATIO = 0.95
+# Relative to the largest singular value of standardised columns.
+RANK_TOLERANCE = 1e-8
+
+
+def compare_transports(
+    diagnosis,
+    X_fit,
+    y_fit,
+    X_test,
+    y_test,
+    *,
+    groups_fit=None,
+    groups_test=None,
+    methods=None,
+    random_state=None,
+):
+    r"""Return held-out errors of the simulation, of maps from it to the data, and of the extended simulation.
+
+    A map is fitted to source rows (inputs, simulated output) and target rows (inputs, measured output), and
+    predicts the last columns of the test rows that it carries. Columns are standardised by the target's means
+    and standard deviations beforehand, so that no method depends on units.
+
+    Parameters
+    ----------
+    diagnosis : SimulationDiagnosis
+        Fitted.
+    X_fit, X_test : array-like of shape (n_rows, n_inputs)
+        Inputs to fit the maps on, and others to test on.
+    y_fit, y_test : array-like of shape (n_rows, n_outputs)
+        What was measured.
+    groups_fit, groups_test : array-like of shape (n_rows,), optional
+        Episode of each row, as in `SimulationDiagnosis.fit`. Needed where some channels were not measured.
+    methods : sequence of str or mapping from str to transport, optional
+        Names among AffineTransport, ProcrustesAffineTransport, ConditionalAffineTransport, CORAL and
+        ExactTransport, or unfitted estimators of your own with ``fit(X, y)`` and ``transform(X)``. None: all
+        five. The nominal and the extended simulation are always there.
+    random_state : int, RandomState or None, default=None
+        Which rows exact transport is fitted to, and the bootstrap.
+
+    Returns
+    -------
+    DataFrame
+        A row for each method: `method`; `error`, NaN where a method has no answer, which `note` then
+        explains; `ratio` of the error to the extended simulation's, with its 95 % interval `ratio_low`,
+        `ratio_high`; `n_rows` it was fitted to, 0 for the simulations; `note`; and for each output, under its
+        name, the root mean squared error in the output's unit.
+
+    Raises
+    ------
+    ValueError
+        If rows do not fit the simulator, a method is unknown, or no row can be simulated.
+
+    Notes
+    -----
+    With outputs :math:`j = 1..m`, rows :math:`t = 1..n`, predictions :math:`\hat y` and the standard
+    deviations :math:`s_j` of the measured outputs in the rows fitted (1 for constant outputs),
+
+    .. math:: \mathrm{error} = \Bigl(\frac{1}{n m} \sum_{t, j} (y_{tj} - \hat y_{tj})^2 / s_j^2\Bigr)^{1/2}
+
+    so that 1 is the error of predicting the mean. The interval comes from a bootstrap over the same blocks of
+    time for both methods. Orientations are compared as rotation vectors. If channels are hidden, the rows are
+    those of whole episodes simulated in open loop from fitted initial states; their inputs are the step and
+    the actions.
+
+    If the simulated rows vary in fewer directions than the measured ones (a linear simulation), no linear map
+    carries one onto the other; they are then fitted with noise of the size of what the extended simulation
+    leaves, which the note says.
+    """
+    check_is_fitted(diagnosis, "verdict_")
+    transports = _chosen(methods)
+    random_state = check_random_state(random_state)
+    make = _trajectory_rows if tuple(diagnosis.hidden) else _one_step_rows
+    fitted = make(diagnosis, _log(diagnosis, X_fit, y_fit, groups_fit, "fit"), "fit")
+    test = make(diagnosis, _log(diagnosis, X_test, y_test, groups_test, "test"), "test")
+    lost = _lost_note(test)
+    scale = _spread(fitted.measured)
+    rows = [_Row(NOMINAL, test.error(test.nominal), 0, lost)]
+    source, noise_note = _source_outputs(fitted, random_state)
+    for name, transport in transports.items():
+        rows.append(_transported(name, transport, fitted, source, test, noise_note, random_state))
+    rows.append(_Row(EXTENDED, test.error(test.extended), 0, lost))
+    return _table(rows, scale, test, random_state)
+
+
+def ceiling_sentence(frame):
+    """Return in a sentence whether a map learned from the data beats the named causes.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        From `compare_transports`.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> print(ceiling_sentence(pd.DataFrame({
+    ...     "method": ["nominal simulation", "AffineTransport", "extended simulation"],
+    ...     "error": [0.4, 0.1, 0.2], "ratio": [2.0, 0.5, 1.0],
+    ...     "ratio_low": [1.9, 0.4, 1.0], "ratio_high": [2.1, 0.6, 1.0]})))
+    AffineTransport beats the extended simulation on data not used: 0.5 times its error (95 %: 0.4 to 0.6).
+    Something is left that the named causes do not explain.
+    """
+    maps = frame[~frame["method"].isin([NOMINAL, EXTENDED]) & frame["error"].notna()]
+    if maps.empty:
+        return "No transport could be fitted to these data."
+    best = maps.loc[maps["error"].idxmin()]
+    size = f"{best['ratio']:.3g} times its error (95 %: {best['ratio_low']:.3g} to {best['ratio_high']:.3g})"
+    if is_beaten(frame):
+        return (
+            f"{best['method']} beats the extended simulation on data not used: {size}. "
+            "Something is left that the named causes do not explain."
+        )
+    return f"No transport beats the extended simulation on data not used: {best['method']} has {size}."
+
+
+def is_beaten(frame):
+    """Whether a map learned from the data is clearly better than the extended simulation on data not used."""
+    maps = frame[~frame["method"].isin([NOMINAL, EXTENDED])]
+    return bool(((maps["ratio"] < TELLING_RATIO) & (maps["ratio_high"] < 1)).any())
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Inputs with outputs three times: measured, and simulated by the nominal and the extended model.
+
+    Attributes
+    ----------
+    inputs : ndarray of shape (n_rows, n_context)
+    measured, nominal, extended : ndarray of shape (n_rows, n_columns)
+    difference : callable
+        ``difference(prediction)`` returns measured minus predicted, (n_rows, n_channels).
+    channels : tuple of str
+    blocks : ndarray of int of shape (n_rows,)
+        Pieces of time that count as independent.
+    n_lost : int
+        Rows left out because a simulation diverged.
+    """
+
+    inputs: np.ndarray
+    measured: np.ndarray
+    nominal: np.ndarray
+    extended: np.ndarray
+    difference: object
+    channels: tuple
+    blocks: np.ndarray
+    n_lost: int
+
+    def error(self, prediction):
+        return self.difference(prediction)
+
+
+@dataclass(frozen=True)
+class _Row:
+    """A method with its errors (n_test_rows, n_channels), or None."""
+
+    method: str
+    errors: np.ndarray | None
+    n_rows: int
+    note: str
+
+
+def _chosen(methods):
+    if methods is None:
+        methods = TRANSPORTS
+    if isinstance(methods, Mapping):
+        taken = [name for name in methods if name in (NOMINAL, EXTENDED)]
+        if taken:
+            raise ValueError(f"methods may not be called {taken[0]!r}: the simulations are always compared.")
+        return dict(methods)
+    names = [methods] if isinstance(methods, str) else list(methods)
+    unknown = [name for name in names if name not in TRANSPORTS]
+    if unknown:
+        raise ValueError(
+            f"Unknown method {unknown[0]!r}. Methods: {', '.join(TRANSPORTS)}; or pass a mapping from names "
+            "to estimators."
+        )
+    return dict.fromkeys(names)
+
+
+def _made(name, n_context):
+    kinds = {
+        "AffineTransport": AffineTransport,
+        "ProcrustesAffineTransport": ProcrustesAffineTransport,
+        "ConditionalAffineTransport": lambda: ConditionalAffineTransport(context=n_context),
+        "CORAL": CORAL,
+        "ExactTransport": ExactTransport,
+    }
+    return kinds[name]()
+
+
+def _log(diagnosis, X, y, groups, what):
+    hidden = tuple(diagnosis.hidden)
+    if hidden and groups is None:
+        raise ValueError(
+            f"{', '.join(hidden)} were not measured, so that whole episodes are compared: pass "
+            f"groups_{what}=, the episode of each row."
+        )
+    return check_log(diagnosis.simulator, X, y, groups, fewest_rows=1, hidden=hidden)
+
+
+def _one_step_rows(diagnosis, log, what):
+    simulator = diagnosis.simulator
+    groups = log.episodes if log.consecutive else None
+    nominal = simulator.predict_many(log.X, [{}], groups=groups)[0]
+    extended = diagnosis.extended_simulator_.predict_many(log.X, [{}], groups=groups)[0]
+    there = _there(nominal, extended, what)
+    X, y, nominal, extended = log.X[there], log.y[there], nominal[there], extended[there]
+    if tuple(simulator.residual_names) == tuple(simulator.output_names):
+        parts = y, nominal, extended, lambda prediction: y - prediction
+    else:
+        # A state with orientations is described by the rotation (and the change) since the row's own state.
+        states = X[:, : len(simulator.state_names)]
+        parts = (
+            *(simulator.residual(one, states) for one in (y, nominal, extended)),
+            lambda change: simulator.residual(y, simulator.displace(states, change)),
+        )
+    return _Rows(X, *parts, tuple(simulator.residual_names), log.blocks()[there], int((~there).sum()))
+
+
+def _trajectory_rows(diagnosis, log, what):
+    episodes = Episodes(diagnosis.simulator, log, tuple(diagnosis.hidden))
+    paths = []
+    for simulator in (diagnosis.simulator, diagnosis.extended_simulator_):
+        one = Episodes(simulator, log, tuple(diagnosis.hidden))
+        paths.append(one.residuals([{}], one.fit_initial_states({}, diagnosis.noise_))[0])
+    reference = np.broadcast_to(log.y[:1], log.y.shape)
+    measured = diagnosis.simulator.residual(log.y, reference)[:, episodes.measured]
+    there = _there(*paths, what)
+    inputs = np.column_stack([log.steps, episodes.inputs[episodes.place]])[there]
+    measured, nominal, extended = (
+        measured[there],
+        (measured - paths[0])[there],
+        (measured - paths[1])[there],
+    )
+    return _Rows(
+        inputs,
+        measured,
+        nominal,
+        extended,
+        lambda prediction: measured - prediction,
+        tuple(np.array(diagnosis.simulator.residual_names)[episodes.measured]),
+        log.blocks()[there],
+        int((~there).sum()),
+    )
+
+
+def _there(nominal, extended, what):
+    there = np.isfinite(nominal).all(axis=1) & np.isfinite(extended).all(axis=1)
+    if not there.any():
+        raise ValueError(
+            f"The simulation diverges in every row of X_{what}; check that these rows are physical."
+        )
+    return there
+
+
+def _lost_note(rows):
+    return f"{rows.n_lost} rows left out, in which a simulation diverges" if rows.n_lost else ""
+
+
+def _source_outputs(fitted, random_state):
+    """Return simulated outputs to fit on, with noise where they vary in fewer directions than measured ones."""
+    source = _rank(np.column_stack([fitted.inputs, fitted.nominal]))
+    target = _rank(np.column_stack([fitted.inputs, fitted.measured]))
+    if source >= target:
+        return fitted.nominal, ""
+    deviations = (fitted.measured - fitted.extended).std(axis=0)
+    noisy = fitted.nominal + random_state.standard_normal(fitted.nominal.shape) * deviations
+    return noisy, "fitted with noise added to the simulated rows, which are linear in the inputs"
+
+
+def _rank(rows):
+    centred = rows - rows.mean(axis=0)
+    values = np.linalg.svd(centred / _spread(rows), compute_uv=False)
+    return int((values > RANK_TOLERANCE * values.max(initial=0.0)).sum())
+
+
+def _spread(rows):
+    """Return standard deviations of columns, 1 where a column is constant up to rounding."""
+    spread = rows.std(axis=0)
+    return np.where(spread > 1e-12 * np.abs(rows).max(axis=0, initial=0.0), spread, 1.0)
+
+
+def _transported(name, transport, fitted, outputs, test, note, random_state):
+    n_context = fitted.inputs.shape[1]
+    target = np.column_stack([fitted.inputs, fitted.measured])
+    mean, spread = target.mean(axis=0), _spread(target)
+    source = (np.column_stack([fitted.inputs, outputs]) - mean) / spread
+    target = (target - mean) / spread
+    notes = [note] if note else []
+    if name == "ExactTransport" and len(source) > MOST_EXACT_ROWS:
+        chosen = random_state.permutation(len(source))[:MOST_EXACT_ROWS]
+        notes.append(f"fitted to {MOST_EXACT_ROWS} of {len(source)} rows, drawn at random")
+        source, target = source[chosen], target[chosen]
+    estimator = _made(name, n_context) if transport is None else clone(transport)
+    carried = (np.column_stack([test.inputs, test.nominal]) - mean) / spread
+    try:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            carried = np.asarray(estimator.fit(source, target).transform(carried))
+    except ValueError as error:
+        return _Row(name, None, len(source), "; ".join([*notes, f"no answer: {error}"]))
+    notes += dict.fromkeys(str(one.message) for one in caught)
+    prediction = carried[:, n_context:] * spread[n_context:] + mean[n_context:]
+    return _Row(name, test.error(prediction), len(source), "; ".join(notes))
+
+
+def _table(rows, scale, test, random_state):
+    labels = np.unique(test.blocks, return_inverse=True)[1]
+    draws = random_state.randint(labels.max() + 1, size=(N_BOOTSTRAP, labels.max() + 1))
+    sums = {
+        row.method: np.bincount(labels, np.sum((row.errors / scale) ** 2, axis=1))
+        for row in rows
+        if row.errors is not None
+    }
+    reference = sums[EXTENDED]
+    records = []
+    for row in rows:
+        record = {
+            "method": row.method,
+            "error": np.nan,
+            "ratio": np.nan,
+            "ratio_low": np.nan,
+            "ratio_high": np.nan,
+        }
+        if row.errors is not None:
+            own = sums[row.method]
+            sampled = _ratio(own[draws].sum(axis=1), reference[draws].sum(axis=1))
+            low, high = np.quantile(sampled, [0.025, 0.975], method="inverted_cdf")
+            record["error"] = float(np.sqrt(own.sum() / row.errors.size))
+            record["ratio"] = float(_ratio(own.sum(), reference.sum()))
+            record |= {"ratio_low": float(low), "ratio_high": float(high)}
+        record |= {"n_rows": row.n_rows, "note": row.note}
+        channels = np.full(len(test.channels), np.nan)
+        if row.errors is not None:
+            channels = np.sqrt(np.mean(row.errors**2, axis=0))
+        records.append(record | dict(zip(test.channels, channels.tolist(), strict=True)))
+    return pd.DataFrame(records)
+
+
+def _ratio(own, reference):
+    """Return the root of the ratio of squared errors; 1 where both are zero."""
+    own, reference = np.asarray(own, dtype=float), np.asarray(reference, dtype=float)
+    return np.sqrt(np.where(own == reference, 1.0, own / np.where(reference > 0, reference, 1e-300)))
