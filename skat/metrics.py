@@ -805,9 +805,9 @@ def affinity_scorer(score=affinity_score, **options):
     """Return a scorer of fitted transports by an affinity score.
 
     For ``scoring=affinity_scorer()``. It calls ``estimator.transform(X)`` and compares the result with `y`.
-    After a fit with stacked rows it wants `sample_domain`, by
-    ``affinity_scorer().set_score_request(sample_domain=True)`` with metadata routing on, and compares the
-    carried source rows with the target rows among those in `X`.
+    After a fit with stacked rows it compares the carried source rows with the target rows among those in `X`,
+    and wants `sample_domain` for it, which metadata routing hands on without being asked; `sample_weight` it
+    hands on after ``affinity_scorer().set_score_request(sample_weight=True)``.
 
     Parameters
     ----------
@@ -880,14 +880,14 @@ class _AffinityScorer:
         return float(self._score(carried, y, **options))
 
     def set_score_request(self, **requests):
-        """Ask for `sample_weight` or `sample_domain` in metadata routing, as scikit-learn's scorers do."""
+        """Ask for `sample_weight`, or not for `sample_domain`, in metadata routing."""
         self._requested |= requests
         return self
 
     def get_metadata_routing(self):
         """Return what `set_score_request` asked for."""
         routing = MetadataRequest(owner=self)
-        for name, alias in {"sample_weight": None, "sample_domain": None, **self._requested}.items():
+        for name, alias in {"sample_weight": None, "sample_domain": True, **self._requested}.items():
             routing.score.add_request(param=name, alias=alias)
         return routing
 
