@@ -67,15 +67,15 @@ def apply_map(affine, X, *, keep=None, check=None):
     xp, _, device = get_namespace_and_device(X)
     if not is_numpy_namespace(xp):
         return _apply_on_device(affine, X, keep, check, xp, device)
-    if keep is None:
-        carried = affine(X)
-    else:
-        keep = np.asarray(keep, dtype=bool)
-        carried = np.array(X, dtype=X.dtype if X.dtype == np.float32 else np.float64)
-        if not keep.all():
-            carried[~keep] = affine(X[~keep])
     # NaN or infinity in a row reaches its image, so one sum over the result checks the input, too.
     with np.errstate(over="ignore", invalid="ignore"):
+        if keep is None:
+            carried = affine(X)
+        else:
+            keep = np.asarray(keep, dtype=bool)
+            carried = np.array(X, dtype=X.dtype if X.dtype == np.float32 else np.float64)
+            if not keep.all():
+                carried[~keep] = affine(X[~keep])
         if check is not None and not np.isfinite(carried.sum()) and not np.isfinite(carried).all():
             check(X)
     return carried

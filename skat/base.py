@@ -201,7 +201,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
     def _check_is_fitted(self):
         check_is_fitted(self)
 
-    def _see_columns(self, X):
+    def _see_columns(self, X, rows):
         """Look at the container as given, while its column names are at hand."""
 
     def _refuse_few_rows(self, n_rows, name):
@@ -215,7 +215,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         if sample_domain is not None:
             rows = self._rows(X, "X", reset=reset)
             if reset:
-                self._see_columns(X)
+                self._see_columns(X, rows)
             return self._split(rows, sample_weight, sample_domain, either=either)
         if y is None:
             raise ValueError(
@@ -225,7 +225,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
             )
         source = self._rows(X, "X", reset=reset)
         if reset:
-            self._see_columns(X)
+            self._see_columns(X, source)
         target = self._target(y)
         return self._weighted(source, target, sample_weight)
 
@@ -268,10 +268,11 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         return Samples(*parts, *weights, stacked=True)
 
     def _refuse_flat_target(self, y):
-        if not is_dask(y) and np.ndim(y) == 1:
+        shape = y.shape if hasattr(y, "shape") else np.asarray(y).shape
+        if len(shape) == 1:
             raise ValueError(
                 f"{type(self).__name__} needs target rows: y must be 2-D with the columns of X; it is 1-D, of "
-                f"shape {np.shape(y)}. If these are labels and X holds both domains, pass sample_domain=... too."
+                f"shape {tuple(shape)}. If these are labels and X holds both domains, pass sample_domain=... too."
             )
 
     def _target(self, y):

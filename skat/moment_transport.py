@@ -78,13 +78,13 @@ class MomentTransport(BaseTransport):
             self._refuse_flat_target(y)
             target = self._rows(y, "y", reset=reset)
             if reset:
-                self._see_columns(y)
+                self._see_columns(y, target)
             return self._weighted(None, target, sample_weight)
         if sample_domain is not None or y is not None:
             return self._samples(X, y, sample_weight, sample_domain, reset=reset, either=True)
         source = self._rows(X, "X", reset=reset)
         if reset:
-            self._see_columns(X)
+            self._see_columns(X, source)
         return self._weighted(source, None, sample_weight)
 
     def _fit(self, samples):

@@ -15,6 +15,8 @@ CHEAP_QR = 2e7
 # Up to here all eigenvalues cost less than waking SciPy's own BLAS threads beside NumPy's.
 LARGEST_CHEAP_SPECTRUM = 400
 BLOCK_ELEMENTS = 2**18
+# BLAS works on pieces of this size without threads, whose start costs more than such a piece.
+SERIAL_ELEMENTS = 2**12
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,9 +276,15 @@ def _row_factor(rows, weight, mean):
 
 def _compressed(factor, at_most):
     """Return a factor of the same product with at most so many rows."""
-    if len(factor) <= at_most or not np.isfinite(factor).all():
+    n_rows, n_features = factor.shape
+    if n_rows <= at_most or not np.isfinite(factor).all():
         return factor
-    return np.linalg.qr(factor, mode="r")
+    size = SERIAL_ELEMENTS // n_features
+    if size < 2 * n_features or n_rows < 2 * size:
+        return np.linalg.qr(factor, mode="r")
+    whole = n_rows - n_rows % size
+    triangles = np.linalg.qr(factor[:whole].reshape(-1, size, n_features), mode="r")
+    return _compressed(np.vstack([triangles.reshape(-1, n_features), factor[whole:]]), at_most)
 
 
 def _is_well_conditioned(scatter):

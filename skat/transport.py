@@ -191,21 +191,19 @@ class ProcrustesAffineTransport(MomentTransport):
             alignment = raw_alignment(source_part, target_part, **roots)
         else:
             alignment = whitened_alignment(source_part, target_part, **roots)
-        self._rotation = alignment.rotation
-        if alignment.inverse_coef is not None:
-            self._back = AffineMap(alignment.inverse_coef, target.mean, source.mean)
+        self._alignment = alignment
         return AffineMap(alignment.coef, source.mean, target.mean), alignment.rank
 
     def _more_attributes(self):
-        return {"rotation_": self._rotation}
+        return {"rotation_": self._alignment.rotation}
 
     def _solve_back(self, source, target, scale):
-        if self._back is None:
+        if self._alignment.inverse_coef is None:
             raise np.linalg.LinAlgError(
                 f"this map has no inverse: it carries the source to {self.rank_} directions, fewer than the source "
                 "varies in. Fit it with more target rows."
             )
-        return self._back
+        return AffineMap(self._alignment.inverse_coef, target.mean, source.mean)
 
 
 class ConditionalAffineTransport(MomentTransport):
@@ -250,30 +248,29 @@ class ConditionalAffineTransport(MomentTransport):
         super().__init__(covariance=covariance, metric_scale=metric_scale)
         self.context = context
 
-    def _see_columns(self, X):
+    def _see_columns(self, X, rows):
         """Resolve the context while the container with its names is at hand."""
-        self._context = None
         context = self.context(X) if callable(self.context) else self.context
-        n_features = X.shape[1]
+        n_features = rows.shape[1]
         chosen = np.zeros(n_features, dtype=bool)
         if isinstance(context, int | np.integer) and not isinstance(context, bool | np.bool_):
             if not 0 < context < n_features:
                 raise ValueError(
                     f"context={context} means the first {context} columns; it must be at least 1 and less than the "
-                    f"number of columns, {n_features}."
+                    f"number of columns, n_features = {n_features}."
                 )
             chosen[:context] = True
         else:
-            chosen[column_indices(X, context)] = True
+            chosen[column_indices(X if hasattr(X, "columns") else rows, context)] = True
         if not 0 < chosen.sum() < n_features:
             raise ValueError(
                 f"context must leave some columns to transport and name some that are not; {context!r} names "
                 f"{chosen.sum()} of {n_features} columns. Without context, use AffineTransport."
             )
-        self._context = chosen
+        self._context = tuple(chosen.tolist())
 
     def _solve(self, source, target, scale):
-        return conditional_map(source, target, self._context)
+        return conditional_map(source, target, np.array(self._context))
 
     def _solve_back(self, source, target, scale):
-        return conditional_map(target, source, self._context)[0]
+        return conditional_map(target, source, np.array(self._context))[0]

@@ -2,7 +2,7 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -145,6 +145,13 @@ def diagnose(
             print_line(f"Extended model: {extended}")
 
 
+PUCKS_ARE_SIMULATED = (
+    "The recordings of real pucks in the paper are not public; the blue and the red puck here are "
+    "simulations with "
+    "another time step, friction and slope, and 0.05 m of noise from strike to strike."
+)
+
+
 class Method(StrEnum):
     """Ways to carry source rows onto target rows."""
 
@@ -206,29 +213,44 @@ class Experiment(StrEnum):
 @app.command()
 def experiment(
     name: Annotated[Experiment, typer.Argument(help="Which one.")],
-    output: Annotated[Path | None, typer.Option("--output", "-o", help="CSV file for the table.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="CSV file for the whole table.")
+    ] = None,
+    plot: Annotated[Path | None, typer.Option(help="Picture to write, PNG, SVG or PDF.")] = None,
     force: Force = False,
+    n_repeats: Annotated[int | None, typer.Option(min=1, help="Repetitions with other rows.")] = None,
     n_transitions: Annotated[int, typer.Option(min=50, help="Rows to fit on (robots).")] = 2000,
     seed: Seed = 0,
 ):
     """Run an experiment of the paper, every method side by side."""
     with clear_errors():
         from skat import experiments
+        from skat.experiments.summaries import figure, method_summary, verdict
 
-        path = None if output is None else writable(output, force=force)
+        output = None if output is None else writable(output, force=force)
+        plot = None if plot is None else writable(plot, force=force)
+        options: dict[str, Any] = {"random_state": seed}
+        if n_repeats is not None:
+            options["n_repeats"] = n_repeats
         with progress_bars() as progress:
             if name is Experiment.puck:
-                table = experiments.puck_table(random_state=seed, progress=progress)
+                table = experiments.puck_table(**options, progress=progress)
             elif name is Experiment.learning_curve:
-                table = experiments.puck_learning_curve(random_state=seed, progress=progress)
+                table = experiments.puck_learning_curve(**options, progress=progress)
             else:
                 table = experiments.domain_matrix(
-                    name.value, n_transitions=n_transitions, random_state=seed, progress=progress
+                    name.value, n_transitions=n_transitions, **options, progress=progress
                 )
-        output_console().print(table_of(table))
-        if path is not None:
-            table.to_csv(path, index=False)
-            print_line(f"Table: {path}")
+        output_console().print(table_of(method_summary(table), title=f"{name.value}: medians by method"))
+        print_line(verdict(table))
+        if name in (Experiment.puck, Experiment.learning_curve):
+            print_line(PUCKS_ARE_SIMULATED)
+        if output is not None:
+            table.to_csv(output, index=False)
+            print_line(f"Table: {output}")
+        if plot is not None:
+            figure(table).savefig(plot)
+            print_line(f"Picture: {plot}")
 
 
 def _show(study, report):

@@ -291,7 +291,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
 
     def _one_step_gain(self, log, random_state):
         residuals = self._residuals(log, self._chosen_effects(), self.noise_)
-        residuals.linearise(self._values, ())
+        residuals.settle(self._values)
         return one_step_gain(residuals, self._values, random_state)
 
     def _verdict(self):

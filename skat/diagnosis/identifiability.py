@@ -62,6 +62,7 @@ def preflight(diagnosis, X, groups):
     effects = diagnosis._chosen_effects()
     residuals = diagnosis._residuals(log, effects, deviations)
     names = [effect.name for effect in effects]
+    residuals.settle({})
     line = residuals.linearise({}, names)
     gram = grams(line.residuals, line.derivatives, residuals.blocks, np.ones(len(log)))
     table = _table(gram, line.names, residuals.effects, diagnosis.alpha / 2)

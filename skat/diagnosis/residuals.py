@@ -18,6 +18,9 @@ FIRST_STEP = 1e-4
 LARGEST_STEP = 0.05
 # Smoothed states stay this close to the measured ones, in standard deviations of the noise.
 FARTHEST_SMOOTHED = 3.0
+# A model that misses less than this share beyond the noise counts as right where states are smoothed.
+NEGLIGIBLE_MISFIT = 1.3
+ROWS_FOR_FIRST_NOISE = 360
 # Effects regressed out before the noise is estimated: at most one for so many residuals.
 RESIDUALS_PER_REGRESSOR = 10
 
@@ -68,6 +71,7 @@ class Residuals:
             self.present = log.steps > 0
         self.smallest = self._smallest_variances()
         self.variances = self.given_variances
+        self.regressors = np.zeros((len(log), self.n_channels, 0))
         self.steps = {}
         self.n_simulated_rows = 0
 
@@ -80,23 +84,22 @@ class Residuals:
         """Standard deviations of the measurement noise, in the channels' units."""
         return np.sqrt(self.variances)
 
-    # -- linearisation ---------------------------------------------------------------------------------------------
+    # -- linearisation ---------------------------------------------------------------------------------------
+
+    def settle(self, values):
+        """Bring noise, whitening and the points of linearisation up to date with a model."""
+        if self.variances is None:
+            self.variances = self._first_variances(values)
 
     def linearise(self, values, names):
-        """Return the Linearisation at a model, by all named effects; noise and whitening are brought up to date."""
-        if self.variances is None:
-            self.variances = self._first_variances(self.raw_residuals([values])[0])
-        self._update_whitening(values)
+        """Return the Linearisation by the named effects, at the points that `settle` found.
+
+        All named effects are regressed out of the residuals before the noise is estimated anew.
+        """
         raw = self.raw_residuals([values])[0]
         derivatives = self._derivatives(values, names)
-        if self.given_variances is None:
-            for _ in range(2):
-                left = raw - self._explained(raw, derivatives)
-                self.variances = self._estimate(left)
-                self._update_whitening(values)
-        if self._move_points(values, raw, derivatives):
-            raw = self.raw_residuals([values])[0]
-            derivatives = self._derivatives(values, names)
+        self.regressors = derivatives
+        self._estimate_noise(raw)
         return Linearisation(dict(values), self.whiten(raw), self.whiten(derivatives), tuple(names))
 
     def whitened(self, candidates):
@@ -110,6 +113,30 @@ class Residuals:
         white = np.moveaxis(self.whiten(np.moveaxis(raw, 0, -1)), -1, 0)
         white[lost] = 1e3
         return white
+
+    def part(self, n_rows):
+        """Return residuals of about so many rows, whole blocks spread over the log, in whitening of their own.
+
+        Parameters
+        ----------
+        n_rows : int
+
+        Returns
+        -------
+        Residuals
+            To compare models with; all of the log where it is short.
+        """
+        if len(self.log) <= 2 * n_rows:
+            return self
+        count = self.blocks[-1] + 1
+        chosen = np.unique(np.linspace(0, count - 1, max(1, round(n_rows * count / len(self.log)))).astype(int))
+        return self._at_rows(np.isin(self.blocks, chosen))
+
+    def _at_rows(self, rows):
+        inner = type(self)(self.simulator, self.log.rows(rows), self.effects.values(), self.deviations)
+        inner.points, inner.steps = self.points[rows], self.steps
+        inner.present = self.present[rows] & inner.present
+        return inner
 
     def derivatives(self, values, names):
         """Return the whitened derivatives (n_rows, n_channels, n_effects) at a model."""
@@ -202,25 +229,24 @@ class Residuals:
         spread = self.simulator.residual(y, np.broadcast_to(y[:1], y.shape)).std(axis=0)
         return (1e-6 * np.where(spread > 0, spread, 1.0)) ** 2
 
-    def _first_variances(self, raw):
-        return np.maximum((1.4826 * np.nanmedian(np.abs(raw[self.present]), axis=0)) ** 2, self.smallest)
+    def _first_variances(self, values):
+        raw = self.raw_residuals([values])[0][self.present]
+        return np.maximum((1.4826 * np.nanmedian(np.abs(raw), axis=0)) ** 2, self.smallest)
 
-    def _estimate(self, left):
-        none = np.zeros((len(left), self.n_channels, self.n_channels))
-        return estimate_variances(
-            left[self.present], none[self.present], 0.0 * left[self.present], smallest=self.smallest
-        )
+    def _estimate_noise(self, raw):
+        if self.given_variances is not None:
+            return
+        for _ in range(2):
+            left = (raw - self._explained(raw, self.regressors))[self.present]
+            none = np.zeros((len(left), self.n_channels, self.n_channels))
+            self._set_variances(estimate_variances(left, none, 0.0 * left, smallest=self.smallest))
+
+    def _set_variances(self, variances):
+        self.variances = variances
 
     def _typical_deviations(self):
         """Standard deviation of each channel's raw residual under a right model."""
         return np.sqrt(self.variances)
-
-    def _update_whitening(self, values):
-        pass
-
-    def _move_points(self, values, raw, derivatives):
-        """Move the points of linearisation to better estimates of the state; return whether they moved."""
-        return False
 
     def whiten(self, columns):
         """Return raw columns (n_rows, n_channels[, k]) in units of the noise; rows without evidence are zero."""
@@ -270,22 +296,61 @@ class TransitionResiduals(Residuals):
     def __init__(self, simulator, log, effects, deviations=None):
         super().__init__(simulator, log, effects, deviations)
         self.chain, self.step = log.chains()
-        self.n_states = len(simulator.state_names)
         self.transitions = np.zeros((len(log), self.n_channels, self.n_channels))
-        self.extra = np.zeros((len(log), self.n_channels))
+        self.curvatures = np.zeros((len(log), self.n_channels, self.n_channels))
         self.noise = np.zeros((len(log), self.n_channels))
+        self.whitener = None
+
+    def settle(self, values):
+        """Smooth the measured states with the model, and differentiate the next state by the state there."""
+        if self.variances is None:
+            self.variances = self._first_variances(values)
+        if self.whitener is None:
+            self._differentiate(values)
+        raw = self.raw_residuals([values])[0]
+        expected = np.median(self._residual_variances(), axis=0)
+        found = (1.4826 * np.nanmedian(np.abs(raw[self.present]), axis=0)) ** 2
+        # What the model misses beyond the noise is no noise of the state: smooth the less, the more it misses.
+        missed = np.where(found > NEGLIGIBLE_MISFIT * expected, found - expected, 0.0)
+        scale = self.deviations
+        noise = self._factorised(missed).smooth(self._padded(np.where(self.present[:, None], raw, 0.0) / scale))
+        noise = np.clip(noise[self.chain, self.step], -FARTHEST_SMOOTHED, FARTHEST_SMOOTHED)
+        self.noise = noise * scale
+        self.points = self.simulator.displace(self.log.X, -self.noise)
+        self._differentiate(values)
+
+    def _at_rows(self, rows):
+        inner = super()._at_rows(rows)
+        inner.noise, inner.transitions = self.noise[rows], self.transitions[rows]
+        inner.curvatures = self.curvatures[rows]
+        inner.whitener = inner._factorised()
+        return inner
 
     def raw_residuals(self, candidates):
+        """Return residuals at the smoothed states, carried to the measured ones to first order."""
         return super().raw_residuals(candidates) - np.einsum("nij,nj->ni", self.transitions, self.noise)
 
-    def _first_variances(self, raw):
+    def _first_variances(self, values):
+        """Estimate the noise from a part of the log, all effects regressed out, at the measured states."""
         spread = np.sqrt(self.smallest) * 1e6
+        if len(self.log) > ROWS_FOR_FIRST_NOISE:
+            part = self.log.rows(np.arange(ROWS_FOR_FIRST_NOISE))
+            inner = TransitionResiduals(self.simulator, part, self.effects.values())
+            variances = inner._first_variances(values)
+            self.steps = inner.steps
+            self.n_simulated_rows += inner.n_simulated_rows
+            return variances
+        raw = self.raw_residuals([values])[0]
         deviation = 1.4826 * np.nanmedian(np.abs(raw[self.present]), axis=0) / np.sqrt(2)
-        return np.maximum(np.minimum(deviation, 0.02 * spread) ** 2, self.smallest)
+        self.variances = np.maximum(np.minimum(deviation, 0.02 * spread) ** 2, self.smallest)
+        self._differentiate(values)
+        self.regressors = self._derivatives(values, self.effects)
+        self._estimate_noise(raw)
+        return self.variances
 
-    def _update_whitening(self, values):
+    def _differentiate(self, values):
         """Differentiate the next state by the state over one standard deviation of noise to both sides."""
-        deviations = np.sqrt(self.variances)
+        deviations = self.deviations
         n, d = len(self.log), self.n_channels
         moved = [self.points]
         for channel in range(d):
@@ -294,30 +359,42 @@ class TransitionResiduals(Residuals):
                 tangent[:, channel] = sign * deviations[channel]
                 moved.append(self.simulator.displace(self.points, tangent))
         stacked = np.concatenate(moved)
-        groups = np.concatenate(
-            [self.log.episodes + copy * self.log.n_episodes for copy in range(len(moved))]
-        )
+        groups = np.concatenate([self.log.episodes + copy * self.log.n_episodes for copy in range(len(moved))])
         self.n_simulated_rows += len(stacked)
-        next_states = self.simulator.predict_many(stacked, [values], groups=groups)[0].reshape(
-            2 * d + 1, n, -1
-        )
+        next_states = self.simulator.predict_many(stacked, [values], groups=groups)[0].reshape(2 * d + 1, n, -1)
         base = next_states[0]
         up = np.stack([self.simulator.residual(one, base) for one in next_states[1::2]], axis=-1)
         down = np.stack([self.simulator.residual(one, base) for one in next_states[2::2]], axis=-1)
-        curvature = np.nan_to_num((up + down) / 2)
         self.transitions = np.nan_to_num((up - down) / (2 * deviations))
-        # For normal noise of deviation s, f'' e^2 / 2 has variance (f'' s^2)^2 / 2, and up + down = f'' s^2.
-        self.extra = 2 * np.sum(curvature**2, axis=-1)
+        self.curvatures = np.nan_to_num((up + down) / deviations**2)
         self.present = self.present & np.isfinite(base).all(axis=-1)
-        self._factorise()
+        self.whitener = self._factorised()
 
-    def _factorise(self):
-        scale = np.sqrt(self.variances)
-        scaled = self.transitions * scale / scale[:, None]
-        self.whitener = block_cholesky(
-            self._padded(scaled),
+    @property
+    def extra(self):
+        """Variance that the curvature of the simulation adds: f'' e^2 / 2 has (f'' s^2)^2 / 2 for normal noise."""
+        return np.sum((self.curvatures * self.variances) ** 2, axis=-1) / 2
+
+    def _set_variances(self, variances):
+        self.variances = variances
+        self.whitener = self._factorised()
+
+    def _estimate_noise(self, raw):
+        if self.given_variances is not None:
+            return
+        rows = self.present
+        for _ in range(2):
+            left = (raw - self._explained(raw, self.regressors))[rows]
+            self._set_variances(
+                estimate_variances(left, self.transitions[rows], self.extra[rows], smallest=self.smallest)
+            )
+
+    def _factorised(self, missed=0.0):
+        scale = self.deviations
+        return block_cholesky(
+            self._padded(self.transitions * scale / scale[:, None]),
             np.ones(self.n_channels),
-            self._padded(self.extra / self.variances),
+            self._padded((self.extra + missed) / self.variances),
             self._padded(self.present),
         )
 
@@ -327,14 +404,9 @@ class TransitionResiduals(Residuals):
         return out
 
     def whiten(self, columns):
-        scale = np.sqrt(self.variances).reshape((-1,) + (1,) * (columns.ndim - 2))
+        """Return raw columns (n_rows, n_channels[, k]) uncorrelated and in units of the noise."""
+        scale = self.deviations.reshape((-1,) + (1,) * (columns.ndim - 2))
         return self.whitener.whiten(self._padded(columns / scale))[self.chain, self.step]
-
-    def _estimate(self, left):
-        rows = self.present
-        return estimate_variances(
-            left[rows], self.transitions[rows], self.extra[rows], smallest=self.smallest
-        )
 
     def unwhiten_adjoint(self, white):
         scale = np.sqrt(self.variances).reshape((-1,) + (1,) * (white.ndim - 2))
@@ -345,15 +417,6 @@ class TransitionResiduals(Residuals):
 
     def _typical_deviations(self):
         return np.sqrt(np.median(self._residual_variances(), axis=0))
-
-    def _move_points(self, values, raw, derivatives):
-        scale = np.sqrt(self.variances)
-        left = np.where(self.present[:, None], raw - self._explained(raw, derivatives), 0.0)
-        noise = self.whitener.smooth(self._padded(left / scale))[self.chain, self.step]
-        self.noise = np.clip(noise, -FARTHEST_SMOOTHED, FARTHEST_SMOOTHED) * scale
-        self.points = self.simulator.displace(self.log.X, -self.noise)
-        self._update_whitening(values)
-        return True
 
 
 def robust_weights(residuals):

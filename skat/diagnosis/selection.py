@@ -14,7 +14,14 @@ CONVERGED = 0.05
 # Effects within this loss quantile of the named one (paired over blocks, one-sided) cannot be told from it.
 ALIAS_LEVEL = 0.05
 # Values tried over an effect's range when the model is far off, in units of the way to each bound.
-GRID = (0.02, 0.06, 0.15, 0.35, 0.7)
+GRID = (0.02, 0.1, 0.4)
+ROWS_OF_GRID = 120
+POLISH_STEPS = 3
+# Of the models refitted side by side, so many go on after so many steps.
+FINALISTS = {2: 5, 4: 3}
+# Loss in noise units beyond which, to first order, a rival is not refitted to see whether it is an alias.
+FAR_APART = 100.0
+NEARLY_PARALLEL = 0.98
 
 
 @dataclass(frozen=True)
@@ -90,20 +97,36 @@ class Selection:
     def run(self):
         """Return the Selected effects."""
         values, history = {}, []
-        line = self.residuals.linearise(values, self.names)
-        while True:
-            values, line = self._polish(values, line)
+        line = self._linearised(values)
+        while len(values) < self.max_effects:
             self.progress("select", len(values), self.max_effects)
-            if len(values) == self.max_effects:
-                break
             added = self._add(values, line)
             if added is None:
                 break
             history.append(added)
-            values = added
-            line = self.residuals.linearise(values, self.names)
+            values, line = self._polished(added)
         values, line = self._prune(values, line)
         return self._result(values, line, history)
+
+    def _linearised(self, values):
+        """Return the linearisation by all effects at a model that noise and smoothed states are adapted to."""
+        self.residuals.settle(values)
+        line = self.residuals.linearise(values, self.names)
+        self._set_scale(line.residuals)
+        return line
+
+    def _polished(self, values):
+        """Return a model at the optimum of its own smoothed states and noise, and its linearisation."""
+        for _ in range(POLISH_STEPS):
+            self.residuals.settle(values)
+            before = values
+            self._set_scale(self.residuals.whitened([values])[0])
+            fit = self.refit([values])[0]
+            values = fit.values
+            errors = np.sqrt(np.diag(self._covariance(values)[1]))
+            if all(abs(values[name] - before[name]) < 0.2 * error for name, error in zip(values, errors)):
+                break
+        return values, self._linearised(values)
 
     # -- one effect more -------------------------------------------------------------------------------------------
 
@@ -111,7 +134,6 @@ class Selection:
         """Return the values of the model with the best further effect, None if no effect is significant."""
         gram = grams(line.residuals, line.derivatives, self.blocks)
         first = screen(gram, line.names, values, self.effects, list(values))
-        self._set_scale(line.residuals)
         misfit = np.median(np.sum(line.residuals**2, axis=-1)) / line.residuals.shape[1]
         best_p = family_p_value(first.p_values.min(), len(self.names))
         if best_p > 0.5 and misfit < 2:
@@ -119,7 +141,7 @@ class Selection:
         starts = self._starts(values, first, misfit)
         if not starts:
             return None
-        fits = self.refit([{**values, **start} for start in starts])
+        fits = self.refit([{**values, **start} for start in starts], race=True)
         order = np.argsort([fit.loss for fit in fits])
         for index in order[:3]:
             fit = fits[index]
@@ -153,18 +175,18 @@ class Selection:
         """Return the best starting values over the whole range of every effect: far off, a derivative misleads."""
         candidates = []
         for name in self.names:
+            effect = self.effects[name]
             if name in values:
                 continue
-            effect = self.effects[name]
+            if effect.neutral == 1 and effect.bounds[0] < 0:
+                candidates += [{name: 0.0}, {name: -1.0}]
             for share in GRID:
                 for bound in effect.bounds:
                     if bound != effect.neutral:
                         candidates.append({name: effect.neutral + share * (bound - effect.neutral)})
-            if effect.neutral == 1 and effect.bounds[0] < 0:
-                candidates += [{name: 0.0}, {name: -1.0}]
-        losses = self._losses([{**values, **candidate} for candidate in candidates])
+        losses = self._coarse_losses([{**values, **candidate} for candidate in candidates])
         best = {}
-        for candidate, loss in zip(candidates, losses.sum(axis=1)):
+        for candidate, loss in zip(candidates, losses):
             (name,) = candidate
             if name not in best or loss < best[name][0]:
                 best[name] = (loss, candidate)
@@ -173,14 +195,20 @@ class Selection:
 
     # -- refits ----------------------------------------------------------------------------------------------------
 
-    def refit(self, models):
-        """Fit the values of several models by damped Gauss-Newton, all side by side, and return their Fits."""
+    def refit(self, models, *, race=False):
+        """Fit the values of several models by damped Gauss-Newton, all side by side, and return their Fits.
+
+        With `race`, only the best go on to the end.
+        """
         current = [dict(model) for model in models]
         damping = np.full(len(models), 1e-4)
         best = [None] * len(models)
         proposals = current
         active = list(range(len(models)))
-        for _ in range(REFIT_STEPS):
+        for step in range(REFIT_STEPS):
+            if race and step in FINALISTS:
+                leaders = np.argsort([one[0].sum() for one in best])[: FINALISTS[step]]
+                active = [m for m in active if m in leaders]
             candidates, places = [], []
             for m in active:
                 places.append(len(candidates))
@@ -260,13 +288,14 @@ class Selection:
             [self.residuals.whitened(candidates[i : i + 32]) for i in range(0, len(candidates), 32)]
         )
 
-    def _losses(self, candidates):
-        return np.concatenate(
-            [
-                np.stack([self._block_losses(one) for one in self.residuals.whitened(candidates[i : i + 32])])
-                for i in range(0, len(candidates), 32)
-            ]
-        )
+    def _coarse_losses(self, candidates):
+        """Return the sums of losses of many models over a part of the rows, spread over the log."""
+        part = self.residuals.part(ROWS_OF_GRID)
+        losses = []
+        for i in range(0, len(candidates), 64):
+            sizes = np.sum(part.whitened(candidates[i : i + 64]) ** 2, axis=-1)
+            losses.append(np.sum(self._loss(sizes), axis=-1))
+        return np.concatenate(losses)
 
     def _set_scale(self, residuals):
         """Fix the size beyond which a row's residual counts linearly, for all models compared with each other."""
@@ -279,27 +308,10 @@ class Selection:
         return np.sqrt(np.minimum(1.0, self.cut / np.maximum(np.sum(residuals**2, axis=-1), 1e-300)))
 
     def _block_losses(self, residuals):
-        sizes = np.sum(residuals**2, axis=-1)
-        losses = np.where(sizes <= self.cut, sizes, 2 * np.sqrt(self.cut * sizes) - self.cut)
-        return np.add.reduceat(losses, self.starts)
+        return np.add.reduceat(self._loss(np.sum(residuals**2, axis=-1)), self.starts)
 
-    def _polish(self, values, line):
-        """Bring the model to the optimum of its own linearisation, with noise and whitening brought up to date."""
-        if not values:
-            return values, line
-        for _ in range(3):
-            self._set_scale(line.residuals)
-            inside = [line.names.index(name) for name in values]
-            gram = grams(
-                line.residuals, line.derivatives[..., inside], self.blocks, self._weights(line.residuals)
-            )
-            information, score = gram.information.sum(axis=0), gram.scores.sum(axis=0)
-            _, size = self._step(values, information, score, 0.0)
-            if size < 0.2:
-                break
-            values = self.refit([values])[0].values
-            line = self.residuals.linearise(values, self.names)
-        return values, line
+    def _loss(self, sizes):
+        return np.where(sizes <= self.cut, sizes, 2 * np.sqrt(self.cut * sizes) - self.cut)
 
     # -- decisions -------------------------------------------------------------------------------------------------
 
@@ -332,13 +344,10 @@ class Selection:
             if p_values[worst] < self.alpha:
                 break
             kept = {name: value for name, value in values.items() if name != worst}
-            values = self.refit([kept])[0].values if kept else {}
-            line = self.residuals.linearise(values, self.names)
-            values, line = self._polish(values, line)
+            values, line = self._polished(self.refit([kept])[0].values) if kept else ({}, self._linearised({}))
         return values, line
 
     def _result(self, values, line, history):
-        self._set_scale(line.residuals)
         gram = grams(line.residuals, line.derivatives, self.blocks)
         if not values:
             return Selected({}, {}, {}, {}, line, gram, history)
@@ -364,7 +373,7 @@ class Selection:
         """Return for each named effect those that, put in its place and refitted, explain the log as well."""
         self.progress("aliases", 0, len(values))
         derivatives = line.derivatives.reshape(-1, len(line.names))
-        fit = Fit(values, self._losses([values])[0])
+        fit = Fit(values, self._block_losses(self.residuals.whitened([values])[0]))
         aliases = {}
         for done, name in enumerate(values):
             others = [line.names.index(other) for other in values if other != name]

@@ -3,7 +3,7 @@
 import numpy as np
 
 from skat.diagnosis.open_loop import Episodes
-from skat.diagnosis.residuals import Linearisation, Residuals
+from skat.diagnosis.residuals import Residuals
 
 
 class TrajectoryResiduals(Residuals):
@@ -33,18 +33,17 @@ class TrajectoryResiduals(Residuals):
     def n_channels(self):
         return int(self.episodes.measured.sum())
 
-    def linearise(self, values, names):
+    def settle(self, values):
+        """Fit the initial states to the model."""
         if self.variances is None:
             raw = self.episodes.residuals([values])[0]
             self.variances = np.maximum(raw.var(axis=0), self.smallest)
-        for _ in range(2):
-            self.initial = self.episodes.fit_initial_states(values, self.deviations)
-            steps = 1e-4 * self._spread()
-            raw, self.nuisance = self.episodes.sensitivities(values, self.initial, steps)
-            derivatives = self._derivatives(values, names)
-            if self.given_variances is None:
-                self._update_noise(raw, derivatives)
-        return Linearisation(dict(values), self.whiten(raw), self.whiten(derivatives), tuple(names))
+        self.initial = self.episodes.fit_initial_states(values, self.deviations)
+        _, self.nuisance = self.episodes.sensitivities(values, self.initial, 1e-4 * self._spread())
+
+    def part(self, n_rows):
+        """Return all of the log: a trajectory is compared whole."""
+        return self
 
     def raw_residuals(self, candidates):
         self.n_simulated_rows += len(self.log) * len(candidates)
@@ -62,12 +61,14 @@ class TrajectoryResiduals(Residuals):
     def _smallest_variances(self):
         return (1e-6 * self._spread()[self.episodes.measured]) ** 2
 
-    def _update_noise(self, raw, derivatives):
+    def _estimate_noise(self, raw):
         """Estimate variance and correlation of what neither initial states nor all effects explain."""
-        left = raw - self._explained(raw, derivatives)
+        if self.given_variances is not None:
+            return
+        left = raw - self._explained(raw, self.regressors)
         left = self._without_initial_states(left[..., None], self.nuisance)[..., 0]
         lost = self.log.n_episodes * len(self.episodes.measured) / self.n_channels
-        lost += min(derivatives.shape[-1], max(1, left.size // 10)) / self.n_channels
+        lost += min(self.regressors.shape[-1], max(1, left.size // 10)) / self.n_channels
         share = max(1 - lost / len(left), 0.1)
         self.variances = np.maximum(np.mean(left**2, axis=0) / share, self.smallest)
         follows = np.flatnonzero(np.diff(self.log.episodes) == 0)

@@ -1,0 +1,319 @@
+"""The paper's hockey puck: eleven simulations against two pucks that were "measured" in worlds of their own.
+
+The recordings of the paper's authors are not public. What stands in for them is simulated, by `make_real_puck`.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from sklearn.utils import check_random_state
+
+from skat.datasets import make_real_puck
+from skat.experiments.methods import DIAGNOSIS, METHODS, chosen_methods, fitted_transport, of_repeat
+from skat.experiments.scores import covariance_error, pointwise_errors
+from skat.metrics import affinity_score
+from skat.simulators import make_simulator
+
+PUCKS = ("blue", "red")
+SIMULATIONS = (
+    "isotr_low",
+    "isotr_lowmed",
+    "isotr_med",
+    "isotr_medhi",
+    "isotr_high",
+    "isotr_low_offc",
+    "isotr_high_offc",
+    "heavy_anisotr_lowx",
+    "heavy_anisotr_lowy",
+    "low_anisotr_lowx",
+    "low_anisotr_lowy",
+)
+CONTEXT = 2
+CURVE_METHODS = (
+    "affine",
+    "affine_shrunk",
+    "procrustes_whitened",
+    "conditional",
+    "least_squares",
+    "target_only",
+)
+SIZES = (8, 12, 20, 35, 60, 100, 200)
+
+
+@dataclass(frozen=True, eq=False)
+class Strikes:
+    """The same strikes of a real puck and of simulated ones.
+
+    Attributes
+    ----------
+    z : ndarray of shape (n_strikes, 2)
+        Strikes, standard normal.
+    measured : ndarray of shape (n_strikes, 2)
+        Where the puck came to rest, m.
+    simulated : dict of str to ndarray of shape (n_strikes, 2)
+        The same by simulation.
+    """
+
+    z: np.ndarray
+    measured: np.ndarray
+    simulated: dict[str, np.ndarray]
+
+    def source_rows(self, simulation):
+        """Return rows (z0, z1, x, y) of a simulation."""
+        return np.hstack([self.z, self.simulated[simulation]])
+
+    @property
+    def target_rows(self):
+        """Rows (z0, z1, x, y) as measured."""
+        return np.hstack([self.z, self.measured])
+
+
+def strike_pucks(puck, *, n_strikes, simulations=SIMULATIONS, random_state=0):
+    """Strike a real puck, and every simulated one in the same way.
+
+    Parameters
+    ----------
+    puck : {"blue", "red"}
+    n_strikes : int
+    simulations : sequence of str
+        Conditions of ``make_simulator("puck")``.
+    random_state : int, RandomState instance or None, default=0
+
+    Returns
+    -------
+    Strikes
+    """
+    rng = check_random_state(random_state)
+    z = rng.standard_normal((n_strikes, 2))
+    measured = make_real_puck(puck, z, random_state=rng)
+    return Strikes(
+        z, measured, {name: make_simulator("puck", condition=name).predict(z) for name in simulations}
+    )
+
+
+def repeated_strikes_error(puck, *, n_strikes=10, n_repeats=20, random_state=0):
+    """Return how far a puck comes to rest from where the same strike sends it on average.
+
+    No prediction from the strike does better.
+
+    Parameters
+    ----------
+    puck : {"blue", "red"}
+    n_strikes, n_repeats : int
+        Different strikes, and times that each is repeated.
+    random_state : int, RandomState instance or None, default=0
+
+    Returns
+    -------
+    float
+        Mean distance, m.
+    """
+    rng = check_random_state(random_state)
+    z = np.repeat(rng.standard_normal((n_strikes, 2)), n_repeats, axis=0)
+    places = make_real_puck(puck, z, random_state=rng).reshape(n_strikes, n_repeats, 2)
+    distances = np.linalg.norm(places - places.mean(axis=1, keepdims=True), axis=2)
+    # The mean of the repeats leans towards each of them.
+    return float(distances.mean() * np.sqrt(n_repeats / (n_repeats - 1)))
+
+
+def puck_table(
+    *,
+    pucks=PUCKS,
+    simulations=SIMULATIONS,
+    methods=None,
+    n_strikes=100,
+    random_state=0,
+    n_repeats=5,
+    n_test=300,
+    progress=None,
+):
+    """Carry eleven simulations of a struck puck onto two real ones, by every method.
+
+    Rows are (z0, z1, x, y): the strike, standard normal, and the resting place in m. Maps act on whole rows.
+    The recordings of the paper's authors are not public: the "real" pucks are simulated in worlds of their own,
+    see `skat.datasets.make_real_puck`.
+
+    Parameters
+    ----------
+    pucks : sequence of {"blue", "red"}
+    simulations : sequence of str
+        Conditions of ``make_simulator("puck")``.
+    methods : list of str, or dict of str to transport, default=None
+        Names of methods, or transports of your own. None: all. Slow ones, the exact transport and the diagnosis,
+        run in the first repeat only.
+    n_strikes : int, default=100
+        Strikes to fit on. Methods whose name has "disjoint" see one half simulated and the other half measured.
+    random_state : int, RandomState instance or None, default=0
+    n_repeats : int, default=5
+        Times that each method is fitted to new strikes; the table has means.
+    n_test : int, default=300
+        Other strikes, which all errors are measured on.
+    progress : callable, default=None
+        Called with (stage, done, total).
+
+    Returns
+    -------
+    DataFrame
+        A row for each puck, simulation and method:
+
+        - error_before, error_after: mean distance, m, of the simulated and of the carried resting place from
+          the measured one (the paper's "Sim Error" and "Sim2Real Error");
+        - error_before_spread, error_after_spread: standard deviation of that distance over strikes (the
+          paper's figure after the sign ±);
+        - rho: affinity score of carried and measured resting places, of all the strikes tested;
+        - rho_rows: the same of whole rows. The strike has no unit and is the same on both sides, so that this
+          score is the higher, the wider strikes are scattered;
+        - covariance_error: Frobenius distance between their covariances, over the norm of the latter's;
+        - noise: mean distance of repeated strikes from their mean, m; no prediction does better;
+        - error_after_std, rho_std: standard deviation over repeats (NaN for one).
+
+    Raises
+    ------
+    ValueError
+        If there is no such puck, simulation or method.
+
+    References
+    ----------
+    .. [1] Mallasto et al. (2021). Affine Transport for Sim-to-Real Domain Adaptation. Table II.
+    """
+    chosen = chosen_methods(methods, (*METHODS, DIAGNOSIS))
+    rng = check_random_state(random_state)
+    report = progress or _silent
+    records = []
+    n_steps = len(pucks) * len(simulations) * n_repeats
+    for number, puck in enumerate(pucks):
+        report("striking", number, len(pucks))
+        noise = repeated_strikes_error(puck, random_state=rng)
+        strikes = strike_pucks(
+            puck, n_strikes=n_strikes * n_repeats + n_test, simulations=simulations, random_state=rng
+        )
+        report("striking", number + 1, len(pucks))
+        tested = np.arange(n_strikes * n_repeats, len(strikes.z))
+        for place, simulation in enumerate(simulations):
+            for repeat in range(n_repeats):
+                report("carrying", (number * len(simulations) + place) * n_repeats + repeat, n_steps)
+                fitted = np.arange(repeat * n_strikes, (repeat + 1) * n_strikes)
+                measures = _compared(strikes, simulation, of_repeat(chosen, repeat), fitted, tested, rng)
+                records += [
+                    {"puck": puck, "simulation": simulation, **row, "noise": noise} for row in measures
+                ]
+    report("carrying", n_steps, n_steps)
+    groups = pd.DataFrame(records).groupby(["puck", "simulation", "method"], sort=False)
+    deviations = groups[["error_after", "rho"]].std().add_suffix("_std")
+    return groups.mean().join(deviations).reset_index()
+
+
+def puck_learning_curve(
+    *,
+    puck="blue",
+    simulations=SIMULATIONS,
+    methods=CURVE_METHODS,
+    sizes=SIZES,
+    random_state=0,
+    n_repeats=20,
+    n_test=300,
+    progress=None,
+):
+    """Carry simulations of a struck puck onto a real one, with more and more strikes to fit on.
+
+    Rows are as for `puck_table`, and so is what stands in for the real puck.
+
+    Parameters
+    ----------
+    puck : {"blue", "red"}
+    simulations : sequence of str
+        Conditions of ``make_simulator("puck")``.
+    methods : list of str, or dict of str to transport
+        Names of methods, or transports of your own.
+    sizes : sequence of int
+        Numbers of strikes to fit on.
+    random_state : int, RandomState instance or None, default=0
+    n_repeats : int, default=20
+        Times that each method is fitted to other strikes of that number, drawn from twice the largest number.
+    n_test : int, default=300
+        Other strikes, which all errors are measured on.
+    progress : callable, default=None
+        Called with (stage, done, total).
+
+    Returns
+    -------
+    DataFrame
+        A row for each puck, simulation, method and n_strikes: error_before, error_after (mean distance, m),
+        error_after_std (standard deviation over repeats; the paper's figure shades twice that) and rho, as in `puck_table`.
+
+    Raises
+    ------
+    ValueError
+        If there is no such puck, simulation or method.
+
+    References
+    ----------
+    .. [1] Mallasto et al. (2021). Affine Transport for Sim-to-Real Domain Adaptation. The learning curve.
+    """
+    chosen = chosen_methods(methods, CURVE_METHODS)
+    rng = check_random_state(random_state)
+    report = progress or _silent
+    report("striking", 0, 1)
+    pool = 2 * max(sizes)
+    strikes = strike_pucks(puck, n_strikes=pool + n_test, simulations=simulations, random_state=rng)
+    report("striking", 1, 1)
+    tested = np.arange(pool, pool + n_test)
+    records = []
+    n_steps = len(sizes) * n_repeats
+    for place, size in enumerate(sizes):
+        for repeat in range(n_repeats):
+            report("carrying", place * n_repeats + repeat, n_steps)
+            fitted = rng.permutation(pool)[:size]
+            for simulation in simulations:
+                measures = _compared(strikes, simulation, chosen, fitted, tested, rng)
+                records += [
+                    {"puck": puck, "simulation": simulation, "n_strikes": size, **row} for row in measures
+                ]
+    report("carrying", n_steps, n_steps)
+    groups = pd.DataFrame(records).groupby(["puck", "simulation", "method", "n_strikes"], sort=False)
+    means = groups[["error_before", "error_after", "rho"]].mean()
+    return means.join(groups[["error_after"]].std().add_suffix("_std")).reset_index()
+
+
+def _compared(strikes, simulation, chosen, fitted, tested, rng):
+    """Return the measures of each method for one simulation."""
+    source_rows, target_rows = strikes.source_rows(simulation), strikes.target_rows
+    expected = target_rows[tested]
+    before = pointwise_errors(source_rows[tested], expected, CONTEXT)
+    records = []
+    for name, method in chosen.items():
+        if method is None:
+            carried = _diagnosed(strikes, simulation, fitted, tested, rng)
+        else:
+            transport = fitted_transport(method, source_rows[fitted], target_rows[fitted], CONTEXT)
+            carried = transport.transform(source_rows[tested])
+        after = pointwise_errors(carried, expected, CONTEXT)
+        records.append(
+            {
+                "method": name,
+                "error_before": before.mean(),
+                "error_before_spread": before.std(),
+                "rho": affinity_score(carried[:, CONTEXT:], expected[:, CONTEXT:]),
+                "rho_rows": affinity_score(carried, expected),
+                "error_after": after.mean(),
+                "error_after_spread": after.std(),
+                "covariance_error": covariance_error(carried, expected),
+            }
+        )
+    return records
+
+
+def _diagnosed(strikes, simulation, fitted, tested, rng):
+    """Return the tested rows as the simulation predicts them once the measured strikes extended it."""
+    from skat.diagnosis import SimulationDiagnosis
+
+    diagnosis = SimulationDiagnosis(
+        make_simulator("puck", condition=simulation), test_size=0, random_state=rng.randint(2**31)
+    )
+    diagnosis.fit(strikes.z[fitted], strikes.measured[fitted])
+    return np.hstack([strikes.z[tested], diagnosis.extended_simulator_.predict(strikes.z[tested])])
+
+
+def _silent(stage, done, total):
+    """Report to nobody."""

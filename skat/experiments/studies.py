@@ -1,0 +1,230 @@
+"""A diagnosis with its test on data that it did not use, for the data sets of skat and a user's log."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from skat.datasets import (
+    ball_drop_simulator,
+    cube_toss_simulator,
+    fetch_ball_drops,
+    fetch_cube_tosses,
+    make_hidden_puck,
+    split_episodes,
+)
+from skat.datasets.ball_drops import BALLS
+from skat.diagnosis import Gain, SimulationDiagnosis, compare_transports
+from skat.simulators import make_simulator
+
+
+@dataclass(frozen=True)
+class Study:
+    """A diagnosis, and what it gains on data that it did not use.
+
+    Attributes
+    ----------
+    title : str
+        What was measured.
+
+    diagnosis : SimulationDiagnosis
+        Fitted.
+
+    gain : Gain
+        Measured on the data set aside.
+
+    error_name : str
+        What the numbers of `gain` are, with their unit.
+
+    errors : DataFrame
+        Columns method and error: the error of one step on the data set aside, for the simulation, for maps
+        that carry its output onto the measurement, and for the extended simulation.
+
+    truth : str or None
+        What differed between the simulation and the measured world, where that is known.
+    """
+
+    title: str
+    diagnosis: SimulationDiagnosis
+    gain: Gain
+    error_name: str
+    errors: pd.DataFrame
+    truth: str | None = None
+
+
+def study_hidden_puck(*, random_state=0, progress=None, **parameters):
+    """Diagnose the puck simulator on shots "measured" in a world that differs from it.
+
+    Parameters
+    ----------
+    random_state : int, default=0
+        Seed of the strikes, the noise and the diagnosis.
+
+    progress : callable, default=None
+        Called with (stage, done, total) as the work proceeds.
+
+    **parameters : dict
+        Further parameters of `SimulationDiagnosis`.
+
+    Returns
+    -------
+    Study
+        With the gain on as many shots again.
+    """
+    shots = make_hidden_puck(random_state=random_state)
+    fit, test = split_episodes(shots, test_size=0.5, random_state=random_state)
+    return _study(
+        "Puck shots",
+        make_simulator("puck"),
+        fit,
+        test,
+        random_state,
+        progress,
+        truth=shots.truth_sentence,
+        **parameters,
+    )
+
+
+def study_ball_drops(balls=None, *, data_home=None, random_state=0, progress=None, **parameters):
+    """Diagnose free fall on drop 1 of each ball, and measure the gain on drop 2.
+
+    Parameters
+    ----------
+    balls : sequence of str, default=None
+        Names of balls. None means all.
+
+    data_home, random_state, progress, **parameters
+        See `fetch_ball_drops` and `SimulationDiagnosis`.
+
+    Returns
+    -------
+    dict of str to Study
+        By ball. The gain is on the trajectory in m, start height and speed fitted for both models.
+    """
+    balls = list(BALLS) if balls is None else list(balls)
+    fetch_ball_drops(balls, data_home=data_home)
+    studies = {}
+    for done, ball in enumerate(balls):
+        if progress is not None:
+            progress("balls", done, len(balls))
+        first, second = (fetch_ball_drops(ball, drops=drop, data_home=data_home) for drop in (1, 2))
+        studies[ball] = _study(
+            ball,
+            ball_drop_simulator(ball),
+            first,
+            second,
+            random_state,
+            progress,
+            evaluation={"horizon": "episode", "initial_state": "fitted"},
+            error_name="trajectory error, m",
+            **parameters,
+        )
+    return studies
+
+
+def ball_drop_table(studies):
+    """Return one row for each ball: what was named, and the trajectory error on the drop not used.
+
+    Parameters
+    ----------
+    studies : dict of str to Study
+        As `study_ball_drops` returns them.
+
+    Returns
+    -------
+    DataFrame
+        Columns ball, cause, value, unit, aliases, nominal, extended, times smaller.
+    """
+    rows = []
+    for ball, study in studies.items():
+        causes = study.diagnosis.causes_
+        rows.append(
+            {
+                "ball": ball,
+                "cause": ", ".join(cause.name for cause in causes) or "-",
+                "value": ", ".join(f"{cause.value:.3g} {cause.unit}" for cause in causes),
+                "aliases": ", ".join(alias for cause in causes for alias in cause.aliases),
+                "nominal": study.gain.nominal,
+                "extended": study.gain.extended,
+                "times smaller": study.gain.ratio,
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def study_cube_tosses(*, n_fit=20, n_test=50, data_home=None, random_state=0, progress=None, **parameters):
+    """Diagnose a default cube on some tosses, and measure the gain on others.
+
+    Parameters
+    ----------
+    n_fit, n_test : int
+        Numbers of tosses, drawn at random from the 570.
+
+    data_home, random_state, progress, **parameters
+        See `fetch_cube_tosses` and `SimulationDiagnosis`.
+
+    Returns
+    -------
+    Study
+        The gain is on the trajectory from the measured first state.
+    """
+    drawn = np.random.default_rng(random_state).permutation(570)[: n_fit + n_test]
+    fit, test = (
+        fetch_cube_tosses(np.sort(part), data_home=data_home) for part in (drawn[:n_fit], drawn[n_fit:])
+    )
+    return _study(
+        f"Cube tosses ({n_fit} to fit, {n_test} others to test)",
+        cube_toss_simulator(),
+        fit,
+        test,
+        random_state,
+        progress,
+        evaluation={"horizon": "episode", "outputs": [f"qpos.cube.{axis}" for axis in "xyz"]},
+        error_name="trajectory error of the centre, m",
+        **parameters,
+    )
+
+
+def study_log(log, *, test_size=0.3, random_state=0, progress=None, **parameters):
+    """Diagnose a log's simulator on a part of the log, and measure the gain on the rest.
+
+    Parameters
+    ----------
+    log : Bunch
+        As `load_log` returns it.
+
+    test_size : float, default=0.3
+        Part of the log that measures the gain.
+
+    random_state, progress, **parameters
+        See `SimulationDiagnosis`.
+
+    Returns
+    -------
+    Study
+        The gain is in one-step errors, in units of the noise.
+    """
+    fit, test = split_episodes(log, test_size=test_size, random_state=random_state)
+    return _study("Log", log.simulator, fit, test, random_state, progress, **parameters)
+
+
+def _study(
+    title,
+    simulator,
+    fit,
+    test,
+    random_state,
+    progress,
+    *,
+    evaluation: dict[str, Any] | None = None,
+    error_name="squared error of one step, in units of the noise",
+    truth=None,
+    **parameters,
+):
+    parameters = {"hidden": fit.get("hidden", ()), **parameters}
+    diagnosis = SimulationDiagnosis(simulator, test_size=0, random_state=random_state, **parameters)
+    diagnosis.fit(fit.data, fit.target, groups=fit.get("groups"), progress=progress)
+    gain = diagnosis.evaluate(test.data, test.target, test.get("groups"), **(evaluation or {}))
+    errors = compare_transports(diagnosis, fit.data, fit.target, test.data, test.target)
+    return Study(title, diagnosis, gain, error_name, errors, truth)
