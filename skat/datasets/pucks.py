@@ -13,20 +13,6 @@ A stick strikes a puck, which slides and comes to rest. `data` holds the command
 that differs from the simulator (`truth`, `truth_sentence`), and 0.01 m of noise on each axis.
 """
 
-DESCR_REAL = """\
-Real puck: shots of one of two hockey pucks that stand for real ones, simulated
-
-The recordings of the authors' pucks are not public. `data` holds the commands (z0, z1) of the strikes,
-`target` where the puck came to rest, in m, with 0.05 m of noise on each axis.
-"""
-
-_COLUMNS = {
-    "groups": None,
-    "feature_names": ["z0", "z1"],
-    "target_names": ["x", "y"],
-    "units": {"z0": "", "z1": "", "x": "m", "y": "m"},
-}
-
 
 def make_hidden_puck(n_shots=120, *, effect=None, random_state=None):
     """Strike a puck in a world that hides something from the simulator.
@@ -95,7 +81,10 @@ def make_hidden_puck(n_shots=120, *, effect=None, random_state=None):
         truth=dict(truth),
         truth_sentence=sentence,
         DESCR=DESCR,
-        **_COLUMNS,
+        groups=None,
+        feature_names=["z0", "z1"],
+        target_names=["x", "y"],
+        units={"z0": "", "z1": "", "x": "m", "y": "m"},
     )
 
 
@@ -119,9 +108,8 @@ def make_real_puck(colour, z, *, random_state=None):
 
     Returns
     -------
-    Bunch
-        With data (the commands z), target (the resting places x, y in m), groups (None: shots are independent),
-        feature_names, target_names, units and DESCR.
+    ndarray of shape (n_shots, 2)
+        Resting places x, y in m.
 
     Raises
     ------
@@ -136,7 +124,7 @@ def make_real_puck(colour, z, *, random_state=None):
     Examples
     --------
     >>> from skat.datasets import make_real_puck
-    >>> make_real_puck("blue", [[0.0, 0.0]], random_state=0).target.shape
+    >>> make_real_puck("blue", [[0.0, 0.0]], random_state=0).shape
     (1, 2)
     """
     if colour not in REAL:
@@ -144,5 +132,4 @@ def make_real_puck(colour, z, *, random_state=None):
     z = check_array(z, dtype=np.float64)
     if z.shape[1] != 2:
         raise ValueError(f"z has {z.shape[1]} columns; expected two, z0 and z1.")
-    places = shoot(REAL[colour], z, check_random_state(random_state))
-    return Bunch(data=z, target=places, DESCR=DESCR_REAL, **_COLUMNS)
+    return shoot(REAL[colour], z, check_random_state(random_state))
