@@ -88,7 +88,7 @@ def test_help_names_the_commands():
 def test_help_loads_nothing_heavy():
     code = (
         "import sys\nfrom skat.cli import app\n"
-        "heavy = {'mujoco', 'matplotlib', 'pandas', 'ot', 'gymnasium'}\n"
+        "heavy = {'mujoco', 'matplotlib', 'ot', 'gymnasium'}\n"
         "assert not heavy & set(sys.modules), heavy & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
