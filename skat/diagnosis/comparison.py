@@ -1,7 +1,7 @@
 """How far maps learned from data alone come beside the named causes: a ceiling of what could be explained."""
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -175,7 +175,7 @@ class _Rows:
     measured: np.ndarray
     nominal: np.ndarray
     extended: np.ndarray
-    difference: object
+    difference: Callable
     channels: tuple
     blocks: np.ndarray
     n_lost: int
@@ -260,7 +260,7 @@ def _trajectory_rows(diagnosis, log, what):
         paths.append(one.residuals([{}], one.fit_initial_states({}, diagnosis.noise_))[0])
     reference = np.broadcast_to(log.y[:1], log.y.shape)
     measured = diagnosis.simulator.residual(log.y, reference)[:, episodes.measured]
-    there = _there(*paths, what)
+    there = _there(paths[0], paths[1], what)
     inputs = np.column_stack([log.steps, episodes.inputs[episodes.place]])[there]
     measured, nominal, extended = (
         measured[there],
@@ -293,7 +293,7 @@ def _lost_note(rows):
 
 
 def _source_outputs(fitted, random_state):
-    """Return simulated outputs to fit on, with noise where they vary in fewer directions than measured ones."""
+    """Return simulated outputs to fit on, with noise where they vary in fewer directions than measured."""
     source = _rank(np.column_stack([fitted.inputs, fitted.nominal]))
     target = _rank(np.column_stack([fitted.inputs, fitted.measured]))
     if source >= target:
