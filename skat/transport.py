@@ -54,7 +54,7 @@ class AffineTransport(MomentTransport):
         With ``covariance="shrunk"``: from 0 (the target's own covariance) to 1 (the source's).
     n_features_in_ : int
         Number of columns.
-    feature_names_in_ : ndarray of shape (n_features_in_,)
+    feature_names_in_ : ndarray of shape (n_features,)
         Names of the columns, where `X` has them.
 
     References
