@@ -276,7 +276,7 @@ class Simulator(BaseEstimator, ABC):
         channels = self.state_names or self.output_names
         return (
             *(
-                Effect(f"bias[{name}]", unit=self._unit(name), neutral=0.0, bounds=(-1e3, 1e3))
+                Effect(f"bias[{name}]", unit=f"unit of {name}", neutral=0.0, bounds=(-1e3, 1e3))
                 for name in channels
             ),
             *(Effect(f"scale[{name}]", unit="1", neutral=1.0, bounds=(0.1, 10.0)) for name in channels),

@@ -64,17 +64,18 @@ CONDITIONS = (
     "isotr_high_offc",
     *(f"{degree}_anisotr_low{axis}" for degree in ANISOTROPY for axis in "xy"),
 )
-EFFECTS_OF_MODEL = (
-    "mass[puck]",
-    "tilt[x]",
-    "tilt[y]",
-    "wind[x]",
-    "wind[y]",
-    "air_drag[all]",
-    "contact_friction[slide]",
-    "contact_friction[hit]",
-    "contact_anisotropy[slide]",
-    "restitution[hit]",
+# With bounds within which the puck comes to rest; None: those of the model.
+EFFECTS_OF_MODEL: tuple[tuple[str, tuple[float, float] | None], ...] = (
+    ("mass[puck]", None),
+    ("tilt[x]", (-0.08, 0.08)),
+    ("tilt[y]", (-0.08, 0.08)),
+    ("wind[x]", (-0.12, 0.12)),
+    ("wind[y]", (-0.12, 0.12)),
+    ("air_drag[all]", None),
+    ("contact_friction[slide]", (0.2, 10.0)),
+    ("contact_friction[hit]", None),
+    ("contact_anisotropy[slide]", (0.2, 5.0)),
+    ("restitution[hit]", None),
 )
 
 
@@ -197,10 +198,10 @@ def make_puck(condition: str) -> PuckSimulator:
 def _puck_effects(world: MujocoSimulator) -> tuple[Effect, ...]:
     effects = {effect.name: effect for effect in world.all_effects()}
     gain = Effect("gain[stick]", unit="1", neutral=1.0, bounds=(0.2, 3.0))
-    tilts = {name: replace(effects[name], bounds=(-0.08, 0.08)) for name in ("tilt[x]", "tilt[y]")}
-    winds = {name: replace(effects[name], bounds=(-0.12, 0.12)) for name in ("wind[x]", "wind[y]")}
-    chosen = {name: effects[name] for name in EFFECTS_OF_MODEL} | tilts | winds
-    return (*chosen.values(), gain)
+    chosen = (
+        replace(effects[name], bounds=bounds or effects[name].bounds) for name, bounds in EFFECTS_OF_MODEL
+    )
+    return (*chosen, gain)
 
 
 def _at_rest(qpos: Array, qvel: Array) -> np.ndarray:

@@ -69,9 +69,19 @@ def test_columns_have_the_names_of_mujoco(bot):
 
 
 def test_unnamed_elements_have_names():
-    text = """<mujoco><worldbody><body><joint type="slide"/><geom size=".1"/><body pos="1 0 0"><joint/><geom size=".1"/>
-    </body></body></worldbody><actuator><motor joint="arm"/><motor joint="arm"/></actuator></mujoco>"""
-    simulator = MujocoSimulator(text.replace("<joint/>", '<joint name="arm"/>'))
+    simulator = MujocoSimulator(
+        """
+        <mujoco>
+          <worldbody>
+            <body>
+              <joint type="slide"/><geom size=".1"/>
+              <body pos="1 0 0"><joint name="arm"/><geom size=".1"/></body>
+            </body>
+          </worldbody>
+          <actuator><motor joint="arm"/><motor joint="arm"/></actuator>
+        </mujoco>
+        """
+    )
     assert simulator.input_names == (
         "qpos.joint0", "qpos.arm", "qvel.joint0", "qvel.arm", "ctrl.actuator0", "ctrl.actuator1",
     )  # fmt: skip
@@ -225,8 +235,8 @@ def test_assets_and_included_files_travel_with_the_simulator(tmp_path):
 IN_MJCF = {
     "mass[leg]": 1.3, "length[leg]": 1.1, "centre_of_mass[trunk.x]": 0.02, "gravity": 0.9, "tilt[x]": 0.1,
     "damping[slider]": 0.5, "dry_friction[slider]": 0.2, "armature[slider]": 0.1, "stiffness[slider]": 20.0,
-    "gain[slider]": 0.7, "contact_friction[leg]": 0.6, "contact_anisotropy[all]": 1.4, "restitution[all]": 0.8,
-    "timestep": 0.5,
+    "gain[slider]": 0.7, "contact_friction[leg]": 0.6, "contact_anisotropy[all]": 1.4,
+    "restitution[all]": 0.8, "timestep": 0.5,
 }  # fmt: skip
 
 
