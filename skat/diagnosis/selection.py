@@ -209,6 +209,8 @@ class Selection:
             if race and step in FINALISTS:
                 leaders = np.argsort([one[0].sum() for one in best])[: FINALISTS[step]]
                 active = [m for m in active if m in leaders]
+                if not active:
+                    break
             candidates, places = [], []
             for m in active:
                 places.append(len(candidates))
