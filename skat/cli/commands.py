@@ -262,7 +262,9 @@ def _show(study, report):
         print_line(f"  {cause.sentence}")
     if diagnosis.causes_:
         console.print(table_of(_causes(diagnosis.causes_)))
-    console.print(table_of(study.errors, title="One-step error on data not used"))
+    console.print(
+        table_of(study.errors[["method", "error", "ratio", "note"]], title="One-step error on data not used")
+    )
     print_line(
         f"{study.error_name}, on data not used: {gain.nominal:.3g} before, {gain.extended:.3g} after, "
         f"{gain.ratio:.3g} times smaller"

@@ -226,5 +226,14 @@ def _study(
     diagnosis = SimulationDiagnosis(simulator, test_size=0, random_state=random_state, **parameters)
     diagnosis.fit(fit.data, fit.target, groups=fit.get("groups"), progress=progress)
     gain = diagnosis.evaluate(test.data, test.target, test.get("groups"), **(evaluation or {}))
-    errors = compare_transports(diagnosis, fit.data, fit.target, test.data, test.target)
+    errors = compare_transports(
+        diagnosis,
+        fit.data,
+        fit.target,
+        test.data,
+        test.target,
+        groups_fit=fit.get("groups"),
+        groups_test=test.get("groups"),
+        random_state=random_state,
+    )
     return Study(title, diagnosis, gain, error_name, errors, truth)
