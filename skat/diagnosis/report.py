@@ -1,8 +1,79 @@
 """The findings of a diagnosis as text and as a page."""
 
+import copy
+import warnings
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from skat.diagnosis.comparison import EXTENDED, NOMINAL, ceiling_sentence, compare_transports, is_beaten
+from skat.diagnosis.findings import Gain
+from skat.diagnosis.log import Log, check_log
+from skat.diagnosis.report_figures import cause_picture, log_pictures
+
+TEMPLATE = "report.html.jinja"
+# Longer tables are folded away.
+LONGEST_TABLE = 15
+LONGEST_REPR = 120
+HEADLINES = {
+    "nothing detected": "Nothing detected",
+    "named": "Named",
+    "ambiguous": "Named, but the data allow other names",
+    "unexplained": "Unexplained",
+}
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of a page: texts, ready to be shown.
+
+    Attributes
+    ----------
+    title : str
+    columns : list of str
+    rows : list of list of str
+    numeric : list of bool
+        Which columns hold numbers.
+    """
+
+    title: str
+    columns: list
+    rows: list
+    numeric: list
+
+    @property
+    def is_long(self):
+        """Whether it is folded away."""
+        return len(self.rows) > LONGEST_TABLE
+
+
+@dataclass(frozen=True)
+class ShownLog:
+    """Rows that a diagnosis is shown and tested on.
+
+    Attributes
+    ----------
+    title : str
+    log : Log
+    gain : Gain or None
+    errors : DataFrame or None
+        From `compare_transports`.
+    """
+
+    title: str
+    log: Log
+    gain: Gain | None = None
+    errors: pd.DataFrame | None = None
+
 
 class Report:
-    """The findings of a fitted diagnosis.
+    """The findings of a fitted diagnosis, in text and as a page.
+
+    It stays as it is if the diagnosis is fitted again, pickles with it, and draws its pictures when they are
+    asked for.
 
     Parameters
     ----------
@@ -10,21 +81,401 @@ class Report:
         Fitted.
     log : Log
         The rows it was fitted to.
+    held_out : Log, optional
+        The rows that measured its gain.
     """
 
-    def __init__(self, diagnosis, log):
-        self.diagnosis, self.log = diagnosis, log
+    def __init__(self, diagnosis, log, held_out=None):
+        self.diagnosis, self.log = copy.copy(diagnosis), log
+        self._tables: list[Table] = []
+        self._tests = [ShownLog("Rows held out", held_out, diagnosis.gain_)] if held_out is not None else []
+
+    def __repr__(self):
+        return self.text()
+
+    def _repr_html_(self):
+        return self.html(figures=False)
 
     def text(self):
-        """Return the findings as lines of text."""
+        """Return the findings as a few lines of text."""
         diagnosis = self.diagnosis
         lines = [f"Verdict: {diagnosis.verdict_}"]
         for cause in diagnosis.causes_:
-            low, high = cause.interval
-            aliases = f"; cannot be told from {', '.join(cause.aliases)}" if cause.aliases else ""
-            lines.append(
-                f"  {cause.name} = {cause.value:.4g} {cause.unit} (95 %: {low:.4g} to {high:.4g}){aliases}"
-            )
+            lines.append(f"  {_cause_sentence(cause)}")
+            if cause.aliases:
+                lines.append(f"    cannot be told from: {', '.join(cause.aliases)}")
         if diagnosis.verdict_ == "unexplained":
-            lines.append(f"  {diagnosis.remainder_.sentence}")
+            lines.append(f"  {_sentence(diagnosis.remainder_.sentence)}")
+        if diagnosis.causes_:
+            lines += [f"  {test.title}: {gain_sentence(test.gain)}" for test in self._tests if test.gain]
         return "\n".join(lines)
+
+    def html(self, figures=True):
+        """Return the findings as a piece of HTML that needs no other file.
+
+        Parameters
+        ----------
+        figures : bool, default=True
+            Whether to add the pictures, and the errors of transports learned from the data: it takes seconds.
+
+        Returns
+        -------
+        str
+            ASCII, to stand in any page or notebook; it follows the reader's choice of light or dark.
+        """
+        from jinja2 import Environment, PackageLoader, StrictUndefined
+
+        environment = Environment(
+            loader=PackageLoader("skat.diagnosis", "."),
+            autoescape=True,
+            undefined=StrictUndefined,
+            trim_blocks=True,
+            lstrip_blocks=True,
+        )
+        if figures:
+            self._compare()
+        page = environment.get_template(TEMPLATE).render(self._content(figures))
+        return page.encode("ascii", "xmlcharrefreplace").decode()
+
+    def to_html(self, path, *, force=False):
+        """Write the findings, with pictures, as a page that any browser shows.
+
+        Parameters
+        ----------
+        path : str or Path
+        force : bool, default=False
+            Whether to overwrite a file that exists.
+
+        Returns
+        -------
+        Path
+
+        Raises
+        ------
+        FileExistsError
+            If the file exists and `force` is False.
+        FileNotFoundError
+            If its folder does not exist.
+        """
+        path = Path(path)
+        if path.is_dir():
+            raise FileExistsError(f"{path} is a folder; expected the name of a file to write.")
+        if path.exists() and not force:
+            raise FileExistsError(f"{path} exists. Choose another name, or overwrite it with force=True.")
+        if not path.parent.is_dir():
+            raise FileNotFoundError(
+                f"There is no folder {path.parent} to write {path.name} into. Make it first."
+            )
+        body = self.html()
+        page = (
+            '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+            '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+            '<meta name="color-scheme" content="light dark">\n<title>Diagnosis of a simulation</title>\n'
+            f"</head>\n<body>\n{body}\n</body>\n</html>\n"
+        )
+        with path.open("w" if force else "x", encoding="utf-8") as file:
+            file.write(page)
+        return path
+
+    def add_table(self, title, frame):
+        """Add a table to the page.
+
+        Parameters
+        ----------
+        title : str
+        frame : DataFrame
+            An index with a name is shown as the first column.
+        """
+        if not isinstance(frame, pd.DataFrame):
+            raise TypeError(f"frame must be a pandas DataFrame; it is a {type(frame).__name__}.")
+        self._tables.append(_table(title, frame))
+
+    def add_test(self, title, X, y, groups=None, *, gain=None, errors=None):
+        """Add a log that the diagnosis was not fitted to; the page shows it instead of the rows fitted.
+
+        Parameters
+        ----------
+        title : str
+            What was measured.
+        X, y, groups
+            As in `SimulationDiagnosis.fit`.
+        gain : Gain, optional
+            From ``diagnosis.evaluate``; by default it is measured one step ahead.
+        errors : DataFrame, optional
+            From `compare_transports`; by default it is computed when the page is made.
+        """
+        diagnosis = self.diagnosis
+        log = check_log(diagnosis.simulator, X, y, groups, fewest_rows=1, hidden=tuple(diagnosis.hidden))
+        gain = diagnosis.evaluate(X, y, groups) if gain is None else gain
+        self._tests.append(ShownLog(str(title), log, gain, None if errors is None else errors.copy()))
+
+    # -- content ------------------------------------------------------------------------------------------
+
+    def _compare(self):
+        """Fit transports to the log and measure them on each test, once."""
+        for index, test in enumerate(self._tests):
+            if test.errors is None:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore", UserWarning)  # the rows were accepted before
+                    errors = compare_transports(
+                        self.diagnosis,
+                        self.log.X,
+                        self.log.y,
+                        test.log.X,
+                        test.log.y,
+                        groups_fit=_groups(self.log),
+                        groups_test=_groups(test.log),
+                        random_state=0,
+                    )
+                self._tests[index] = replace(test, errors=errors)
+
+    def _content(self, figures):
+        diagnosis = self.diagnosis
+        shown = self._tests or [ShownLog("Rows fitted", self.log)]
+        pictures = {}
+        if figures:
+            pictures = {index: log_pictures(diagnosis, test.log) for index, test in enumerate(shown)}
+        table, invisible = _identifiability(diagnosis)
+        return {
+            "verdict": diagnosis.verdict_,
+            "headline": HEADLINES[diagnosis.verdict_],
+            "sentences": self._sentences(),
+            "causes": _causes(diagnosis.causes_) if diagnosis.causes_ else None,
+            "cause_picture": cause_picture(diagnosis) if figures else None,
+            "tests": [
+                {
+                    "title": test.title,
+                    "fitted": not self._tests,
+                    "gain": gain_sentence(test.gain) if test.gain and diagnosis.causes_ else "",
+                    "errors": _errors(test.errors) if test.errors is not None else None,
+                    "ceiling": ceiling_sentence(test.errors) if test.errors is not None else "",
+                    "notes": _notes(test.errors) if test.errors is not None else [],
+                    "channels": _channels(diagnosis, test),
+                    "pictures": pictures.get(index, []),
+                }
+                for index, test in enumerate(shown)
+            ],
+            "remainder": _remainder(diagnosis),
+            "identifiability": table,
+            "invisible": invisible,
+            "tables": self._tables,
+            "facts": self._facts(),
+        }
+
+    def _sentences(self):
+        """Return the verdict in sentences, those that need emphasis first."""
+        diagnosis = self.diagnosis
+        sentences = [_cause_sentence(cause) for cause in diagnosis.causes_]
+        for cause in diagnosis.causes_:
+            if cause.aliases:
+                others = _listed(cause.aliases)
+                sentences.append(
+                    f"These data cannot tell {cause.name} from {others}: put in its place, "
+                    f"{'each of them' if len(cause.aliases) > 1 else 'it'} explains the log as well."
+                )
+        if diagnosis.verdict_ == "nothing detected":
+            sentences.append("The log shows no difference from the simulation that noise would not explain.")
+        if diagnosis.verdict_ == "unexplained":
+            beside = "Beside that, " if diagnosis.causes_ else ""
+            sentence = f"{beside}{diagnosis.remainder_.sentence}."
+            sentences.append(sentence if beside else _sentence(sentence))
+        known = [test.errors for test in self._tests if test.errors is not None]
+        sentences += [ceiling_sentence(errors) for errors in known if is_beaten(errors)]
+        return sentences
+
+    def _facts(self):
+        diagnosis, log = self.diagnosis, self.log
+        simulator = diagnosis.simulator
+        episodes = f" in {log.n_episodes} episodes" if log.consecutive else ", independent of each other"
+        effects = len(diagnosis.identifiability_)
+        facts = {
+            "Simulator": _short(simulator),
+            "Rows fitted": f"{len(log)}{episodes}",
+            "Inputs": ", ".join(simulator.input_names),
+            "Outputs": ", ".join(simulator.output_names),
+            "Not measured": ", ".join(diagnosis.hidden),
+            "Effects considered": f"{effects}, at most {diagnosis.max_effects} named",
+            "Chance of a false alarm": f"at most {diagnosis.alpha:g}",
+            "Noise": "estimated from the log" if isinstance(diagnosis.noise, str) else "given",
+            "Written by": f"skat {version('skat')}",
+        }
+        return {name: fact for name, fact in facts.items() if fact}
+
+
+def gain_sentence(gain):
+    """Return a Gain in a sentence."""
+    if gain.horizon == 1:
+        text = (
+            f"the squared one-step error goes from {gain.nominal:.3g} to {gain.extended:.3g} times what "
+            "noise alone gives"
+        )
+    else:
+        text = f"the open-loop error of whole episodes goes from {gain.nominal:.3g} to {gain.extended:.3g}"
+    share, low, high = (f"{100 * one:.0f}" for one in (gain.explained, *gain.interval))
+    if np.ptp(gain.interval) > 1:
+        return f"{text}; that is too close to the noise to say which share of the excess is explained."
+    return f"{text}; {share} % of the excess is explained (95 %: {low} to {high} %)."
+
+
+def _cause_sentence(cause):
+    low, high = cause.interval
+    return f"{_sentence(cause.sentence).rstrip('.')} (95 %: {_number(low)} to {_number(high)})."
+
+
+def _sentence(text):
+    """Return text with a capital letter, unless it starts with a name such as ``gain[all]``."""
+    first = text.split(" ", 1)[0]
+    starts = text if "[" in first or "_" in first or len(first) == 1 else text[:1].upper() + text[1:]
+    return starts if starts.endswith(".") else f"{starts}."
+
+
+def _listed(names):
+    *first, last = names
+    return f"{', '.join(first)} and {last}" if first else last
+
+
+def _short(simulator):
+    text = repr(simulator)
+    return text if len(text) <= LONGEST_REPR else type(simulator).__name__
+
+
+def _groups(log):
+    return log.episodes if log.consecutive else None
+
+
+# -- tables ----------------------------------------------------------------------------------------------
+
+
+def _table(title, frame):
+    if frame.index.name is not None:
+        frame = frame.reset_index()
+    numeric = [
+        pd.api.types.is_numeric_dtype(dtype) and not pd.api.types.is_bool_dtype(dtype)
+        for dtype in frame.dtypes
+    ]
+    rows = [[_cell(value) for value in row] for row in frame.itertuples(index=False, name=None)]
+    return Table(str(title), [str(column) for column in frame.columns], rows, numeric)
+
+
+def _cell(value):
+    if isinstance(value, bool | np.bool_):
+        return "yes" if value else "no"
+    if isinstance(value, float | np.floating):
+        return "" if np.isnan(value) else _number(value)
+    return "" if value is None else str(value)
+
+
+def _number(value):
+    if np.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    return f"{value:.4g}".replace("-", "−")
+
+
+def _p_value(value):
+    return "< 0.0001" if value < 1e-4 else f"{value:.2g}"
+
+
+def _unit(unit):
+    return "" if unit == "1" else unit
+
+
+def _causes(causes):
+    return _table(
+        "Causes",
+        pd.DataFrame(
+            {
+                "cause": [cause.name for cause in causes],
+                "size": [cause.value for cause in causes],
+                "95 % interval": ["{} to {}".format(*map(_number, cause.interval)) for cause in causes],
+                "unit": [_unit(cause.unit) for cause in causes],
+                "p": [_p_value(cause.p_value) for cause in causes],
+                "cannot be told from": [", ".join(cause.aliases) or "none" for cause in causes],
+            }
+        ),
+    )
+
+
+def _errors(errors):
+    """Return the rows of the table of errors, with each bar's length in percent."""
+    largest = errors["error"].max()
+    best = errors["error"].idxmin()
+    rows = []
+    for index, row in errors.iterrows():
+        answered = np.isfinite(row["error"])
+        interval = ""
+        if answered and row["method"] != EXTENDED:
+            low, high = (_number(row[name]) for name in ("ratio_low", "ratio_high"))
+            interval = f"{row['ratio']:.3g} ({low} to {high})"
+        rows.append(
+            {
+                "method": row["method"],
+                "error": f"{row['error']:.4g}" if answered else "no answer",
+                "share": f"{100 * row['error'] / largest:.1f}" if answered and largest > 0 else "0",
+                "ratio": interval,
+                "n_rows": row["n_rows"] or "",
+                "kind": {NOMINAL: "before", EXTENDED: "after"}.get(row["method"], "map"),
+                "best": index == best,
+            }
+        )
+    return rows
+
+
+def _notes(errors):
+    notes: dict[str, list] = {}
+    for method, note in zip(errors["method"], errors["note"], strict=True):
+        if note:
+            notes.setdefault(note, []).append(method)
+    return [f"{', '.join(methods)}: {note}" for note, methods in notes.items()]
+
+
+def _channels(diagnosis, test):
+    """Return the table of noise and one-step errors of each channel."""
+    names = [name for name in diagnosis.simulator.residual_names if name not in tuple(diagnosis.hidden)]
+    frame = pd.DataFrame(
+        {"noise": np.asarray(diagnosis.noise_, dtype=float)}, index=pd.Index(names, name="channel")
+    )
+    units = {
+        effect.target: effect.unit for effect in diagnosis.simulator.effects() if effect.family == "bias"
+    }
+    units = {name: unit for name, unit in units.items() if not unit.startswith("unit of")}
+    if units:
+        frame["unit"] = [_unit(units.get(name, "")) for name in names]
+    if test.gain is not None and test.gain.channels:
+        horizon = "one step" if test.gain.horizon == 1 else "open loop"
+        before, after = (
+            [test.gain.channels.get(name, (np.nan, np.nan))[k] for name in names] for k in (0, 1)
+        )
+        frame[f"error before, {horizon}"] = before
+        if diagnosis.causes_:
+            frame[f"error after, {horizon}"] = after
+    return _table("Channels", frame)
+
+
+def _remainder(diagnosis):
+    """Return the table of what is left, or None."""
+    remainder = diagnosis.remainder_
+    if diagnosis.verdict_ != "unexplained" or remainder is None:
+        return None
+    frame = pd.DataFrame(
+        [(direction, coordinate, _p_value(p)) for direction, coordinate, p in remainder.table[:6]],
+        columns=["acts on", "depends on", "p of this pair"],
+    )
+    return _table("What is left", frame)
+
+
+def _identifiability(diagnosis):
+    """Return the table of effects that the log would show, and the names of the others."""
+    frame = diagnosis.identifiability_
+    visible = np.isfinite(frame["smallest"])
+    named = {cause.name for cause in diagnosis.causes_}
+    shown = pd.DataFrame(
+        {
+            "smallest size that would be named": frame.loc[visible, "smallest"],
+            "unit": frame.loc[visible, "unit"].map(_unit),
+            "most similar effect": frame.loc[visible, "nearest_alias"],
+            "similarity": frame.loc[visible, "similarity"].map("{:.2f}".format),
+            "named": [("yes" if name in named else "") for name in frame.index[visible]],
+        },
+        index=frame.index[visible],
+    )
+    return _table("What these data would have shown", shown), list(frame.index[~visible])
