@@ -138,7 +138,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         if held_out is not None:
             progress("gain", 0, 1)
             self.gain_ = self._one_step_gain(held_out, random_state)
-        self.report_ = Report(self, log)
+        self.report_ = Report(self, fitted, held_out)
         self.n_simulated_rows_ = residuals.n_simulated_rows
         progress("done", 1, 1)
         return self
