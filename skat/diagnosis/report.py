@@ -263,25 +263,26 @@ class Report:
         }
 
     def _sentences(self):
-        """Return the verdict in sentences, those that need emphasis first."""
+        """Return the verdict in sentences."""
         diagnosis = self.diagnosis
+        unexplained = diagnosis.verdict_ == "unexplained"
         sentences = [_cause_sentence(cause) for cause in diagnosis.causes_]
         for cause in diagnosis.causes_:
             if cause.aliases:
-                others = _listed(cause.aliases)
+                others, each = _listed(cause.aliases), "each of them" if len(cause.aliases) > 1 else "it"
                 sentences.append(
-                    f"These data cannot tell {cause.name} from {others}: put in its place, "
-                    f"{'each of them' if len(cause.aliases) > 1 else 'it'} explains the log as well."
+                    f"These data cannot tell {cause.name} from {others}: put in its place, {each} explains "
+                    "the log as well."
                 )
         if diagnosis.verdict_ == "nothing detected":
             sentences.append("The log shows no difference from the simulation that noise would not explain.")
-        if diagnosis.verdict_ == "unexplained":
-            beside = "Beside that, " if diagnosis.causes_ else ""
-            sentence = f"{beside}{diagnosis.remainder_.sentence}."
-            sentences.append(sentence if beside else _sentence(sentence))
+        if unexplained:
+            rest = diagnosis.remainder_.sentence
+            sentences.insert(
+                0, f"Beside what is named below, {rest}." if diagnosis.causes_ else _sentence(rest)
+            )
         known = [test.errors for test in self._tests if test.errors is not None]
-        sentences += [ceiling_sentence(errors) for errors in known if is_beaten(errors)]
-        return sentences
+        return sentences + [ceiling_sentence(errors) for errors in known if unexplained or is_beaten(errors)]
 
     def _facts(self):
         diagnosis, log = self.diagnosis, self.log
@@ -349,6 +350,8 @@ def _groups(log):
 def _table(title, frame):
     if frame.index.name is not None:
         frame = frame.reset_index()
+    if "unit" in frame and not frame["unit"].any():
+        frame = frame.drop(columns="unit")
     numeric = [
         pd.api.types.is_numeric_dtype(dtype) and not pd.api.types.is_bool_dtype(dtype)
         for dtype in frame.dtypes
@@ -367,8 +370,8 @@ def _cell(value):
 
 def _number(value):
     if np.isinf(value):
-        return "∞" if value > 0 else "−∞"
-    return f"{value:.4g}".replace("-", "−")
+        return "∞" if value > 0 else "-∞"
+    return f"{value:.4g}"
 
 
 def _p_value(value):
@@ -376,7 +379,7 @@ def _p_value(value):
 
 
 def _unit(unit):
-    return "" if unit == "1" else unit
+    return "" if unit == "1" or unit.startswith("unit of ") else unit
 
 
 def _causes(causes):
@@ -404,8 +407,7 @@ def _errors(errors):
         answered = np.isfinite(row["error"])
         interval = ""
         if answered and row["method"] != EXTENDED:
-            low, high = (_number(row[name]) for name in ("ratio_low", "ratio_high"))
-            interval = f"{row['ratio']:.3g} ({low} to {high})"
+            interval = "{ratio:.3g} ({ratio_low:.3g} to {ratio_high:.3g})".format(**row)
         rows.append(
             {
                 "method": row["method"],
@@ -437,9 +439,7 @@ def _channels(diagnosis, test):
     units = {
         effect.target: effect.unit for effect in diagnosis.simulator.effects() if effect.family == "bias"
     }
-    units = {name: unit for name, unit in units.items() if not unit.startswith("unit of")}
-    if units:
-        frame["unit"] = [_unit(units.get(name, "")) for name in names]
+    frame["unit"] = [_unit(units.get(name, "")) for name in names]
     if test.gain is not None and test.gain.channels:
         horizon = "one step" if test.gain.horizon == 1 else "open loop"
         before, after = (

@@ -3,6 +3,7 @@
 import base64
 import io
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +16,8 @@ MOST_EPISODES = 2
 MOST_CANDIDATES, MOST_STEPS, MOST_POINTS = 12, 400, 600
 MOST_ROWS = 5_000
 N_BINS = 12
+# Standard deviations of a chi-square beyond which an error's dependence on an input is worth a picture.
+CLEAR_DEPENDENCE = 5.0
 
 INK, GRID = "#24292f", "#d0d7de"
 # Colour as drawn -> (name, on a light page, on a dark page).
@@ -25,7 +28,7 @@ THEME = {
     BEFORE.lower(): ("before", "#d98e04", "#f0ae2e"),
     AFTER.lower(): ("after", AFTER, "#56b1ec"),
 }
-STYLE = {
+STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
     "font.size": 9.5,
     "axes.titlesize": 10,
@@ -198,7 +201,7 @@ def _residuals_over_time(diagnosis, log, rows):
                 axes.axvline(_time(diagnosis.simulator, start)[0], color=GRID, linewidth=1)
             axes.set_ylabel(names[channel])
         panels[-1].set_xlabel(label)
-        _legend(panels[0])
+        _legend(figure, panels[0])
         figure.align_ylabels()
 
     return _picture(
@@ -219,12 +222,12 @@ def _structure(diagnosis, rows):
         if bins.max() > 0:
             scores = _dependence(rows.residuals[0], bins)
             found += [(score, channel, coordinate) for channel, score in enumerate(scores)]
-    if not found:
-        return None
-    pairs = {}
+    pairs: dict[int, int] = {}
     for score, channel, coordinate in sorted(found, reverse=True):
-        if score > 0 and len(pairs) < MOST_CHANNELS:
+        if score > CLEAR_DEPENDENCE and len(pairs) < MOST_CHANNELS:
             pairs.setdefault(channel, coordinate)
+    if not pairs:
+        return None
     names = diagnosis.simulator.residual_names
 
     def draw(figure):
@@ -247,7 +250,7 @@ def _structure(diagnosis, rows):
                     label=name,
                 )
             axes.set(xlabel=diagnosis.simulator.input_names[coordinate], ylabel=f"error of {names[channel]}")
-        _legend(panels[0])
+        _legend(figure, panels[0])
 
     return _picture(
         "One step ahead: what the error depends on",
@@ -311,7 +314,7 @@ def _scatter(diagnosis, rows):
             axes.set(
                 xlabel=f"simulated {word}{outputs[channel]}", ylabel=f"measured {word}{outputs[channel]}"
             )
-        _legend(panels[0])
+        _legend(figure, panels[0])
 
     return _picture(
         "Measured against simulated",
@@ -369,12 +372,10 @@ def _open_loop(diagnosis, log):
                     axes.set_ylabel("")
             display.ax_[0].get_legend().remove()
             display.ax_[-1].set_xlabel(label)
-            first = "typical" if column == 0 and len(chosen) > 1 else "worst"
-            display.ax_[0].set_title(
-                f"{first} episode" if len(short.X[short.steps == 0]) > 1 else "", loc="right"
-            )
+            if len(chosen) > 1:
+                display.ax_[0].set_title("typical episode" if column == 0 else "worst episode", loc="left")
         figure.align_ylabels()
-        _legend(panels[0, 0])
+        _legend(figure, panels[0, 0])
 
     start = (
         "the initial state that fits each simulation best"
@@ -409,9 +410,10 @@ def _time(simulator, steps):
     return (steps, "step") if simulator.dt is None else (simulator.dt * steps, "time (s)")
 
 
-def _legend(axes):
-    legend = axes.legend(
-        loc="lower left", bbox_to_anchor=(0, 1), ncols=3, borderaxespad=0.2, handlelength=1.4
+def _legend(figure, axes):
+    """Put the legend of some Axes above the whole figure."""
+    legend = figure.legend(
+        *axes.get_legend_handles_labels(), loc="outside upper left", ncols=3, handlelength=1.4
     )
     for handle in legend.legend_handles:
         handle.set_alpha(1.0)
