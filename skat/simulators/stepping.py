@@ -261,6 +261,7 @@ class _Pool:
         model: mujoco.MjModel = self.batch.get_model(0) if self.model is None else self.model
         if forces.position_friction:
             friction = self.batch.expand("dof_frictionloss")
+            friction[:] = model.dof_frictionloss  # of another candidate before
             friction[:] = model.dof_frictionloss  # the batch may have run with friction in other joints
         stage = mujoco.mjtStage.mjSTAGE_VEL if forces.has_drag else mujoco.mjtStage.mjSTAGE_NONE
         if forces.has_drag:

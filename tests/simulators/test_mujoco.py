@@ -118,6 +118,30 @@ def test_rows_do_not_depend_on_other_rows_nor_on_chunks(bot, monkeypatch):
     np.testing.assert_array_equal(bot.predict(rows[order]), whole[0, order])
 
 
+def test_candidates_do_not_depend_on_other_candidates():
+    arm = MujocoSimulator(
+        """<mujoco><worldbody><body><joint name="a" axis="0 1 0"/><geom size=".1" pos=".3 0 0"/><body pos=".5 0 0">
+        <joint name="b" axis="0 1 0"/><geom size=".1" pos=".3 0 0"/></body></body></worldbody></mujoco>""",
+        frame_skip=5,
+    )
+    rows = np.random.default_rng(0).normal(size=(6, 4))
+    candidates = [
+        {name: value}
+        for name in (
+            "position_friction[a]",
+            "position_friction[b]",
+            "air_drag[x]",
+            "air_drag[all]",
+            "wind[z]",
+        )
+        for value in (1.0, 2.0)
+    ]
+    together = arm.predict_many(rows, candidates)
+    for values, found in zip(candidates, together):
+        np.testing.assert_array_equal(clone(arm).predict(rows, effects=values), found)
+        assert np.abs(found - arm.predict(rows)).max() > 1e-6
+
+
 @pytest.mark.parametrize(
     "values", [{}, {"air_drag[all]": 0.5, "bias[qpos.slider]": 0.01}, {"delay[action]": 0.012}]
 )
