@@ -33,7 +33,7 @@ class Method:
         ``make(n_context)`` returns an estimator with ``fit(X, y)`` and ``transform(X)`` for rows whose first
         `n_context` columns are the context: state and action, or the strike.
     disjoint : bool
-        Whether it is fitted without pairs: to one half of the source rows and the other half of the target rows.
+        Whether it is fitted without pairs: to one half of the source rows, the other half of the target rows.
     slow : bool
         Whether one repeat has to do.
     """
@@ -54,7 +54,7 @@ class RegressionTransport(TransformerMixin, BaseEstimator):
     context : int
         Number of leading columns that are context.
     predictors : {"row", "context"}, default="row"
-        What it regresses on: the whole source row; or the context alone, which makes no use of the simulation.
+        What it regresses on: the whole source row; or the context alone, which does without the simulation.
     residual : bool, default=False
         Whether it predicts what is missing from the source's outcome instead of the outcome itself.
 
@@ -171,7 +171,7 @@ def chosen_methods(methods: Iterable[str] | Mapping[str, object] | None, default
         raise ValueError(
             f"methods must be a list of names; it is the string {methods!r}. Give [{methods!r}]."
         )
-    chosen = {}
+    chosen: dict[str, Method | None] = {}
     for name in default if methods is None else methods:
         own = methods[name] if isinstance(methods, Mapping) else None
         if own is not None:

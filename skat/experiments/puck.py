@@ -1,6 +1,7 @@
-"""The paper's hockey puck: eleven simulations against two pucks that were "measured" in worlds of their own.
+"""The paper's hockey puck: eleven simulations against two pucks that stand for real ones.
 
-The recordings of the paper's authors are not public. What stands in for them is simulated, by `make_real_puck`.
+The recordings of the paper's authors are not public. What stands in for them is simulated, in worlds of their
+own, by `make_real_puck`.
 """
 
 from dataclasses import dataclass
@@ -131,8 +132,8 @@ def puck_table(
     """Carry eleven simulations of a struck puck onto two real ones, by every method.
 
     Rows are (z0, z1, x, y): the strike, standard normal, and the resting place in m. Maps act on whole rows.
-    The recordings of the paper's authors are not public: the "real" pucks are simulated in worlds of their own,
-    see `skat.datasets.make_real_puck`.
+    The recordings of the paper's authors are not public: the "real" pucks are simulated, in worlds of their
+    own; see `skat.datasets.make_real_puck`.
 
     Parameters
     ----------
@@ -140,10 +141,10 @@ def puck_table(
     simulations : sequence of str
         Conditions of ``make_simulator("puck")``.
     methods : list of str, or dict of str to transport, default=None
-        Names of methods, or transports of your own. None: all. Slow ones, the exact transport and the diagnosis,
-        run in the first repeat only.
+        Names of methods, or transports of your own. None: all. Slow ones, the exact transport and the
+        diagnosis, run in the first repeat only.
     n_strikes : int, default=100
-        Strikes to fit on. Methods whose name has "disjoint" see one half simulated and the other half measured.
+        Strikes to fit on. Methods whose name has "disjoint" see one half simulated, the other half measured.
     random_state : int, RandomState instance or None, default=0
     n_repeats : int, default=5
         Times that each method is fitted to new strikes; the table has means.
@@ -182,22 +183,20 @@ def puck_table(
     report = progress or _silent
     records = []
     n_steps = len(pucks) * len(simulations) * n_repeats
-    for number, puck in enumerate(pucks):
+    n_all = n_strikes * n_repeats + n_test
+    for number, (puck, seed) in enumerate(zip(pucks, rng.randint(2**31, size=len(pucks)))):
         report("striking", number, len(pucks))
-        noise = repeated_strikes_error(puck, random_state=rng)
-        strikes = strike_pucks(
-            puck, n_strikes=n_strikes * n_repeats + n_test, simulations=simulations, random_state=rng
-        )
+        noise = repeated_strikes_error(puck, random_state=seed)
+        strikes = strike_pucks(puck, n_strikes=n_all, simulations=simulations, random_state=seed)
         report("striking", number + 1, len(pucks))
-        tested = np.arange(n_strikes * n_repeats, len(strikes.z))
+        tested = np.arange(n_strikes * n_repeats, n_all)
         for place, simulation in enumerate(simulations):
             for repeat in range(n_repeats):
                 report("carrying", (number * len(simulations) + place) * n_repeats + repeat, n_steps)
                 fitted = np.arange(repeat * n_strikes, (repeat + 1) * n_strikes)
-                measures = _compared(strikes, simulation, of_repeat(chosen, repeat), fitted, tested, rng)
-                records += [
-                    {"puck": puck, "simulation": simulation, **row, "noise": noise} for row in measures
-                ]
+                now, case = of_repeat(chosen, repeat), {"puck": puck, "simulation": simulation}
+                measures = _compared(strikes, simulation, now, fitted, tested, seed)
+                records += [{**case, **row, "noise": noise} for row in measures]
     report("carrying", n_steps, n_steps)
     groups = pd.DataFrame(records).groupby(["puck", "simulation", "method"], sort=False)
     deviations = groups[["error_after", "rho"]].std().add_suffix("_std")
@@ -240,7 +239,8 @@ def puck_learning_curve(
     -------
     DataFrame
         A row for each puck, simulation, method and n_strikes: error_before, error_after (mean distance, m),
-        error_after_std (standard deviation over repeats; the paper's figure shades twice that) and rho, as in `puck_table`.
+        error_after_std (standard deviation over repeats; the paper's figure shades twice that) and rho, as in
+        `puck_table`.
 
     Raises
     ------
@@ -264,19 +264,18 @@ def puck_learning_curve(
     for place, size in enumerate(sizes):
         for repeat in range(n_repeats):
             report("carrying", place * n_repeats + repeat, n_steps)
-            fitted = rng.permutation(pool)[:size]
+            fitted, seed = rng.permutation(pool)[:size], rng.randint(2**31)
             for simulation in simulations:
-                measures = _compared(strikes, simulation, chosen, fitted, tested, rng)
-                records += [
-                    {"puck": puck, "simulation": simulation, "n_strikes": size, **row} for row in measures
-                ]
+                case = {"puck": puck, "simulation": simulation, "n_strikes": size}
+                measures = _compared(strikes, simulation, chosen, fitted, tested, seed)
+                records += [{**case, **row} for row in measures]
     report("carrying", n_steps, n_steps)
     groups = pd.DataFrame(records).groupby(["puck", "simulation", "method", "n_strikes"], sort=False)
     means = groups[["error_before", "error_after", "rho"]].mean()
     return means.join(groups[["error_after"]].std().add_suffix("_std")).reset_index()
 
 
-def _compared(strikes, simulation, chosen, fitted, tested, rng):
+def _compared(strikes, simulation, chosen, fitted, tested, seed):
     """Return the measures of each method for one simulation."""
     source_rows, target_rows = strikes.source_rows(simulation), strikes.target_rows
     expected = target_rows[tested]
@@ -284,7 +283,7 @@ def _compared(strikes, simulation, chosen, fitted, tested, rng):
     records = []
     for name, method in chosen.items():
         if method is None:
-            carried = _diagnosed(strikes, simulation, fitted, tested, rng)
+            carried = _diagnosed(strikes, simulation, fitted, tested, seed)
         else:
             transport = fitted_transport(method, source_rows[fitted], target_rows[fitted], CONTEXT)
             carried = transport.transform(source_rows[tested])
@@ -304,12 +303,12 @@ def _compared(strikes, simulation, chosen, fitted, tested, rng):
     return records
 
 
-def _diagnosed(strikes, simulation, fitted, tested, rng):
+def _diagnosed(strikes, simulation, fitted, tested, seed):
     """Return the tested rows as the simulation predicts them once the measured strikes extended it."""
     from skat.diagnosis import SimulationDiagnosis
 
     diagnosis = SimulationDiagnosis(
-        make_simulator("puck", condition=simulation), test_size=0, random_state=rng.randint(2**31)
+        make_simulator("puck", condition=simulation), test_size=0, random_state=seed
     )
     diagnosis.fit(strikes.z[fitted], strikes.measured[fitted])
     return np.hstack([strikes.z[tested], diagnosis.extended_simulator_.predict(strikes.z[tested])])

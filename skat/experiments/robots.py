@@ -157,8 +157,8 @@ def domain_matrix(
         Rows to fit on. Methods whose name has "disjoint" see one half from the source and the other half from
         the target.
     methods : list of str, or dict of str to transport, default=None
-        Names of methods, or transports of your own. None: all but "diagnosis", which takes a minute or more for
-        each pair of worlds; it knows the source's simulator and sees the target's rows.
+        Names of methods, or transports of your own. None: all but "diagnosis", which takes a minute or more
+        for each pair of worlds; it knows the source's simulator and sees the target's rows.
     random_state : int, RandomState instance or None, default=0
     n_repeats : int, default=3
         Times that the experiment is run anew; the table has means and standard deviations. Slow methods, the
@@ -186,8 +186,8 @@ def domain_matrix(
         - error_after: mean distance between carried and target next states;
         - covariance_error: Frobenius distance between the covariances of carried and target rows, over the
           norm of the latter;
-        - error_before_std, rho_std, error_after_std, covariance_error_std: standard deviations over the repeats
-          (NaN for one).
+        - error_before_std, rho_std, error_after_std, covariance_error_std: standard deviations over the
+          repeats (NaN for one).
 
         Distances are over columns in m, rad, m/s, rad/s as they are, where speeds are the larger numbers.
 
@@ -233,20 +233,8 @@ def domain_matrix(
         order = rng.permutation(len(replay.X)) if split == "rows" else np.arange(len(replay.X))
         fitted, tested = order[:n_transitions], order[n_transitions:]
         report("simulating", repeat + 1, n_repeats)
-        tasks = (
-            delayed(_compared)(
-                replay,
-                source,
-                target,
-                of_repeat(chosen, repeat),
-                fitted,
-                tested,
-                n_scored,
-                rng.randint(2**31),
-            )
-            for source, target in pairs
-        )
-        done = repeat * len(pairs)
+        now, seed, done = of_repeat(chosen, repeat), rng.randint(2**31), repeat * len(pairs)
+        tasks = (delayed(_compared)(replay, *pair, now, fitted, tested, n_scored, seed) for pair in pairs)
         report("carrying", done, n_repeats * len(pairs))
         for number, measures in enumerate(Parallel(n_jobs, return_as="generator")(tasks), start=1):
             records += measures
