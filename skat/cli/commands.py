@@ -43,7 +43,8 @@ def demo_puck(context: typer.Context, output: Output = None, force: Force = Fals
         path = _report_path(output, "skat-demo-report.html", force)
         with progress_bars() as progress:
             study = study_hidden_puck(random_state=seed, progress=progress)
-        _show(study, path)
+        _show(study)
+        _write_report(study, path, force)
 
 
 @demo.command("ball-drops")
@@ -63,11 +64,12 @@ def demo_ball_drops(
         with progress_bars() as progress:
             studies = study_ball_drops(ball or None, random_state=seed, progress=progress)
         for study in studies.values():
-            _show(study, None)
-        output_console().print(
-            table_of(ball_drop_table(studies), title="Every ball: trajectory error on drop 2, m")
-        )
-        _write_report(max(studies.values(), key=lambda study: study.gain.ratio), path)
+            _show(study)
+        table, title = ball_drop_table(studies), "Every ball: trajectory error on drop 2, m"
+        output_console().print(table_of(table, title=title))
+        shown = max(studies.values(), key=lambda study: study.gain.ratio)
+        shown.diagnosis.report_.add_table(title, table)
+        _write_report(shown, path, force)
 
 
 @demo.command("cube-tosses")
@@ -85,7 +87,8 @@ def demo_cube_tosses(
         path = _report_path(output, "skat-cube-tosses-report.html", force)
         with progress_bars() as progress:
             study = study_cube_tosses(n_fit=fit, n_test=test, random_state=seed, progress=progress)
-        _show(study, path)
+        _show(study)
+        _write_report(study, path, force)
 
 
 @app.command()
@@ -139,7 +142,8 @@ def diagnose(
                 n_jobs=jobs,
                 progress=progress,
             )
-        _show(study, path)
+        _show(study)
+        _write_report(study, path, force)
         if extended is not None:
             study.diagnosis.extended_simulator_.to_mjcf(extended)
             print_line(f"Extended model: {extended}")
@@ -253,7 +257,7 @@ def experiment(
             print_line(f"Picture: {plot}")
 
 
-def _show(study, report):
+def _show(study):
     console = output_console()
     diagnosis, gain = study.diagnosis, study.gain
     print_line("")
@@ -272,8 +276,6 @@ def _show(study, report):
     print_line("gain: {:.1%} explained, interval {:.1%} to {:.1%}".format(gain.explained, *gain.interval))
     if study.truth is not None:
         print_line(f"Now the answer: {study.truth}")
-    if report is not None:
-        _write_report(study, report)
 
 
 def _causes(causes):
@@ -304,6 +306,6 @@ def _report_path(given, default, force):
     return unused(default) if given is None else writable(given, force=force)
 
 
-def _write_report(study, path):
-    study.diagnosis.report_.to_html(path)
+def _write_report(study, path, force):
+    study.diagnosis.report_.to_html(path, force=force)
     print_line(f"Report with pictures: {path}")

@@ -236,4 +236,5 @@ def _study(
         groups_test=test.get("groups"),
         random_state=random_state,
     )
+    diagnosis.report_.add_test(title, test.data, test.target, test.get("groups"), gain=gain, errors=errors)
     return Study(title, diagnosis, gain, error_name, errors, truth)
