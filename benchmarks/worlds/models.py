@@ -61,7 +61,7 @@ def nominal_mjcf(kind):
 @functools.cache
 def nominal_model(kind):
     """Return the compiled nominal model; callers do not change it."""
-    return mujoco.MjModel.from_xml_string(nominal_mjcf(kind))
+    return _compile(nominal_mjcf(kind))
 
 
 def compile_model(kind, hidden=(), *, refinement=1):
@@ -86,12 +86,23 @@ def compile_model(kind, hidden=(), *, refinement=1):
             raise ValueError("the worlds hide either lengths or centres of mass, not both")
         _state_inertias(tree, nominal_model(kind))
         _shift_centres(tree, nominal_model(kind), shifts)
-    model = mujoco.MjModel.from_xml_string(ElementTree.tostring(tree, encoding="unicode"))
+    model = _compile(ElementTree.tostring(tree, encoding="unicode"))
     for family, target, value in hidden:
         _edit_arrays(model, family, target, value)
     model.opt.timestep /= refinement
     mujoco.mj_setConst(model, mujoco.MjData(model))
     return model
+
+
+def _compile(mjcf):
+    """Compile without a word about ``settotalmass``, which HalfCheetah's file has and MuJoCo deprecates."""
+    before, quiet = mujoco.MjLogConfig.get(), mujoco.MjLogConfig.get()
+    quiet.logto_file, quiet.logto_console = False, False
+    quiet.set()
+    try:
+        return mujoco.MjModel.from_xml_string(mjcf)
+    finally:
+        before.set()
 
 
 def hinges(model):
