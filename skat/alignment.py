@@ -40,16 +40,18 @@ class Alignment:
 def whitened_alignment(source_factor, target_factor, *, source_root=None, target_root=None):
     r"""Return the map of least squared error over the pairs that carries one covariance exactly to the other.
 
-    .. math:: T = C_t^{1/2} Q C_s^{-1/2}, \quad Q \text{ the orthogonal polar factor of } C_t^{1/2} C_{ts} C_s^{-1/2}
+    .. math:: T = C_t^{1/2} Q C_s^{-1/2}, \quad
+              Q \text{ the orthogonal polar factor of } C_t^{1/2} C_{ts} C_s^{-1/2}
 
-    With factors :math:`F = O D V^T` the latter is :math:`D_t^2 O_t^T O_s` in principal coordinates, so that no
-    covariance is formed.
+    With factors :math:`F = O D V^T` the latter is :math:`D_t^2 O_t^T O_s` in principal coordinates, so that
+    no covariance is formed.
 
     Parameters
     ----------
     source_factor, target_factor : ndarray of shape (n_rows, n_features)
         Factors of the two covariances, the k-th rows of which belong together, such that their product is the
-        cross-covariance: centred pairs, divided by the root of their number, or an orthogonal transform of those.
+        cross-covariance: centred pairs, divided by the root of their number, or an orthogonal transform of
+        those.
     source_root, target_root : ndarray of shape (n_features, rank), default=None
         Roots of covariances that are estimated otherwise; None takes those of the factors.
 
@@ -89,7 +91,8 @@ def raw_alignment(source_factor, target_factor, *, source_root=None, target_root
     source_root, target_root : ndarray of shape (n_features, rank), default=None
         As for `whitened_alignment`.
     mean_product : ndarray of shape (n_features, n_features) or 0.0
-        Outer product of target and source mean, to be added to the cross-covariance as the algorithm's letter has it.
+        Outer product of target and source mean, to be added to the cross-covariance as the algorithm's letter
+        has it.
 
     Returns
     -------
@@ -118,8 +121,8 @@ def raw_alignment(source_factor, target_factor, *, source_root=None, target_root
 def correlation_score(source_factor, target_factor, n_rows):
     r"""Return by how many standard deviations pairs are more correlated than shuffled ones.
 
-    The statistic is Pillai's trace, the sum of the squared canonical correlations. For orthogonal projections of
-    ranks p and q, one of them turned at random in N = n - 1 dimensions, it has mean p q / N and variance
+    The statistic is Pillai's trace, the sum of the squared canonical correlations. For orthogonal projections
+    of ranks p and q, one of them turned at random in N = n - 1 dimensions, it has mean p q / N and variance
     2 p q (N - p) (N - q) / (N^2 (N - 1) (N + 2)).
 
     Parameters

@@ -126,7 +126,9 @@ def _device_moments(rows, weight, xp, device):
         total = squared = float(n_rows)
         offset = xp.sum(shifted, axis=0) / n_rows
     else:
-        host_weight = np.asarray(convert_to_numpy(weight, get_namespace_and_device(weight)[0]), dtype=np.float64)
+        host_weight = np.asarray(
+            convert_to_numpy(weight, get_namespace_and_device(weight)[0]), dtype=np.float64
+        )
         n_rows = int(np.count_nonzero(host_weight))
         total, squared = float(host_weight.sum()), float(host_weight @ host_weight)
         weight = xp.asarray(weight, dtype=dtype, device=device)
@@ -163,7 +165,8 @@ def _lazy_moments(X, weight):
     weights = [None] * len(blocks) if weight is None else _row_blocks(_aligned(weight, X))
     if len(weights) != len(blocks):
         raise ValueError(
-            f"rows and their weights must be partitioned alike; there are {len(blocks)} and {len(weights)} blocks."
+            f"rows and their weights must be partitioned alike; there are {len(blocks)} and {len(weights)} "
+            "blocks."
         )
     level = [dask.delayed(_block_moments)(block, part) for block, part in zip(blocks, weights)]
     while len(level) > 1:
@@ -205,7 +208,8 @@ def _aligned(values, X):
         if is_dask(values):
             return values
         raise ValueError(
-            "the number of rows in each dask partition is unknown, so values in NumPy cannot be laid beside them. "
+            "the number of rows in each dask partition is unknown, so values in NumPy cannot be laid beside "
+            "them. "
             "Give a dask series of the same partitions, or a dask array of known chunks."
         )
     import dask.array as da
@@ -227,14 +231,21 @@ def _apply_lazily(affine, X, keep, check):
         if keep is None:
             return X.map_partitions(_carried_frame, affine, check=check, meta=X._meta.astype(float))
         return X.map_partitions(
-            _carried_frame, affine, _aligned(keep, X), check=check, meta=X._meta.astype(float), align_dataframes=False
+            _carried_frame,
+            affine,
+            _aligned(keep, X),
+            check=check,
+            meta=X._meta.astype(float),
+            align_dataframes=False,
         )
     import dask.array as da
 
     X = X.rechunk({1: -1})
     dtype = np.float32 if X.dtype == np.float32 else np.float64
     if keep is None:
-        return X.map_blocks(_carried_block, affine=affine, check=check, dtype=dtype, meta=np.empty((0, 0), dtype))
+        return X.map_blocks(
+            _carried_block, affine=affine, check=check, dtype=dtype, meta=np.empty((0, 0), dtype)
+        )
     return da.map_blocks(
         _carried_block,
         X,

@@ -1,4 +1,4 @@
-"""What all transports share: whose rows are whose, whether they are fit for use, and scikit-learn's conventions."""
+"""What all transports share: whose rows are whose, whether they can be used, and the interface."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -54,7 +54,8 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
 
     _array_api = False
 
-    # The domain has to reach every step that tells source rows from target rows, so it is asked for by default.
+    # The domain has to reach every step that tells source rows from target rows, so it is asked for by
+    # default.
     __metadata_request__fit = {"sample_domain": True}
     __metadata_request__partial_fit = {"sample_domain": True}
     __metadata_request__transform = {"sample_domain": True}
@@ -70,8 +71,8 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         y : array-like of shape (n_target_samples, n_features)
             Target rows, of the same columns as `X`; ignored with `sample_domain`.
         sample_weight : array-like of shape (n_samples,) or tuple of two, default=None
-            One weight per row of `X` and the row of `y` beside it; a tuple (source, target) gives each side its own,
-            and either may be None. With `sample_domain`, one weight per stacked row.
+            One weight per row of `X` and the row of `y` beside it; a tuple (source, target) gives each side
+            its own, and either may be None. With `sample_domain`, one weight per stacked row.
         sample_domain : array-like of shape (n_samples,), default=None
             Positive for source rows and negative for target rows of a stacked `X`.
 
@@ -83,8 +84,8 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         Raises
         ------
         ValueError
-            If the target is missing, if rows are too few or not finite, if columns differ, or if no map of the
-            required kind exists.
+            If the target is missing, if rows are too few or not finite, if columns differ, or if no map of
+            the required kind exists.
         """
         samples = self._samples(X, y, sample_weight, sample_domain, reset=True)
         for rows, name in ((samples.source, "source"), (samples.target, "target")):
@@ -119,8 +120,8 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         X : array-like of shape (n_samples, n_features)
             Rows.
         sample_domain : array-like of shape (n_samples,), default=None
-            Positive for source rows; rows with a negative value are target rows and are returned unchanged. None
-            means that all are source rows, which is an error after a stacked fit.
+            Positive for source rows; rows with a negative value are target rows and are returned unchanged.
+            None means that all are source rows, which is an error after a stacked fit.
 
         Returns
         -------
@@ -135,9 +136,12 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         self._check_is_fitted()
         if sample_domain is None and self._stacked:
             raise ValueError(
-                f"this {type(self).__name__} was fitted to stacked rows, so transform cannot tell which rows of X are "
-                "source rows. Pass sample_domain=... (positive: source row, carried over; negative: target row, "
-                "returned unchanged), or fit it with two arrays, fit(X_source, X_target), after which every row is a "
+                f"this {type(self).__name__} was fitted to stacked rows, so transform cannot tell which rows "
+                "of X are "
+                "source rows. Pass sample_domain=... (positive: source row, carried over; negative: target "
+                "row, "
+                "returned unchanged), or fit it with two arrays, fit(X_source, X_target), after which every "
+                "row is a "
                 "source row."
             )
         X = self._rows(X, "X", reset=False)
@@ -173,8 +177,8 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
 
         .. math:: \rho = 1 - \frac{W_2(T X, Y)}{\sqrt{2 \operatorname{tr} \Sigma(Y)}}
 
-        It is not clipped: on rows that were not fitted it may be negative. Time grows with the cube of the number
-        of rows; see `skat.metrics` for estimates at scale and for what the score does not tell.
+        It is not clipped: on rows that were not fitted it may be negative. Time grows with the cube of the
+        number of rows; see `skat.metrics` for estimates at scale and for what the score does not tell.
 
         Parameters
         ----------
@@ -219,8 +223,10 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
             return self._split(rows, sample_weight, sample_domain, either=either)
         if y is None:
             raise ValueError(
-                f"This {type(self).__name__} estimator requires y to be passed, but the target y is None. Give the "
-                "target rows either as an array of their own, fit(X_source, X_target), or stacked with the source "
+                f"This {type(self).__name__} estimator requires y to be passed, but the target y is None. "
+                "Give the "
+                "target rows either as an array of their own, fit(X_source, X_target), or stacked with the "
+                "source "
                 "rows, fit(X, sample_domain=d) with d positive for source rows and negative for target rows."
             )
         source = self._rows(X, "X", reset=reset)
@@ -234,8 +240,10 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         if not isinstance(sample_weight, tuple) and sample_weight is not None:
             if source is not None and target is not None and not _same_length(source, target):
                 raise ValueError(
-                    f"one array of weights is for rows side by side, but there are {source.shape[0]} source rows and "
-                    f"{target.shape[0]} target rows. Give a tuple, sample_weight=(source_weight, target_weight)."
+                    f"one array of weights is for rows side by side, but there are {source.shape[0]} source "
+                    "rows and "
+                    f"{target.shape[0]} target rows. Give a tuple, sample_weight=(source_weight, "
+                    "target_weight)."
                 )
             sample_weight = (sample_weight, sample_weight)
         source_weight, target_weight = (None, None) if sample_weight is None else sample_weight
@@ -250,12 +258,14 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         if is_dask(X):
             one = 1.0 if weight is None else weight
             return Samples(X, X, (domain > 0) * one, (domain < 0) * one, stacked=True)
-        parts, weights = [], []
+        parts: list[Any] = []
+        weights: list[Any] = []
         xp, _, _ = get_namespace_and_device(X)
         for name, mask in (("source (positive)", domain > 0), ("target (negative)", domain < 0)):
             if not mask.any() and not either:
                 raise ValueError(
-                    f"sample_domain marks none of the {len(domain)} rows as {name}. Give rows of both domains, "
+                    f"sample_domain marks none of the {len(domain)} rows as {name}. Give rows of both "
+                    "domains, "
                     "or two arrays, fit(X_source, X_target)."
                 )
             if not mask.any():
@@ -265,14 +275,17 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
             else:
                 parts.append(xp.take(X, xp.asarray(np.flatnonzero(mask)), axis=0))
             weights.append(None if weight is None else weight[mask])
-        return Samples(*parts, *weights, stacked=True)
+        source, target = parts
+        return Samples(source, target, weights[0], weights[1], stacked=True)
 
     def _refuse_flat_target(self, y):
         shape = y.shape if hasattr(y, "shape") else np.asarray(y).shape
         if len(shape) == 1:
             raise ValueError(
-                f"{type(self).__name__} needs target rows: y must be 2-D with the columns of X; it is 1-D, of "
-                f"shape {tuple(shape)}. If these are labels and X holds both domains, pass sample_domain=... too."
+                f"{type(self).__name__} needs target rows: y must be 2-D with the columns of X; it is 1-D, "
+                "of "
+                f"shape {tuple(shape)}. If these are labels and X holds both domains, pass sample_domain=... "
+                "too."
             )
 
     def _target(self, y):
@@ -281,7 +294,8 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         y = self._rows(y, "y", reset=None)
         if y.shape[1] != self.n_features_in_:
             raise ValueError(
-                f"X and y must have the same columns; X has {self.n_features_in_} features, y has {y.shape[1]}."
+                f"X and y must have the same columns; X has {self.n_features_in_} features, y has "
+                f"{y.shape[1]}."
             )
         return y
 
@@ -292,7 +306,8 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
             return
         if set(ours) == set(names):
             raise ValueError(
-                f"the columns of y must be in the order of those of X; X has {list(ours)}, y has {list(names)}. "
+                f"the columns of y must be in the order of those of X; X has {list(ours)}, y has "
+                f"{list(names)}. "
                 "Give y[X.columns]."
             )
         raise ValueError(
@@ -301,7 +316,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         )
 
     def _rows(self, X, name, *, reset):
-        """Return rows as a 2-D array of floats, whether finite or not; `reset` None leaves the features alone."""
+        """Return rows as 2-D floats, whether finite or not; `reset` None leaves the features alone."""
         if is_dask(X):
             return self._dask_rows(X, name, reset=reset)
         xp, _, device = get_namespace_and_device(X)
@@ -337,15 +352,19 @@ def _domain(sample_domain, X):
     domain = on_host(sample_domain)
     if domain.ndim != 1 or not np.issubdtype(domain.dtype, np.number):
         raise ValueError(
-            "sample_domain must be a 1-D array of numbers, positive for source and negative for target rows; it has "
+            "sample_domain must be a 1-D array of numbers, positive for source and negative for target rows; "
+            "it has "
             f"shape {domain.shape} and type {domain.dtype}."
         )
     if not is_dask(X) and len(domain) != X.shape[0]:
-        raise ValueError(f"sample_domain must have one value per row; it has {len(domain)}, X {X.shape[0]} rows.")
+        raise ValueError(
+            f"sample_domain must have one value per row; it has {len(domain)}, X {X.shape[0]} rows."
+        )
     undecided = np.count_nonzero(~((domain > 0) | (domain < 0)))
     if undecided:
         raise ValueError(
-            f"sample_domain must be positive for source and negative for target rows; {undecided} of {len(domain)} "
+            f"sample_domain must be positive for source and negative for target rows; {undecided} of "
+            f"{len(domain)} "
             "values are zero or NaN."
         )
     return domain
@@ -363,8 +382,10 @@ def _checked_weight(weight, rows):
     if is_dask(rows):
         return np.asarray(weight, dtype=np.float64)
     if np.isscalar(weight):
-        weight = np.full(rows.shape[0], float(weight))
-    return check_sample_weight(on_host(weight), np.empty((rows.shape[0], 1)), ensure_non_negative=True, dtype=np.float64)
+        weight = np.full(rows.shape[0], weight, dtype=np.float64)
+    return check_sample_weight(
+        on_host(weight), np.empty((rows.shape[0], 1)), ensure_non_negative=True, dtype=np.float64
+    )
 
 
 def on_host(array):

@@ -86,8 +86,8 @@ class CORAL(MomentTransport):
 class ExactTransport(BaseTransport):
     """Carry rows by the exact optimal plan between the samples, which POT solves.
 
-    A row that was fitted goes to the mean of the target rows that the plan sends it to (barycentric projection).
-    Any other row goes where the nearest fitted row goes, with its offset from that row, as in
+    A row that was fitted goes to the mean of the target rows that the plan sends it to (barycentric
+    projection). Any other row goes where the nearest fitted row goes, with its offset from that row, as in
     ``ot.da.EMDTransport``.
 
     Attributes
@@ -124,7 +124,9 @@ class ExactTransport(BaseTransport):
             weight = next(weights)
             return np.full(len(rows), 1 / len(rows)) if weight is None else weight / weight.sum()
 
-        self._solver = EMDTransport(distribution_estimation=weight_of, max_iter=100 * len(source) * len(target) + 100_000)
+        self._solver = EMDTransport(
+            distribution_estimation=weight_of, max_iter=100 * len(source) * len(target) + 100_000
+        )
         self._solver.fit(Xs=source, Xt=target)
         self._solver.distribution_estimation = None
         self.coupling_ = self._solver.coupling_

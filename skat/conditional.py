@@ -3,6 +3,7 @@
 import numpy as np
 
 from skat.gaussian import EPS, AffineMap, optimal_map, root_of_factor
+from skat.moments import triangle
 
 __all__ = ["conditional_map", "regression"]
 
@@ -64,7 +65,7 @@ def regression(moments, context):
     """
     factor = moments.covariance_factor()
     n_context = int(context.sum())
-    ordered = np.linalg.qr(np.hstack([factor[:, context], factor[:, ~context]]), mode="r")
+    ordered = triangle(np.hstack([factor[:, context], factor[:, ~context]]))
     predictors, response = ordered[:, :n_context], ordered[:, n_context:]
     scale = np.sqrt(np.square(predictors).sum(axis=0))
     scale = np.where(scale > 0, scale, 1.0)

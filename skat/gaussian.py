@@ -1,8 +1,9 @@
 r"""Maps and distances between normal approximations.
 
 Everything here works on *roots*: matrices :math:`L` of shape (n_features, rank) and full column rank with
-:math:`L L^T` the covariance. A root has the square root of the covariance's condition, and taking one is where the
-rank is decided; from there on only products, orthogonal factors and divisions by singular values remain.
+:math:`L L^T` the covariance. A root has the square root of the covariance's condition, and taking one is
+where the rank is decided; from there on only products, orthogonal factors and divisions by singular values
+remain.
 """
 
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import lapack, solve_triangular
 
-from skat.moments import Moments, row_moments
+from skat.moments import Moments, row_moments, triangle
 
 __all__ = [
     "AffineMap",
@@ -30,7 +31,7 @@ __all__ = [
     "transport_map",
 ]
 
-EPS = np.finfo(np.float64).eps
+EPS = float(np.finfo(np.float64).eps)
 # Angles between subspaces are known to about EPS times the condition of the roots that span them.
 SMALLEST_COSINE = np.sqrt(EPS)
 LARGEST_JACOBI = 512
@@ -73,16 +74,18 @@ class AffineMap:
         """
         rows = np.asarray(rows)
         carried = np.empty(rows.shape, dtype=rows.dtype if rows.dtype == np.float32 else np.float64)
-        size = max(BLOCK_ELEMENTS // max(rows.shape[1], 1), 256)
+        size = max(BLOCK_ELEMENTS // rows.shape[1], 256)
         buffer = np.empty((min(size, len(rows)), rows.shape[1]))
-        product = np.empty_like(buffer)
         transposed = np.ascontiguousarray(self.coef.T)
         for start in range(0, len(rows), size):
-            block = rows[start : start + size]
-            centred, image = buffer[: len(block)], product[: len(block)]
+            block, image = rows[start : start + size], carried[start : start + size]
+            centred = buffer[: len(block)]
             np.subtract(block, self.source_mean, out=centred)
-            np.matmul(centred, transposed, out=image)
-            np.add(image, self.target_mean, out=carried[start : start + size], casting="same_kind")
+            if image.dtype == np.float64:
+                np.matmul(centred, transposed, out=image)
+                image += self.target_mean
+            else:
+                image[...] = centred @ transposed + self.target_mean
         return carried
 
 
@@ -101,13 +104,14 @@ def transport_map(source_covariance, target_covariance):
     Returns
     -------
     ndarray of shape (n_features, n_features)
-        Symmetric, positive semi-definite, of the target covariance's rank; unit of feature i per unit of feature j.
+        Symmetric, positive semi-definite, of the target covariance's rank; unit of feature i per unit of
+        feature j.
 
     Raises
     ------
     numpy.linalg.LinAlgError
-        A ValueError: if :math:`C_t^{1/2} C_s C_t^{1/2}` has a lower rank than :math:`C_t`, for then no linear map
-        carries one to the other.
+        A ValueError: if :math:`C_t^{1/2} C_s C_t^{1/2}` has a lower rank than :math:`C_t`, for then no linear
+        map carries one to the other.
     ValueError
         If a covariance is not square, not symmetric or not positive semi-definite.
 
@@ -130,8 +134,8 @@ def gaussian_wasserstein_distance(source_mean, source_covariance, target_mean, t
     .. math:: W_2^2 = \|m_s - m_t\|^2 + \operatorname{tr} C_s + \operatorname{tr} C_t
               - 2 \operatorname{tr} (C_t^{1/2} C_s C_t^{1/2})^{1/2}
 
-    It is computed as the distance between aligned roots, :math:`\min_Q \|L_s - L_t Q\|_F`, which has all its digits
-    where the two distributions are almost the same and the formula above has none.
+    It is computed as the distance between aligned roots, :math:`\min_Q \|L_s - L_t Q\|_F`, which has all its
+    digits where the two distributions are almost the same and the formula above has none.
 
     Parameters
     ----------
@@ -177,8 +181,8 @@ def covariance_root(covariance):
     Returns
     -------
     ndarray of shape (n_features, rank)
-        A matrix of full column rank whose product with its transpose is the covariance. The rank is that of the
-        correlation matrix, so it does not depend on the features' units.
+        A matrix of full column rank whose product with its transpose is the covariance. The rank is that of
+        the correlation matrix, so it does not depend on the features' units.
 
     Raises
     ------
@@ -210,7 +214,8 @@ def covariance_root(covariance):
     tolerance = 10 * EPS * len(scale) * max(eigenvalues[-1], 0.0)
     if eigenvalues[0] < -max(1e-8 * eigenvalues[-1], tolerance):
         raise ValueError(
-            f"a covariance must be positive semi-definite; an eigenvalue of its correlations is {eigenvalues[0]}."
+            "a covariance must be positive semi-definite; an eigenvalue of its correlations is "
+            f"{eigenvalues[0]}."
         )
     kept = eigenvalues > tolerance
     return np.sqrt(eigenvalues[kept]) * vectors[:, kept] * scale[:, np.newaxis]
@@ -224,7 +229,8 @@ def root_of_moments(moments, scale=None):
     moments : Moments
         Moments of rows.
     scale : ndarray of shape (n_features,), default=None
-        Size of each feature against which a direction of no variance is judged; the standard deviations where None.
+        Size of each feature against which a direction of no variance is judged; the standard deviations where
+        None.
 
     Returns
     -------
@@ -244,7 +250,7 @@ def root_of_factor(factor, scale=None):
         scale = np.sqrt(np.square(factor).sum(axis=0))
     scale = np.where(scale > 0, scale, 1.0)
     if len(factor) >= n_features and _is_of_full_rank(factor / scale):
-        return (np.linalg.qr(factor, mode="r") if len(factor) > n_features else factor).T
+        return (triangle(factor) if len(factor) > n_features else factor).T
     _, values, directions = np.linalg.svd(factor / scale, full_matrices=False)
     kept = values > 10 * EPS * n_features * max(values.max(initial=0.0), SMALLEST_COSINE)
     return directions[kept].T * values[kept] * scale[:, np.newaxis]
@@ -294,13 +300,18 @@ def optimal_map(source_root, target_root):
 
 
 def _half_of_well_conditioned_map(source_root, target_root):
-    """Return G with G G^T the map, or None where the roots are not conditioned well enough for a plain product."""
+    """Return G with G G^T the map, or None where a plain product of the roots would lose digits."""
     core = target_root.T @ source_root
     if len(core) > 256:
         squares, right = np.linalg.eigh(core.T @ core)
         if squares[0] > 1e-5 * squares[-1] and _is_triangular(source_root):
             return solve_triangular(
-                source_root, right * squares**0.25, lower=True, trans="T", overwrite_b=True, check_finite=False
+                source_root,
+                right * squares**0.25,
+                lower=True,
+                trans="T",
+                overwrite_b=True,
+                check_finite=False,
             )
     left, values, _ = np.linalg.svd(core)
     if values[-1] > 1e-4 * values[0]:
@@ -347,9 +358,10 @@ def spectrum(root):
 
 
 def accurate_svd(matrix):
-    """Return the thin SVD, by one-sided Jacobi: rows or columns of very different size keep their small values.
+    """Return the thin SVD, by one-sided Jacobi, which keeps small values of rows or columns of unlike size.
 
-    See Drmač and Veselić (2008), New fast and accurate Jacobi SVD algorithm, SIAM J. Matrix Anal. Appl. 29(4).
+    See Drmač and Veselić (2008), New fast and accurate Jacobi SVD algorithm, SIAM J. Matrix Anal. Appl.
+    29(4).
     """
     if matrix.shape[0] < matrix.shape[1]:
         left, values, right = accurate_svd(matrix.T)
@@ -393,7 +405,7 @@ def coral_map(source_root, target_root):
 
 
 def distance_of_roots(mean_difference, source_root, target_root):
-    """Return the distance of `gaussian_wasserstein_distance` from the difference of the means and two roots."""
+    """Return the distance of `gaussian_wasserstein_distance` from the means' difference and two roots."""
     rank = max(source_root.shape[1], target_root.shape[1])
     source_root, target_root = (
         np.pad(root, ((0, 0), (0, rank - root.shape[1]))) for root in (source_root, target_root)

@@ -1,6 +1,7 @@
 """Transports by an affine map that is a function of the two domains' moments."""
 
 import warnings
+from typing import Any
 
 import numpy as np
 from sklearn.base import clone
@@ -24,6 +25,8 @@ class MomentTransport(BaseTransport):
     """
 
     _array_api = True
+    _moments: Any = None
+    _missing: Any = None
 
     def __init__(self, *, covariance="empirical", metric_scale=None):
         self.covariance = covariance
@@ -64,7 +67,7 @@ class MomentTransport(BaseTransport):
             )
         if X is None and y is None:
             raise ValueError("partial_fit needs rows: source rows as X, target rows as y, or both.")
-        first = getattr(self, "_moments", None) is None
+        first = self._moments is None
         samples = self._part(X, y, sample_weight, sample_domain, reset=first)
         collected = self._collect(samples)
         self._moments = collected if first else tuple(map(_merged, self._moments, collected))
@@ -109,7 +112,8 @@ class MomentTransport(BaseTransport):
                 )
         elif isinstance(self.covariance, type) or not hasattr(self.covariance, "fit"):
             raise ValueError(
-                f"covariance must be one of {names} or an instance of a covariance estimator of scikit-learn; "
+                f"covariance must be one of {names} or an instance of a covariance estimator of "
+                "scikit-learn; "
                 f"it is {self.covariance!r}."
             )
 
@@ -151,7 +155,7 @@ class MomentTransport(BaseTransport):
                 delattr(self, name)
 
     def _check_is_fitted(self):
-        if getattr(self, "_missing", None) is not None:
+        if self._missing is not None:
             raise NotFittedError(
                 f"this {type(self).__name__} has no map yet: {self._missing.removesuffix('.')}. "
                 "Add rows of both domains by partial_fit."
@@ -223,7 +227,7 @@ class MomentTransport(BaseTransport):
         if isinstance(self.metric_scale, str):
             if self.metric_scale != "target":
                 raise ValueError(
-                    f'metric_scale must be None, "target" or an array of lengths; it is {self.metric_scale!r}.'
+                    f'metric_scale must be None, "target" or an array of lengths, not is {self.metric_scale!r}.'
                 )
             deviation = np.sqrt(target.variance)
             return np.where(deviation > 0, deviation, 1.0)
@@ -243,7 +247,8 @@ class MomentTransport(BaseTransport):
         n_rows = min(source.n_rows, target.n_rows)
         if n_rows <= self.n_features_in_ and self.rank_ < self.n_features_in_:
             warnings.warn(
-                f"{n_rows} rows cannot show how {self.n_features_in_} features vary together: the map has rank "
+                f"{n_rows} rows cannot show how {self.n_features_in_} features vary together: the map has "
+                "rank "
                 f"{self.rank_}, fits these rows and will not generalise to others. Give more rows, or use "
                 'covariance="shrunk" or a covariance estimator.',
                 UserWarning,

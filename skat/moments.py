@@ -1,11 +1,12 @@
 """Mean and covariance of weighted rows: accurate, mergeable, and computed without a centred copy."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.linalg import lapack
 
-__all__ = ["Moments", "row_moments"]
+__all__ = ["Moments", "row_moments", "triangle"]
 
 # A product X'X squares the condition of X. Beyond this condition of the correlation matrix it costs more than
 # about ten digits of the smallest direction, and the rows go through QR instead.
@@ -23,9 +24,9 @@ SERIAL_ELEMENTS = 2**12
 class Moments:
     r"""Weight, mean and scatter of a set of rows; ``a + b`` are the moments of both sets together.
 
-    The scatter :math:`\sum_k w_k (x_k - m)(x_k - m)^T` is held either as that matrix or, where forming it would
-    lose digits, as a factor :math:`F` with :math:`F^T F` the scatter. The two are never mixed up: a sum with a
-    factor in it is a factor.
+    The scatter :math:`\sum_k w_k (x_k - m)(x_k - m)^T` is held either as that matrix or, where forming it
+    would lose digits, as a factor :math:`F` with :math:`F^T F` the scatter. The two are never mixed up: a sum
+    with a factor in it is a factor.
 
     Attributes
     ----------
@@ -38,8 +39,8 @@ class Moments:
     mean : ndarray of shape (n_features,)
         Weighted mean, in the features' units.
     mean_remainder : ndarray of shape (n_features,)
-        What rounding took from the mean: the sum of both is the mean to about 32 digits, so that sets far from
-        the origin merge without loss.
+        What rounding took from the mean: the sum of both is the mean to about 32 digits, so that sets far
+        from the origin merge without loss.
     scatter : ndarray of shape (n_features, n_features) or None
         The matrix above; None where `factor` holds it.
     factor : ndarray of shape (n_factor_rows, n_features) or None
@@ -57,8 +58,8 @@ class Moments:
     squared_weight: float
     mean: np.ndarray
     mean_remainder: np.ndarray
-    scatter: np.ndarray | None = None
-    factor: np.ndarray | None = None
+    scatter: Any = None
+    factor: Any = None
 
     @property
     def n_features(self):
@@ -90,7 +91,7 @@ class Moments:
         return bool(np.isfinite(self.mean).all() and np.isfinite(held).all())
 
     def covariance_factor(self):
-        r"""Return :math:`F` with :math:`F^T F` the covariance, of at most as many rows as there are columns."""
+        r"""Return :math:`F` with :math:`F^T F` the covariance, of at most as many rows as columns."""
         factor = self.factor if self.scatter is None else _factor_of_scatter(self.scatter)
         return _compressed(factor, at_most=self.n_features) / np.sqrt(self.weight)
 
@@ -143,7 +144,8 @@ class Moments:
             return NotImplemented
         if self.n_features != other.n_features:
             raise ValueError(
-                f"moments merge only over the same columns; these have {self.n_features} and {other.n_features}."
+                f"moments merge only over the same columns; these have {self.n_features} and "
+                f"{other.n_features}."
             )
         weight = self.weight + other.weight
         shift = (other.mean - self.mean) + (other.mean_remainder - self.mean_remainder)
@@ -154,11 +156,15 @@ class Moments:
         else:
             parts = [_factor_of_scatter(m.scatter) if m.factor is None else m.factor for m in (self, other)]
             factor = _compressed(np.vstack([*parts, between]), at_most=2 * self.n_features)
+        mean, remainder = _sum_with_remainder(
+            self.mean, self.mean_remainder + shift * (other.weight / weight)
+        )
         return Moments(
             self.n_rows + other.n_rows,
             weight,
             self.squared_weight + other.squared_weight,
-            *_sum_with_remainder(self.mean, self.mean_remainder + shift * (other.weight / weight)),
+            mean,
+            remainder,
             scatter,
             factor,
         )
@@ -205,6 +211,12 @@ def row_moments(rows, weight=None):
             factor = _row_factor(rows, weight, mean)
             return Moments(n_rows, total, squared, mean, remainder, factor=factor)
     return Moments(n_rows, total, squared, mean, remainder, scatter=scatter)
+
+
+def triangle(factor):
+    """Return the triangular factor of QR: a factor of the same product, of no more rows than columns."""
+    upper: Any = np.linalg.qr(factor, mode="r")
+    return upper
 
 
 def _sum_with_remainder(large, small):
@@ -281,9 +293,9 @@ def _compressed(factor, at_most):
         return factor
     size = SERIAL_ELEMENTS // n_features
     if size < 2 * n_features or n_rows < 2 * size:
-        return np.linalg.qr(factor, mode="r")
+        return triangle(factor)
     whole = n_rows - n_rows % size
-    triangles = np.linalg.qr(factor[:whole].reshape(-1, size, n_features), mode="r")
+    triangles = triangle(factor[:whole].reshape(-1, size, n_features))
     return _compressed(np.vstack([triangles.reshape(-1, n_features), factor[whole:]]), at_most)
 
 
@@ -328,6 +340,6 @@ def _factor_of_scatter(scatter):
 
 
 def _swamps(between, first, second):
-    """Whether the scatter between two sets is so much larger than that within that a sum would lose digits."""
+    """Whether the scatter between two sets is so large against that within that a sum loses digits."""
     within = np.diagonal(first.scatter) + np.diagonal(second.scatter)
     return bool((np.square(between) > 30 * within).any())

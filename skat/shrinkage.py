@@ -11,14 +11,14 @@ __all__ = ["shrinkage_intensity", "shrunk_towards"]
 def shrunk_towards(target, source):
     r"""Return target moments with the covariance shrunk towards the source's, and by how much.
 
-    In coordinates that whiten the source, so that nothing depends on units, the root of the target's covariance is
-    drawn towards the identity,
+    In coordinates that whiten the source, so that nothing depends on units, the root of the target's
+    covariance is drawn towards the identity,
 
     .. math:: R^* = (1 - \lambda)\, (C_s^{-1/2} C_t C_s^{-1/2})^{1/2} + \lambda I, \quad
               C_t^* = C_s^{1/2} R^{*2} C_s^{1/2},
 
-    that is, along the shortest path between the two normal distributions in the Wasserstein metric. It is the root
-    and not the covariance that is averaged because the error of the map is linear in the root.
+    that is, along the shortest path between the two normal distributions in the Wasserstein metric. It is the
+    root and not the covariance that is averaged because the error of the map is linear in the root.
 
     Parameters
     ----------
@@ -64,9 +64,9 @@ def shrinkage_intensity(values, n_rows):
               \operatorname{E} \|\hat R - R\|^2 \approx
               \frac{1}{n} \sum_{ij} \frac{r_i^2 r_j^2 (1 + \delta_{ij})}{(r_i + r_j)^2}
 
-    as for a covariance in Ledoit and Wolf (2004); the second formula is the first-order error of the root of the
-    covariance of n normal rows. Its own :math:`r` come from a covariance shrunk in the ordinary way, since
-    the sample's are too far apart.
+    as for a covariance in Ledoit and Wolf (2004); the second formula is the first-order error of the root of
+    the covariance of n normal rows. Its own :math:`r` come from a covariance shrunk in the ordinary way,
+    since the sample's are too far apart.
 
     Parameters
     ----------
@@ -82,7 +82,8 @@ def shrinkage_intensity(values, n_rows):
 
     References
     ----------
-    .. [1] Ledoit and Wolf (2004). A well-conditioned estimator for large-dimensional covariance matrices. Journal
+    .. [1] Ledoit and Wolf (2004). A well-conditioned estimator for large-dimensional covariance matrices.
+    Journal
        of Multivariate Analysis 88(2).
     """
     freedom = n_rows - 1

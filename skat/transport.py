@@ -99,8 +99,8 @@ class ProcrustesAffineTransport(MomentTransport):
     alignment : {"whitened", "raw"}, default="whitened"
         Which rotation to use.
     center : bool, default=True
-        False takes the rotation from rows that are not centred, as the letter of Algorithm 1 has it; only with
-        ``alignment="raw"``.
+        False takes the rotation from rows that are not centred, as the letter of Algorithm 1 has it; only
+        with ``alignment="raw"``.
     covariance : {"empirical", "shrunk"} or estimator, default="empirical"
         As for `AffineTransport`.
     metric_scale : None, "target" or array-like of shape (n_features,), default=None
@@ -140,25 +140,29 @@ class ProcrustesAffineTransport(MomentTransport):
             raise ValueError(f'alignment must be "whitened" or "raw"; it is {self.alignment!r}.')
         if not self.center and self.alignment != "raw":
             raise ValueError(
-                'center=False belongs to alignment="raw", the letter of Algorithm 1; whitening is by covariances, '
-                'which are centred. Use center=True or alignment="raw".'
+                'center=False belongs to alignment="raw", the letter of Algorithm 1; whitening is by '
+                'covariances, which are centred. Use center=True or alignment="raw".'
             )
 
     def _sets_of_rows(self, samples):
         """Return the pairs, as rows of twice the columns."""
         if samples.source is None or samples.target is None:
             raise ValueError(
-                f"{type(self).__name__} learns from pairs, so each call needs source and target rows together."
+                f"{type(self).__name__} learns from pairs, so each call needs source and target rows "
+                "together."
             )
         n_source, n_target = samples.source.shape[0], samples.target.shape[0]
         if n_source != n_target and not (np.isnan(n_source) or np.isnan(n_target)):
             raise ValueError(
-                f"{type(self).__name__} learns from pairs: row k of the target belongs to row k of the source; "
-                f"there are {n_source} source rows and {n_target} target rows. Without pairs, use AffineTransport "
+                f"{type(self).__name__} learns from pairs: row k of the target belongs to row k of the "
+                "source; "
+                f"there are {n_source} source rows and {n_target} target rows. Without pairs, use "
+                "AffineTransport "
                 "or ConditionalAffineTransport."
             )
         if (samples.source_weight is None) != (samples.target_weight is None) or (
-            samples.source_weight is not None and not np.array_equal(samples.source_weight, samples.target_weight)
+            samples.source_weight is not None
+            and not np.array_equal(samples.source_weight, samples.target_weight)
         ):
             raise ValueError("a pair has one weight: give one array of weights, not two that differ.")
         return [(beside(samples.source, samples.target), samples.source_weight)]
@@ -175,10 +179,15 @@ class ProcrustesAffineTransport(MomentTransport):
         n_features = source.n_features
         factor = pairs.covariance_factor() / np.concatenate([scale, scale])
         source_part, target_part = factor[:, :n_features], factor[:, n_features:]
-        if self._warns and correlation_score(source_part, target_part, pairs.n_rows) < LEAST_CORRELATION_SCORE:
+        if (
+            self._warns
+            and correlation_score(source_part, target_part, pairs.n_rows) < LEAST_CORRELATION_SCORE
+        ):
             warnings.warn(
-                "the pairs carry no correlation that shuffled rows would not show as well, so the rotation is "
-                "arbitrary. Check that row k of y belongs to row k of X, or use AffineTransport, which needs no pairs.",
+                "the pairs carry no correlation that shuffled rows would not show as well, so the rotation "
+                "is "
+                "arbitrary. Check that row k of y belongs to row k of X, or use AffineTransport, which needs "
+                "no pairs.",
                 UserWarning,
                 stacklevel=4,
             )
@@ -200,7 +209,8 @@ class ProcrustesAffineTransport(MomentTransport):
     def _solve_back(self, source, target, scale):
         if self._alignment.inverse_coef is None:
             raise np.linalg.LinAlgError(
-                f"this map has no inverse: it carries the source to {self.rank_} directions, fewer than the source "
+                f"this map has no inverse: it carries the source to {self.rank_} directions, fewer than the "
+                "source "
                 "varies in. Fit it with more target rows."
             )
         return AffineMap(self._alignment.inverse_coef, target.mean, source.mean)
@@ -220,8 +230,8 @@ class ConditionalAffineTransport(MomentTransport):
     Parameters
     ----------
     context : int, str, slice, list, array of bool or callable
-        An int k: the first k columns (not the k-th, as in `~sklearn.compose.ColumnTransformer`). Anything else
-        selects columns as there: positions or names in a list, a slice, a mask, or a callable of `X`.
+        An int k: the first k columns (not the k-th, as in `~sklearn.compose.ColumnTransformer`). Anything
+        else selects columns as there: positions or names in a list, a slice, a mask, or a callable of `X`.
     covariance : {"empirical", "shrunk"} or estimator, default="empirical"
         As for `AffineTransport`.
     metric_scale : None, "target" or array-like of shape (n_features,), default=None
@@ -256,7 +266,8 @@ class ConditionalAffineTransport(MomentTransport):
         if isinstance(context, int | np.integer) and not isinstance(context, bool | np.bool_):
             if not 0 < context < n_features:
                 raise ValueError(
-                    f"context={context} means the first {context} columns; it must be at least 1 and less than the "
+                    f"context={context} means the first {context} columns; it must be at least 1 and less "
+                    "than the "
                     f"number of columns, n_features = {n_features}."
                 )
             chosen[:context] = True

@@ -84,8 +84,8 @@ def affinity(X_transported, y, *, x_weight=None, y_weight=None):
     Raises
     ------
     ValueError
-        As `wasserstein_distance`; and if the target rows are all equal while the transported ones are not equal
-        to them, so that there is no scale to measure by.
+        As `wasserstein_distance`; and if the target rows are all equal while the transported ones are not
+        equal to them, so that there is no scale to measure by.
 
     References
     ----------

@@ -15,7 +15,7 @@ ALLOWED = {
     "moments": set(),
     "gaussian": {"moments"},
     "alignment": {"gaussian"},
-    "conditional": {"gaussian"},
+    "conditional": {"moments", "gaussian"},
     "shrinkage": {"moments", "gaussian"},
     "wasserstein": set(),
     "backends": {"_compat", "moments", "gaussian"},
