@@ -250,10 +250,9 @@ class Residuals:
 
     def whiten(self, columns):
         """Return raw columns (n_rows, n_channels[, k]) in units of the noise; rows without evidence are zero."""
-        shape = (-1,) + (1,) * (columns.ndim - 2)
-        return np.where(self.present.reshape(-1, *shape[:-1], 1), columns, 0.0) / np.sqrt(
-            self.variances
-        ).reshape(shape)
+        extra = (1,) * (columns.ndim - 2)
+        present, deviations = self.present.reshape(-1, 1, *extra), np.sqrt(self.variances).reshape(-1, *extra)
+        return np.where(present, columns, 0.0) / deviations
 
     def unwhiten_adjoint(self, white):
         """Return the transposed whitening of columns (n_rows, n_channels[, k])."""
