@@ -209,6 +209,8 @@ class Selection:
             if race and step in FINALISTS:
                 leaders = np.argsort([one[0].sum() for one in best])[: FINALISTS[step]]
                 active = [m for m in active if m in leaders]
+            if not active:
+                break
                 if not active:
                     break
             candidates, places = [], []
@@ -242,8 +244,6 @@ class Selection:
                 if size > CONVERGED and damping[m] < 1e4:
                     still.append(m)
             active = still
-            if not active:
-                break
         return [Fit(one[1], one[0]) for one in best]
 
     def _step(self, at, information, score, damping):
