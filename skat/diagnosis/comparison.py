@@ -104,13 +104,12 @@ def compare_transports(
     fitted = make(diagnosis, _log(diagnosis, X_fit, y_fit, groups_fit, "fit"), "fit")
     test = make(diagnosis, _log(diagnosis, X_test, y_test, groups_test, "test"), "test")
     lost = _lost_note(test)
-    scale = _spread(fitted.measured)
     rows = [_Row(NOMINAL, test.error(test.nominal), 0, lost)]
     source, noise_note = _source_outputs(fitted, random_state)
     for name, transport in transports.items():
         rows.append(_transported(name, transport, fitted, source, test, noise_note, random_state))
     rows.append(_Row(EXTENDED, test.error(test.extended), 0, lost))
-    return _table(rows, scale, test, random_state)
+    return _table(rows, fitted.spread, test, random_state)
 
 
 def ceiling_sentence(frame):
@@ -164,6 +163,8 @@ class _Rows:
     measured, nominal, extended : ndarray of shape (n_rows, n_columns)
     difference : callable
         ``difference(prediction)`` returns measured minus predicted, (n_rows, n_channels).
+    spread : ndarray of shape (n_channels,)
+        Standard deviations of the measured outputs, 1 for constant ones.
     channels : tuple of str
     blocks : ndarray of int of shape (n_rows,)
         Pieces of time that count as independent.
@@ -176,6 +177,7 @@ class _Rows:
     nominal: np.ndarray
     extended: np.ndarray
     difference: Callable
+    spread: np.ndarray
     channels: tuple
     blocks: np.ndarray
     n_lost: int
@@ -249,7 +251,9 @@ def _one_step_rows(diagnosis, log, what):
             *(simulator.residual(one, states) for one in (y, nominal, extended)),
             lambda change: simulator.residual(y, simulator.displace(states, change)),
         )
-    return _Rows(X, *parts, tuple(simulator.residual_names), log.blocks()[there], int((~there).sum()))
+    spread = _spread(simulator.residual(y, np.broadcast_to(y[:1], y.shape)))
+    blocks = log.blocks()[there]
+    return _Rows(X, *parts, spread, tuple(simulator.residual_names), blocks, int((~there).sum()))
 
 
 def _trajectory_rows(diagnosis, log, what):
@@ -273,6 +277,7 @@ def _trajectory_rows(diagnosis, log, what):
         nominal,
         extended,
         lambda prediction: measured - prediction,
+        _spread(measured),
         tuple(np.array(diagnosis.simulator.residual_names)[episodes.measured]),
         log.blocks()[there],
         int((~there).sum()),
@@ -300,7 +305,7 @@ def _source_outputs(fitted, random_state):
         return fitted.nominal, ""
     deviations = (fitted.measured - fitted.extended).std(axis=0)
     noisy = fitted.nominal + random_state.standard_normal(fitted.nominal.shape) * deviations
-    return noisy, "fitted with noise added to the simulated rows, which are linear in the inputs"
+    return noisy, "fitted with noise added to the simulated rows, in which some outputs are linear in the inputs"
 
 
 def _rank(rows):

@@ -135,6 +135,7 @@ class Report:
         if figures:
             self._compare()
         page = environment.get_template(TEMPLATE).render(self._content(figures))
+        page = page.replace(" %", "\N{NO-BREAK SPACE}%")
         return page.encode("ascii", "xmlcharrefreplace").decode()
 
     def to_html(self, path, *, force=False):
@@ -379,7 +380,7 @@ def _p_value(value):
 
 
 def _unit(unit):
-    return "" if unit == "1" or unit.startswith("unit of ") else unit
+    return "" if unit == "1" or unit.startswith("unit of ") else unit.replace(" ", "\N{NO-BREAK SPACE}")
 
 
 def _causes(causes):
