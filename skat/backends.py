@@ -27,12 +27,12 @@ def moments_of(sides):
     Parameters
     ----------
     sides : sequence of (rows, weight)
-        Rows of shape (n_rows, n_features), and weights of shape (n_rows,) or None.
+        Rows of shape (n_rows, n_features) or None, and weights of shape (n_rows,) or None.
 
     Returns
     -------
     list of Moments
-        None for a set in which no row has weight.
+        None for a set that is None or in which no row has weight.
     """
     lazy = [_lazy_moments(rows, weight) if is_dask(rows) else None for rows, weight in sides]
     if any(part is not None for part in lazy):
@@ -103,6 +103,8 @@ def to_namespace(array, like):
 
 
 def _eager_moments(rows, weight):
+    if rows is None:
+        return None
     xp, _, device = get_namespace_and_device(rows)
     if not is_numpy_namespace(xp):
         return _device_moments(rows, weight, xp, device)
@@ -150,6 +152,9 @@ def _apply_on_device(affine, X, keep, check, xp, device):
         to_namespace(part, X) for part in (affine.coef, affine.source_mean, affine.target_mean)
     )
     carried = (xp.astype(X, dtype) - source_mean) @ coef.T + target_mean
+    if affine.untouched is not None:
+        untouched = xp.asarray(affine.untouched, device=device)[None, :]
+        carried = xp.where(untouched, xp.astype(X, dtype), carried)
     if keep is not None:
         carried = xp.where(xp.asarray(keep, device=device)[:, None], xp.astype(X, dtype), carried)
     if check is not None and not bool(xp.all(xp.isfinite(carried))):

@@ -77,7 +77,7 @@ class CORAL(MomentTransport):
     def _solve(self, source, target, scale):
         source_root, target_root = root_of_moments(source), root_of_moments(target)
         rank = min(source_root.shape[1], target_root.shape[1])
-        return AffineMap(coral_map(source_root, target_root), source.mean, target.mean), rank
+        return AffineMap.between(coral_map(source_root, target_root), source, target), rank
 
     def _solve_back(self, source, target, scale):
         return self._solve(target, source, scale)[0]

@@ -42,8 +42,13 @@ def conditional_map(source, target, context):
     coef[np.ix_(rest, rest)] = carry
     coef[np.ix_(rest, context)] = target_slope - carry @ source_slope
     image = source.mean.copy()
-    image[rest] = target.mean[rest] + target_slope @ (source.mean[context] - target.mean[context])
-    return AffineMap(coef, source.mean, image), int(context.sum()) + target_root.shape[1]
+    image[rest] = target.mean[rest] + (
+        target_slope @ (source.mean[context] - target.mean[context])
+        + target.mean_remainder[rest]
+        - target_slope @ target.mean_remainder[context]
+        - carry @ (source.mean_remainder[rest] - source_slope @ source.mean_remainder[context])
+    )
+    return AffineMap(coef, source.mean, image, untouched=context), int(context.sum()) + target_root.shape[1]
 
 
 def regression(moments, context):

@@ -50,6 +50,8 @@ class AffineMap:
         :math:`m_s`, the point that is carried to `target_mean`.
     target_mean : ndarray of shape (n_features,)
         :math:`m_t`.
+    untouched : ndarray of bool of shape (n_features,) or None
+        Columns that the map leaves as they are, to the last bit.
 
     Examples
     --------
@@ -61,6 +63,18 @@ class AffineMap:
     coef: np.ndarray
     source_mean: np.ndarray
     target_mean: np.ndarray
+    untouched: np.ndarray | None = None
+
+    @classmethod
+    def between(cls, coef, source, target):
+        """Return the map that carries the mean of one `Moments` to that of another."""
+        image = target.mean + (target.mean_remainder - coef @ source.mean_remainder)
+        return cls(coef, source.mean, image)
+
+    def scaled(self, scale):
+        """Return the map of rows of which each column is this many times as large."""
+        coef = self.coef * scale[:, np.newaxis] / scale
+        return AffineMap(coef, self.source_mean * scale, self.target_mean * scale, self.untouched)
 
     @property
     def intercept(self):
@@ -86,6 +100,8 @@ class AffineMap:
                 image += self.target_mean
             else:
                 image[...] = centred @ transposed + self.target_mean
+            if self.untouched is not None:
+                image[:, self.untouched] = block[:, self.untouched]
         return carried
 
 

@@ -10,7 +10,7 @@ from sklearn.utils.validation import has_fit_parameter
 
 from skat.backends import apply_map, is_dask, moments_of, to_namespace
 from skat.base import BaseTransport, on_host
-from skat.gaussian import AffineMap, covariance_root, distance_of_roots, root_of_moments
+from skat.gaussian import covariance_root, distance_of_roots, root_of_moments
 from skat.moments import Moments
 from skat.shrinkage import shrunk_towards
 
@@ -197,7 +197,7 @@ class MomentTransport(BaseTransport):
         self._learned, self._back = (source, target, scale), None
         scaled = self._scaled()
         affine, self.rank_ = self._solve(*scaled, scale)
-        self._map = _in_units(affine, scale)
+        self._map = affine if self.metric_scale is None else affine.scaled(scale)
         for name, value in {
             "coef_": self._map.coef,
             "intercept_": self._map.intercept,
@@ -208,7 +208,7 @@ class MomentTransport(BaseTransport):
             **self._more_attributes(),
         }.items():
             setattr(self, name, to_namespace(value, like))
-        self.wasserstein_distance_ = self._distance(*scaled, affine)
+        self.wasserstein_distance_ = self._distance(scaled[0], scaled[1], affine)
 
     def _more_attributes(self):
         return {}
@@ -227,7 +227,7 @@ class MomentTransport(BaseTransport):
         if isinstance(self.metric_scale, str):
             if self.metric_scale != "target":
                 raise ValueError(
-                    f'metric_scale must be None, "target" or an array of lengths, not is {self.metric_scale!r}.'
+                    f'metric_scale must be None, "target" or an array of lengths, not {self.metric_scale!r}.'
                 )
             deviation = np.sqrt(target.variance)
             return np.where(deviation > 0, deviation, 1.0)
@@ -260,18 +260,14 @@ class MomentTransport(BaseTransport):
 
     def _carry_back(self, X):
         if self._back is None:
-            self._back = self._solve_back(*self._scaled(), self._learned[2])
-        return apply_map(_in_units(self._back, self._learned[2]), X, check=self._refuse_rows)
+            scale = self._learned[2]
+            affine = self._solve_back(*self._scaled(), scale)
+            self._back = affine if self.metric_scale is None else affine.scaled(scale)
+        return apply_map(self._back, X, check=self._refuse_rows)
 
     def _refuse_rows(self, rows):
         self._refuse_infinite(rows, "X")
         raise ValueError("the carried rows exceed the range of float64. Choose other units.")
-
-
-def _in_units(affine, scale):
-    """Return the map of rows in units of their features from that in units of the metric's scale."""
-    coef = affine.coef * scale[:, np.newaxis] / scale
-    return AffineMap(coef, affine.source_mean * scale, affine.target_mean * scale)
 
 
 def _merged(first, second):

@@ -73,7 +73,7 @@ class AffineTransport(MomentTransport):
     def _solve(self, source, target, scale):
         source_root, target_root = root_of_moments(source), root_of_moments(target)
         coef = optimal_map(source_root, target_root)
-        return AffineMap(coef, source.mean, target.mean), target_root.shape[1]
+        return AffineMap.between(coef, source, target), target_root.shape[1]
 
     def _solve_back(self, source, target, scale):
         return self._solve(target, source, scale)[0]
@@ -201,7 +201,7 @@ class ProcrustesAffineTransport(MomentTransport):
         else:
             alignment = whitened_alignment(source_part, target_part, **roots)
         self._alignment = alignment
-        return AffineMap(alignment.coef, source.mean, target.mean), alignment.rank
+        return AffineMap.between(alignment.coef, source, target), alignment.rank
 
     def _more_attributes(self):
         return {"rotation_": self._alignment.rotation}
@@ -213,7 +213,7 @@ class ProcrustesAffineTransport(MomentTransport):
                 "source "
                 "varies in. Fit it with more target rows."
             )
-        return AffineMap(self._alignment.inverse_coef, target.mean, source.mean)
+        return AffineMap.between(self._alignment.inverse_coef, target, source)
 
 
 class ConditionalAffineTransport(MomentTransport):

@@ -1,0 +1,255 @@
+"""The theorems behind the transports, as laws on random inputs."""
+
+import numpy as np
+import pytest
+import scipy.linalg
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from skat import AffineTransport, ConditionalAffineTransport, ProcrustesAffineTransport
+from skat.gaussian import gaussian_wasserstein_distance, transport_map
+from skat.wasserstein import affinity, wasserstein_distance
+from tests.transport.reference import relative_error
+
+seeds = st.integers(0, 2**32 - 1)
+dimensions = st.integers(1, 5)
+laws = settings(max_examples=40, deadline=None)
+
+
+def positive_definite(rng, n_features, floor=0.1):
+    root = rng.normal(size=(n_features, n_features))
+    return root @ root.T + floor * np.eye(n_features)
+
+
+def skewed(rng, n_rows, n_features):
+    """Rows that are far from normal."""
+    return rng.exponential(size=(n_rows, n_features)) @ rng.normal(size=(n_features, n_features))
+
+
+def orthogonal(rng, n_features):
+    return np.linalg.qr(rng.normal(size=(n_features, n_features)))[0]
+
+
+@given(seeds, dimensions)
+@laws
+def test_map_is_symmetric_positive_and_carries_one_covariance_to_the_other(seed, n_features):
+    rng = np.random.default_rng(seed)
+    source, target = positive_definite(rng, n_features), positive_definite(rng, n_features)
+    coef = transport_map(source, target)
+    np.testing.assert_allclose(coef, coef.T, atol=1e-11 * np.abs(coef).max())
+    assert np.linalg.eigvalsh(coef)[0] > 0
+    np.testing.assert_allclose(coef @ source @ coef, target, atol=1e-10 * np.abs(target).max())
+    np.testing.assert_allclose(coef @ transport_map(target, source), np.eye(n_features), atol=1e-8)
+
+
+@given(seeds, dimensions)
+@laws
+def test_map_and_distance_equal_the_formulas_with_matrix_roots(seed, n_features):
+    rng = np.random.default_rng(seed)
+    source, target = positive_definite(rng, n_features), positive_definite(rng, n_features)
+    root = scipy.linalg.sqrtm(target).real
+    middle = scipy.linalg.sqrtm(root @ source @ root).real
+    np.testing.assert_allclose(
+        transport_map(source, target), root @ np.linalg.solve(middle, root), rtol=1e-6, atol=1e-6
+    )
+    shift = rng.normal(size=n_features)
+    squared = shift @ shift + np.trace(source) + np.trace(target) - 2 * np.trace(middle)
+    distance = gaussian_wasserstein_distance(shift, source, np.zeros(n_features), target)
+    assert distance**2 == pytest.approx(squared, rel=1e-9, abs=1e-9)
+
+
+@given(seeds, dimensions)
+@laws
+def test_gaussian_distance_is_a_metric(seed, n_features):
+    rng = np.random.default_rng(seed)
+    a, b, c = ((rng.normal(size=n_features), positive_definite(rng, n_features)) for _ in range(3))
+    assert gaussian_wasserstein_distance(*a, *b) == pytest.approx(
+        gaussian_wasserstein_distance(*b, *a), rel=1e-9
+    )
+    assert gaussian_wasserstein_distance(*a, *a) < 1e-13 * np.sqrt(np.trace(a[1]))
+    through = gaussian_wasserstein_distance(*a, *b) + gaussian_wasserstein_distance(*b, *c)
+    assert gaussian_wasserstein_distance(*a, *c) <= through * (1 + 1e-12)
+
+
+@given(seeds, dimensions)
+@laws
+def test_map_pushes_source_moments_onto_target_moments(seed, n_features):
+    rng = np.random.default_rng(seed)
+    X, y = skewed(rng, 60, n_features), skewed(rng, 40, n_features)
+    transport = AffineTransport().fit(X, y)
+    carried = transport.transform(X)
+    scale = np.abs(y).max()
+    np.testing.assert_allclose(carried.mean(axis=0), y.mean(axis=0), atol=1e-11 * scale)
+    np.testing.assert_allclose(np.cov(carried.T, bias=True), np.cov(y.T, bias=True), atol=1e-10 * scale**2)
+    displacement = np.sqrt(np.square(carried - X).sum(axis=1).mean())
+    assert transport.wasserstein_distance_ == pytest.approx(displacement, rel=1e-9)
+
+
+@given(seeds, dimensions)
+@laws
+def test_gelbrich_distance_of_normal_approximations_is_a_lower_bound(seed, n_features):
+    rng = np.random.default_rng(seed)
+    X, y = skewed(rng, 30, n_features), skewed(rng, 25, n_features)
+    assert AffineTransport().fit(X, y).wasserstein_distance_ <= wasserstein_distance(X, y) * (1 + 1e-10)
+
+
+@given(seeds, dimensions)
+@laws
+def test_a_positive_definite_map_is_the_optimal_one_and_is_found(seed, n_features):
+    """Corollary 1 and Theorem 4: whatever the distribution of X."""
+    rng = np.random.default_rng(seed)
+    X, coef = skewed(rng, 25, n_features), positive_definite(rng, n_features)
+    y = X @ coef + rng.normal(size=n_features)
+    transport = AffineTransport().fit(X, y)
+    np.testing.assert_allclose(transport.coef_, coef, atol=1e-7 * np.abs(coef).max())
+    exact = wasserstein_distance(X, y)
+    assert exact == pytest.approx(np.sqrt(np.square(X - y).sum(axis=1).mean()), rel=1e-9)
+    assert exact == pytest.approx(transport.wasserstein_distance_, rel=1e-8)
+    assert transport.score(X, y) == pytest.approx(1, abs=1e-7)
+
+
+def test_score_is_one_only_where_the_affine_map_is_positive_semi_definite():
+    """The paper says "affine"; a rotation is affine, and the score of a skewed sample and its rotation is not one."""
+    rng = np.random.default_rng(0)
+    X = rng.exponential(size=(200, 2))
+    assert AffineTransport().fit(X, -X).score(X, -X) < 0.9
+
+
+@given(seeds, dimensions)
+@laws
+def test_transport_recovers_the_positive_factor_of_the_polar_decomposition(seed, n_features):
+    """The linear case of Brenier: A = P U, and the optimal map from white X to A X is P."""
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(n_features, n_features))
+    _, positive = scipy.linalg.polar(A, side="left")
+    # P is rooted in A A^T, whose condition is the square of A's.
+    tolerance = 1e-14 * np.linalg.cond(A) ** 2
+    assert relative_error(transport_map(np.eye(n_features), A @ A.T), positive) < tolerance
+
+
+@given(seeds, dimensions)
+@laws
+def test_whitened_procrustes_recovers_every_invertible_affine_map(seed, n_features):
+    rng = np.random.default_rng(seed)
+    X, coef = skewed(rng, 40, n_features), rng.normal(size=(n_features, n_features))
+    intercept = rng.normal(size=n_features)
+    transport = ProcrustesAffineTransport().fit(X, X @ coef.T + intercept)
+    condition = np.linalg.cond(coef) * np.linalg.cond(np.cov(X.T).reshape(n_features, n_features))
+    assert relative_error(transport.coef_, coef) < 1e-13 * condition
+    np.testing.assert_allclose(transport.rotation_ @ transport.rotation_.T, np.eye(n_features), atol=1e-12)
+    back = transport.inverse_transform(transport.transform(X))
+    np.testing.assert_allclose(back, X, atol=1e-11 * condition * np.abs(X).max())
+
+
+def test_algorithm_1_recovers_rotations_of_white_rows_but_not_every_affine_map():
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(200, 4))
+    white = (X - X.mean(axis=0)) @ np.linalg.inv(np.linalg.cholesky(np.cov(X.T, bias=True))).T
+    rotation = orthogonal(rng, 4)
+    raw = ProcrustesAffineTransport(alignment="raw")
+    assert relative_error(raw.fit(white, white @ rotation.T).coef_, rotation) < 1e-12
+    errors = []
+    for _ in range(20):
+        coef = rng.normal(size=(4, 4))
+        correlated = X @ rng.normal(size=(4, 4))
+        errors.append(relative_error(raw.fit(correlated, correlated @ coef.T).coef_, coef))
+    assert np.median(errors) > 0.1
+
+
+def test_algorithm_1_step_by_step():
+    rng = np.random.default_rng(0)
+    X, y = rng.normal(size=(50, 3)) + 2, rng.normal(size=(50, 3)) - 1
+    y += X @ rng.normal(size=(3, 3))
+    left, _, right = np.linalg.svd(y.T @ X)
+    rotation = left @ right
+    turned = X @ rotation.T
+    coef = transport_map(np.cov(turned.T, bias=True), np.cov(y.T, bias=True)) @ rotation
+    letter = ProcrustesAffineTransport(alignment="raw", center=False).fit(X, y)
+    np.testing.assert_allclose(letter.rotation_, rotation, atol=1e-12)
+    np.testing.assert_allclose(letter.coef_, coef, atol=1e-12)
+    np.testing.assert_allclose(
+        letter.transform(X), (X - X.mean(axis=0)) @ coef.T + y.mean(axis=0), atol=1e-12
+    )
+
+
+@pytest.mark.filterwarnings("ignore:the pairs carry no correlation")
+@given(seeds, st.integers(2, 4))
+@laws
+def test_whitened_procrustes_has_the_least_error_of_all_maps_that_match_the_moments(seed, n_features):
+    """Every such map is C_t^(1/2) Q C_s^(-1/2) with Q orthogonal; none that is tried does better."""
+    rng = np.random.default_rng(seed)
+    X = skewed(rng, 60, n_features)
+    y = X @ rng.normal(size=(n_features, n_features)) + 2 * skewed(rng, 60, n_features)
+    transport = ProcrustesAffineTransport()
+    transport.fit(X, y)
+    best = np.square(transport.transform(X) - y).sum(axis=1).mean()
+    source_root = scipy.linalg.sqrtm(transport.source_covariance_).real
+    target_root = scipy.linalg.sqrtm(transport.target_covariance_).real
+    for scale in (1e-3, 0.1, 1, 10):
+        skew = rng.normal(size=(n_features, n_features)) * scale
+        turn = scipy.linalg.expm(skew - skew.T) @ transport.rotation_
+        coef = target_root @ turn @ np.linalg.inv(source_root)
+        other = (X - X.mean(axis=0)) @ coef.T + y.mean(axis=0)
+        np.testing.assert_allclose(
+            np.cov(other.T, bias=True), transport.target_covariance_, rtol=1e-5, atol=1e-5
+        )
+        assert best <= np.square(other - y).sum(axis=1).mean() * (1 + 1e-9)
+
+
+@given(seeds, st.integers(1, 3), st.integers(1, 3))
+@laws
+def test_conditional_transport_leaves_the_context_and_matches_the_conditional_moments(
+    seed, n_context, n_rest
+):
+    rng = np.random.default_rng(seed)
+    c = rng.normal(size=(80, n_context))
+
+    def rest():
+        return c @ rng.normal(size=(n_context, n_rest)) + skewed(rng, 80, n_rest) + rng.normal(size=n_rest)
+
+    X, y = np.hstack([c, rest()]), np.hstack([c, rest()])
+    carried = ConditionalAffineTransport(context=n_context).fit(X, y).transform(X)
+    np.testing.assert_array_equal(carried[:, :n_context], c)
+    scale = np.abs(y).max()
+    np.testing.assert_allclose(carried.mean(axis=0), y.mean(axis=0), atol=1e-11 * scale)
+    np.testing.assert_allclose(np.cov(carried.T), np.cov(y.T), atol=1e-9 * scale**2)
+
+
+@given(seeds)
+@laws
+def test_conditional_transport_recovers_a_change_that_is_positive_given_the_context(seed):
+    """The next state changes by z' = B c + P z, with P positive definite; rows of the two domains are not paired."""
+    rng = np.random.default_rng(seed)
+    c = rng.normal(size=(60, 2))
+    z = c @ rng.normal(size=(2, 3)) + skewed(rng, 60, 3)
+    change, slope = positive_definite(rng, 3), rng.normal(size=(3, 2))
+    X, y = np.hstack([c, z]), np.hstack([c, z @ change + c @ slope.T])
+    transport = ConditionalAffineTransport(context=2).fit(X, rng.permutation(y))
+    np.testing.assert_allclose(
+        transport.coef_[2:], np.hstack([slope, change]), atol=1e-6 * np.abs(change).max()
+    )
+
+
+@given(seeds, dimensions)
+@laws
+def test_affinity_lies_between_zero_and_one_in_sample(seed, n_features):
+    """Proposition 2: the independent coupling is one of those minimised over."""
+    rng = np.random.default_rng(seed)
+    X, y = skewed(rng, 25, n_features), skewed(rng, 30, n_features)
+    transport = AffineTransport().fit(X, y)
+    assert 0 <= transport.score(X, y) <= 1
+    assert transport.score(X, y) == affinity(transport.transform(X), y)
+
+
+def test_estimated_map_approaches_the_true_one_at_the_rate_of_the_square_root_of_n():
+    rng = np.random.default_rng(0)
+    source, target = positive_definite(rng, 4, 1), positive_definite(rng, 4, 1)
+    true = transport_map(source, target)
+    roots = np.linalg.cholesky(source), np.linalg.cholesky(target)
+
+    def error(n_rows):
+        samples = [[rng.normal(size=(n_rows, 4)) @ root.T for root in roots] for _ in range(60)]
+        return np.mean([relative_error(AffineTransport().fit(*sample).coef_, true) for sample in samples])
+
+    # Sixty repetitions know each mean error to about five per cent.
+    assert error(200) / error(3200) == pytest.approx(4, rel=0.25)
