@@ -6,12 +6,11 @@ from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator
 
 from skat.effects import Effect, checked_values
-
-Array = NDArray[np.float64]
+from skat.simulators.tables import Array, checked_columns, earlier_rows, episode_starts
 
 
 class Simulator(BaseEstimator, ABC):
@@ -108,9 +107,8 @@ class Simulator(BaseEstimator, ABC):
         inputs = checked_columns(X, self.input_names, "X")
         totals = [self._total(values) for values in candidates]
         n_lags = max([self._lags(values) for values in totals], default=0)
-        history = (
-            _shifted(self._actions(inputs), _episode_starts(groups, len(inputs)), n_lags) if n_lags else None
-        )
+        starts = episode_starts(groups, len(inputs))
+        history = earlier_rows(self._actions(inputs), starts, n_lags) if n_lags else None
         repeated = np.broadcast_to(inputs, (len(totals), *inputs.shape))
         if not totals or not len(inputs):
             return np.empty((len(totals), len(inputs), len(self.output_names)))
@@ -376,70 +374,6 @@ class Simulator(BaseEstimator, ABC):
                 f"inputs holds a value that is not finite: episode {episode}, step {step}, {names[column]}"
             )
         return actions
-
-
-def checked_columns(table: Any, names: Sequence[str], argument: str) -> Array:
-    """Return a table as a finite float array with the expected columns.
-
-    Parameters
-    ----------
-    table : array-like of shape (n_rows, n_columns) or data frame
-        A data frame's columns are matched by name and may stand in any order.
-    names : sequence of str
-        The columns expected.
-    argument : str
-        How the caller names the table, for messages.
-
-    Raises
-    ------
-    ValueError
-        If the shape or the names differ, or a value is not finite; the message names the columns.
-    """
-    if hasattr(table, "columns") and hasattr(table, "to_numpy"):
-        missing = [name for name in names if name not in set(table.columns)]
-        if missing:
-            raise ValueError(
-                f"{argument} lacks the columns {', '.join(missing)}; expected {', '.join(names)}"
-            )
-        table = table[list(names)].to_numpy()
-    try:
-        array = np.asarray(table, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise ValueError(
-            f"{argument} must hold numbers, with the columns {', '.join(names)}: {error}"
-        ) from None
-    if array.ndim != 2 or array.shape[1] != len(names):
-        raise ValueError(
-            f"{argument} must have the shape (n_rows, {len(names)}), with the columns {', '.join(names)}; "
-            f"got an array of shape {array.shape}"
-        )
-    bad = ~np.isfinite(array)
-    if bad.any():
-        row, column = np.argwhere(bad)[0]
-        raise ValueError(
-            f"{argument} holds {bad.sum()} values that are not finite, the first in row {row}, column "
-            f"{names[column]!r}; remove or fill these rows"
-        )
-    return array
-
-
-def _episode_starts(groups: ArrayLike | None, n_rows: int) -> NDArray[np.intp]:
-    """Return for each row the index of the first row of its episode."""
-    if groups is None:
-        return np.zeros(n_rows, dtype=np.intp)
-    labels = np.asarray(groups)
-    if labels.shape != (n_rows,):
-        raise ValueError(
-            f"groups must hold one label for each of the {n_rows} rows; got the shape {labels.shape}"
-        )
-    first = np.r_[True, labels[1:] != labels[:-1]]
-    return np.maximum.accumulate(np.where(first, np.arange(n_rows), 0))
-
-
-def _shifted(actions: Array, starts: NDArray[np.intp], n_lags: int) -> Array:
-    """Return the actions 1, 2, ... rows before each row; before an episode's start its first action."""
-    rows = np.arange(len(actions))[:, None] - np.arange(1, n_lags + 1)
-    return actions[np.maximum(rows, starts[:, None])]
 
 
 def _is_sensor(name: str) -> bool:

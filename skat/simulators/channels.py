@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from skat.simulators.base import Array
+from skat.simulators.tables import Array
 
 UNIT_LENGTH_TOLERANCE = 0.2
 FREE, BALL, SLIDE, HINGE = (

@@ -22,8 +22,8 @@ class ContactPair:
     ----------
     first, second : int
         Indices of the geoms.
-    index : int or None
-        Index of the model's explicit pair; None if MuJoCo forms the contact from the geoms.
+    is_explicit : bool
+        Whether the model names the pair; otherwise MuJoCo forms the contact from the geoms.
     name : str
         The explicit pair's name, or ``"geom1/geom2"``.
     has_friction : bool
@@ -31,7 +31,7 @@ class ContactPair:
 
     first: int
     second: int
-    index: int | None
+    is_explicit: bool
     name: str
     has_friction: bool
 
@@ -52,14 +52,14 @@ def contact_pairs(model: mujoco.MjModel) -> tuple[ContactPair, ...]:
     for index in range(model.npair):
         first, second = int(model.pair_geom1[index]), int(model.pair_geom2[index])
         name = model.pair(index).name or f"{geom_name(model, first)}/{geom_name(model, second)}"
-        pairs.append(ContactPair(first, second, index, name, bool(model.pair_dim[index] > 1)))
+        pairs.append(ContactPair(first, second, True, name, bool(model.pair_dim[index] > 1)))
     explicit = {frozenset((pair.first, pair.second)) for pair in pairs}
     excluded = {int(signature) for signature in model.exclude_signature}
     for first in range(model.ngeom):
         for second in range(first + 1, model.ngeom):
             if frozenset((first, second)) not in explicit and _may_touch(model, first, second, excluded):
                 name = f"{geom_name(model, first)}/{geom_name(model, second)}"
-                pairs.append(ContactPair(first, second, None, name, _mixed_condim(model, first, second) > 1))
+                pairs.append(ContactPair(first, second, False, name, _mixed_condim(model, first, second) > 1))
     return tuple(pairs)
 
 
@@ -103,8 +103,6 @@ def explicit_pair(spec: mujoco.MjSpec, pair: ContactPair) -> mujoco.MjsPair:
 
     Source: MuJoCo documentation, Modeling, "Contact parameters".
     """
-    if pair.index is not None:
-        return spec.pairs[pair.index]
     first, second = spec.geoms[pair.first], spec.geoms[pair.second]
     for index, geom in ((pair.first, first), (pair.second, second)):
         geom.name = geom.name or f"geom{index}"

@@ -6,7 +6,8 @@ from typing import Any, Self
 import numpy as np
 
 from skat.effects import Effect
-from skat.simulators.base import Array, Simulator
+from skat.simulators.base import Simulator
+from skat.simulators.tables import Array
 
 
 class FunctionSimulator(Simulator):

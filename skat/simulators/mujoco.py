@@ -2,7 +2,6 @@
 
 import json
 import math
-import warnings
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from os import PathLike
@@ -14,12 +13,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skat.effects import Effect
-from skat.simulators.base import Array, Simulator
-from skat.simulators.catalogue import EXPLICIT_INTEGRATOR, Anatomy, Listing, actuator_name, effect_listing
+from skat.simulators.anatomy import EXPLICIT_INTEGRATOR, Anatomy, actuator_name
+from skat.simulators.base import Simulator
+from skat.simulators.catalogue import Listing, effect_listing
 from skat.simulators.channels import StateLayout, state_layout
+from skat.simulators.compiling import checked_model, compile_spec, lean_spec
 from skat.simulators.edits import fix_total_mass
 from skat.simulators.source import ModelSource, broken_model, read_source, write_xml
-from skat.simulators.stepping import Forces, Job, Stepper
+from skat.simulators.stepping import Forces, Job, Stepper, delayed_controls
+from skat.simulators.tables import Array
 
 CACHED_MODELS = 256
 # Edits that need the outcome of others come last.
@@ -52,8 +54,8 @@ class MujocoSimulator(Simulator):
     FileNotFoundError
         If there is no such file.
     ValueError
-        If MuJoCo cannot read the model; if it has actuators with activation states, delays or mocap bodies,
-        whose state the rows do not hold.
+        If MuJoCo cannot read the model; if it has actuators with activation states or delays, whose state
+        the rows do not hold.
 
     Examples
     --------
@@ -264,7 +266,7 @@ class MujocoSimulator(Simulator):
                 controls = None
                 if values.get("delay[action]"):
                     lag = values["delay[action]"] * n_substeps / self.dt
-                    controls = _delayed(inputs[index, :, n_states:], history, lag, n_substeps)
+                    controls = delayed_controls(inputs[index, :, n_states:], history, lag, n_substeps)
                 model = self._model(values, n_substeps)
                 jobs.append(Job(index, model, n_substeps, self._forces(values), controls))
                 shares.append(share)
@@ -323,7 +325,7 @@ class MujocoSimulator(Simulator):
             if n_substeps != self.frame_skip:
                 spec.option.timestep = spec.option.timestep * self.frame_skip / n_substeps
             try:
-                cache[key] = _compile(spec)
+                cache[key] = compile_spec(spec)
             except ValueError as error:
                 raise broken_model(f"the model with the effects {dict(values)}", error) from None
             if len(cache) > CACHED_MODELS:
@@ -362,11 +364,11 @@ class MujocoSimulator(Simulator):
     @property
     def _spec(self) -> mujoco.MjSpec:
         """The model as a spec, without what only the eye needs."""
-        return self._cached("spec", lambda: _lean_spec(self.model))
+        return self._cached("spec", lambda: lean_spec(self.model))
 
     @property
     def _nominal(self) -> mujoco.MjModel:
-        return self._cached("nominal", lambda: _checked_model(self._spec, self.frame_skip))
+        return self._cached("nominal", lambda: checked_model(self._spec, self.frame_skip))
 
     @property
     def _nominal_name(self) -> str:
@@ -389,37 +391,9 @@ class MujocoSimulator(Simulator):
         return self._cached("own_by_name", lambda: {effect.name: effect for effect in self._own_effects()})
 
 
-def _delayed(controls: Array, history: Array | None, lag: float, n_substeps: int) -> Array:
-    """Return the controls of each substep that come ``lag`` substeps late, linear between substeps.
-
-    Parameters
-    ----------
-    controls : ndarray of shape (n_rows, nu)
-    history : ndarray of shape (n_rows, n_lags, nu)
-        Controls of the transitions before: one back, two back, ...
-    lag : float
-    n_substeps : int
-
-    Returns
-    -------
-    ndarray of shape (n_rows, n_substeps, nu)
-    """
-    known = controls[:, None] if history is None else np.concatenate([controls[:, None], history], axis=1)
-    delayed = np.empty((len(controls), n_substeps, controls.shape[1]))
-    for substep in range(n_substeps):
-        moment = substep - lag
-        before = math.floor(moment + 1e-9)
-        weight = moment - before
-        earlier, later = (
-            known[:, -math.floor(index / n_substeps)] for index in (before, min(before + 1, substep))
-        )
-        delayed[:, substep] = earlier if weight <= 1e-9 else (1 - weight) * earlier + weight * later
-    return delayed
-
-
 def _sensor_effects(layout: StateLayout) -> list[Effect]:
     quaternion_columns = {column + part for column, _ in layout.quaternions for part in range(4)}
-    limits = {"m": 10.0, "rad": math.pi, "m/s": 100.0, "rad/s": 100.0}
+    limits = {"m": 10.0, "rad": math.pi, "m/s": 10.0, "rad/s": 10.0}
     channels = [
         (name, unit)
         for column, (name, unit) in enumerate(zip(layout.names, layout.units))
@@ -432,50 +406,6 @@ def _sensor_effects(layout: StateLayout) -> list[Effect]:
     return biases + [
         Effect(f"scale[{name}]", unit="1", neutral=1.0, bounds=(0.1, 10.0)) for name, _ in channels
     ]
-
-
-def _lean_spec(source: ModelSource) -> mujoco.MjSpec:
-    try:
-        spec = source.spec()
-        fix_total_mass(spec)
-    except ValueError as error:
-        raise broken_model("the model", error) from None
-    for geom in [*spec.geoms, *spec.sites, *spec.skins]:
-        geom.material = ""
-    for element in [*spec.materials, *spec.textures, *spec.skins]:
-        spec.delete(element)
-    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a diverged row must not restart
-    spec.option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)  # sleeping needs memory between calls
-    return spec
-
-
-def _compile(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # said once, when the source was read
-        return spec.compile()
-
-
-def _checked_model(spec: mujoco.MjSpec, frame_skip: int) -> mujoco.MjModel:
-    if isinstance(frame_skip, bool) or int(frame_skip) != frame_skip or frame_skip < 1:
-        raise ValueError(f"frame_skip must be a positive whole number of time steps; got {frame_skip!r}")
-    try:
-        model = _compile(spec)
-    except ValueError as error:
-        raise broken_model("the model", error) from None
-    if model.nq == 0:
-        raise ValueError("the model has no joints: nothing in it can move, so there is no state to predict")
-    hidden = {
-        f"{model.na} actuator activations (dyntype other than 'none')": model.na,
-        "a history (delay, nsample); for a delay take the effect delay[action]": model.nhistory,
-        f"{model.nmocap} mocap bodies": model.nmocap,
-        "a plugin with a state": model.npluginstate,
-    }
-    for what, count in hidden.items():
-        if count:
-            raise ValueError(
-                f"the model has {what}: a state that the rows [qpos, qvel, ctrl] do not hold; remove it"
-            )
-    return model
 
 
 def _is_explicit(spec: mujoco.MjSpec) -> bool:

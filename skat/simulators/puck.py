@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from skat.effects import Effect
-from skat.simulators.base import Array, Simulator
+from skat.simulators.base import Simulator
 from skat.simulators.mujoco import MujocoSimulator
 from skat.simulators.stepping import Job, Rest, Stepper
+from skat.simulators.tables import Array
 
 PUCK_RADIUS = 0.0381  # m; an ice hockey puck: diameter 76.2 mm, thickness 25.4 mm, 156 to 170 g
 STICK_RADIUS = 0.015  # m

@@ -1,11 +1,9 @@
 """The Gymnasium robots Hopper, HalfCheetah and Ant, under the conditions of the paper's Table I."""
 
-import warnings
 from importlib.util import find_spec
 from pathlib import Path
 
 from skat.simulators.mujoco import MujocoSimulator
-from skat.simulators.source import read_source
 
 # Gymnasium's file and frame skip: gymnasium.envs.mujoco, versions v5.
 ROBOTS = {"hopper": ("hopper.xml", 4), "halfcheetah": ("half_cheetah.xml", 5), "ant": ("ant.xml", 5)}
@@ -28,11 +26,7 @@ def make_robot(name: str, condition: str) -> MujocoSimulator:
     .. [1] Mallasto et al. (2021). Affine Transport for Sim-to-Real Domain Adaptation. Table I.
     """
     file, frame_skip = ROBOTS[name]
-    with warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore"
-        )  # HalfCheetah's file uses a deprecated attribute, which is resolved here
-        robot = MujocoSimulator(read_source(asset_folder() / file), frame_skip=frame_skip)
+    robot = MujocoSimulator(asset_folder() / file, frame_skip=frame_skip)
     values = _condition_effects(robot, condition)
     return robot.extended(values) if values else robot
 

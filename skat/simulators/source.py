@@ -11,6 +11,8 @@ from typing import Any, Self
 
 import mujoco
 
+from skat.simulators.edits import fix_total_mass
+
 FULL_PRECISION = 17
 
 
@@ -36,7 +38,7 @@ class ModelSource:
     def spec(self) -> mujoco.MjSpec:
         """Return a new MjSpec."""
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # said once, when the source was read
+            warnings.simplefilter("ignore")
             return mujoco.MjSpec.from_string(self.xml, assets=dict(self.assets))
 
 
@@ -54,6 +56,17 @@ def read_source(model: Any) -> ModelSource:
     """
     if isinstance(model, ModelSource):
         return model
+    source = _read(model)
+    try:
+        spec = source.spec()
+        fix_total_mass(spec)
+        spec.compile()  # MuJoCo's warnings are heard here, and only here
+    except ValueError as error:
+        raise broken_model("the model", error) from None
+    return source
+
+
+def _read(model: Any) -> ModelSource:
     if isinstance(model, mujoco.MjSpec):
         return _source_of_spec(model.copy(), Path(model.modelfiledir or "."))
     if not isinstance(model, str | PathLike):

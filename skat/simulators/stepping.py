@@ -5,6 +5,7 @@ the constraint solver and no applied forces. So the result of a row does not dep
 order, or on how they are cut into chunks.
 """
 
+import math
 import os
 import threading
 from collections import OrderedDict
@@ -18,7 +19,7 @@ import numpy as np
 from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 
-from skat.simulators.base import Array
+from skat.simulators.tables import Array
 
 CHUNK = 8192
 CACHED_BATCHES = 8
@@ -295,6 +296,34 @@ class _Pool:
             self.batch.step(self.ids, nstep=n_substeps, stage=stage)
         except SimulationError as error:
             self.failed = np.union1d(self.failed, error.ids).astype(int)
+
+
+def delayed_controls(controls: Array, history: Array | None, lag: float, n_substeps: int) -> Array:
+    """Return the controls of each substep that come ``lag`` substeps late, linear between substeps.
+
+    Parameters
+    ----------
+    controls : ndarray of shape (n_rows, nu)
+    history : ndarray of shape (n_rows, n_lags, nu)
+        Controls of the transitions before: one back, two back, ...
+    lag : float
+    n_substeps : int
+
+    Returns
+    -------
+    ndarray of shape (n_rows, n_substeps, nu)
+    """
+    known = controls[:, None] if history is None else np.concatenate([controls[:, None], history], axis=1)
+    delayed = np.empty((len(controls), n_substeps, controls.shape[1]))
+    for substep in range(n_substeps):
+        moment = substep - lag
+        before = math.floor(moment + 1e-9)
+        weight = moment - before
+        earlier, later = (
+            known[:, -math.floor(index / n_substeps)] for index in (before, min(before + 1, substep))
+        )
+        delayed[:, substep] = earlier if weight <= 1e-9 else (1 - weight) * earlier + weight * later
+    return delayed
 
 
 def _layout(model: mujoco.MjModel) -> tuple[int, ...]:

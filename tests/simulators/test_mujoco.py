@@ -120,8 +120,9 @@ def test_rows_do_not_depend_on_other_rows_nor_on_chunks(bot, monkeypatch):
 
 def test_candidates_do_not_depend_on_other_candidates():
     arm = MujocoSimulator(
-        """<mujoco><worldbody><body><joint name="a" axis="0 1 0"/><geom size=".1" pos=".3 0 0"/><body pos=".5 0 0">
-        <joint name="b" axis="0 1 0"/><geom size=".1" pos=".3 0 0"/></body></body></worldbody></mujoco>""",
+        """<mujoco><worldbody><body><joint name="a" axis="0 1 0"/><geom size=".1" pos=".3 0 0"/>
+        <body pos=".5 0 0"><joint name="b" axis="0 1 0"/><geom size=".1" pos=".3 0 0"/></body></body>
+        </worldbody></mujoco>""",
         frame_skip=5,
     )
     rows = np.random.default_rng(0).normal(size=(6, 4))

@@ -282,6 +282,37 @@ def test_explicit_pair_has_the_parameters_that_mujoco_infers(case):
     np.testing.assert_allclose(explicit.friction[:, [0, 2, 3, 4]], inferred.friction[:, [0, 2, 3, 4]])
 
 
+def test_explicit_pairs_are_meant_by_name_not_by_order():
+    """MuJoCo sorts explicit pairs as it compiles."""
+    balls = """<mujoco><worldbody><geom name="floor" type="plane" size="1 1 .1"/>
+    <body name="a"><freejoint/><geom name="a" size=".1"/></body>
+    <body name="b"><freejoint/><geom name="b" size=".1"/></body></worldbody>
+    <contact><pair name="between" geom1="b" geom2="a"/><pair name="below b" geom1="floor" geom2="b"/>
+    <pair name="below a" geom1="a" geom2="floor"/></contact></mujoco>"""
+    simulator = MujocoSimulator(balls)
+    for name in ("between", "below a", "below b"):
+        model = simulator.compiled({f"contact_friction[{name}]": 0.5})
+        assert {model.pair(index).name for index in np.flatnonzero(model.pair_friction[:, 0] == 0.5)} == {
+            name
+        }
+        assert np.sum(model.pair_friction[:, 1] == 0.5) == 1
+
+
+@pytest.mark.parametrize("compiler", ["", '<compiler fusestatic="true" discardvisual="true"/>'])
+def test_elements_in_frames_and_after_static_bodies_are_the_ones_meant(compiler):
+    text = """<mujoco>%s<worldbody><body name="post" pos="0 0 1"><geom size=".1" contype="0" conaffinity="0"/>
+    <body name="bracket" pos=".1 0 0"><geom size=".1"/></body></body>
+    <body name="arm"><joint name="turn" axis="0 1 0"/>
+    <frame pos="0 0 %s" euler="0 90 0"><geom type="capsule" size=".05 %s" mass="1"/>
+    <body name="tip" pos="%s 0 0"><joint name="bend" axis="0 1 0"/><geom size=".05" mass="%s"/>
+    <geom type="box" size=".1 .1 .1" mass="0" contype="0" conaffinity="0"/></body></frame></body></worldbody>
+    </mujoco>"""
+    rows = np.random.default_rng(0).normal(size=(5, 4))
+    simulator = MujocoSimulator(text % (compiler, 0.2, 0.1, 0.3, 0.5), frame_skip=5)
+    found = simulator.predict(rows, effects={"length[arm]": 1.5, "mass[tip]": 2.0})
+    np.testing.assert_allclose(found, plain(text % (compiler, 0.3, 0.15, 0.45, 1.0), rows, 5), rtol=1e-9)
+
+
 def transitions(actions, rows, delay, n_steps, timestep, text):
     """Step plain MuJoCo, the control changing at time ``delay`` of a transition from the previous row's."""
     model = mujoco.MjModel.from_xml_string(text)

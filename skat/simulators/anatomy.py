@@ -1,0 +1,192 @@
+"""What effects need to know of a compiled model: what moves, how far, how heavy and how strong it is."""
+
+from functools import cached_property
+
+import mujoco
+import numpy as np
+
+from skat.simulators.channels import BALL, FREE, HINGE, SLIDE, joint_name
+from skat.simulators.contacts import ContactPair, contact_pairs
+from skat.simulators.tables import Array
+
+JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+EXPLICIT_INTEGRATOR = int(mujoco.mjtIntegrator.mjINT_RK4)
+
+
+class Anatomy:
+    """What the effects need to know of a compiled model.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+    """
+
+    def __init__(self, model: mujoco.MjModel):
+        self.model = model
+
+    @cached_property
+    def moving(self) -> list[int]:
+        """Bodies that can move."""
+        return [body for body in range(1, self.model.nbody) if self.model.body_weldid[body] != 0]
+
+    @cached_property
+    def roots(self) -> list[int]:
+        """Moving bodies that hang on the world."""
+        model = self.model
+        return [body for body in self.moving if model.body_weldid[model.body_parentid[body]] == 0]
+
+    @cached_property
+    def root(self) -> int:
+        """The body on which wind and drag act: the first root with a free joint, else the first root."""
+        free = [
+            body
+            for body in self.roots
+            if any(self.joint_kind(joint) == FREE for joint in self.joints_of(body))
+        ]
+        return (free or self.roots)[0]
+
+    @cached_property
+    def poses(self) -> Array:
+        """The reference pose and a few around it, shape (n_poses, nq)."""
+        random = np.random.default_rng(0)
+        poses = np.tile(self.model.qpos0, (6, 1))
+        for pose in poses[1:]:
+            mujoco.mj_integratePos(self.model, pose, 0.5 * random.normal(size=self.model.nv), 1.0)
+        return poses
+
+    @cached_property
+    def reach(self) -> dict[int, Array]:
+        """For each moving body, how much its centre of mass can move along x, y, z (0: not at all)."""
+        data = mujoco.MjData(self.model)
+        jacobian = np.zeros((3, self.model.nv))
+        reach = {body: np.zeros(3) for body in self.moving}
+        for pose in self.poses:
+            data.qpos[:] = pose
+            mujoco.mj_kinematics(self.model, data)
+            mujoco.mj_comPos(self.model, data)
+            for body in self.moving:
+                mujoco.mj_jacBodyCom(self.model, data, jacobian, None, body)
+                reach[body] = np.maximum(reach[body], np.abs(jacobian).max(axis=1, initial=0.0))
+        return {body: np.where(reach[body] > 1e-9, reach[body], 0.0) for body in reach}
+
+    @cached_property
+    def pairs(self) -> tuple[ContactPair, ...]:
+        """Pairs of geoms that can touch."""
+        return contact_pairs(self.model)
+
+    def body_name(self, body: int) -> str:
+        """Return the body's name, or ``body<id>``."""
+        return self.model.body(body).name or f"body{body}"
+
+    def joint_kind(self, joint: int) -> int:
+        """Return the joint's type."""
+        return int(self.model.jnt_type[joint])
+
+    def joints_of(self, body: int) -> list[int]:
+        """Return the joints of a body."""
+        first = int(self.model.body_jntadr[body])
+        return list(range(first, first + int(self.model.body_jntnum[body])))
+
+    def dofs_of(self, joint: int) -> list[int]:
+        """Return the degrees of freedom of a joint."""
+        count = {FREE: 6, BALL: 3}.get(self.joint_kind(joint), 1)
+        first = int(self.model.jnt_dofadr[joint])
+        return list(range(first, first + count))
+
+    @cached_property
+    def actuated(self) -> set[int]:
+        """Joints that an actuator drives."""
+        model = self.model
+        driven = np.isin(model.actuator_trntype, JOINT_TRANSMISSIONS)
+        return {int(joint) for joint in model.actuator_trnid[driven, 0]}
+
+    @cached_property
+    def base_joints(self) -> set[int]:
+        """Joints that only say where the robot is: those of a planar floating base, and free joints."""
+        found: set[int] = set()
+        for body in self.roots:
+            joints = self.joints_of(body)
+            kinds = [self.joint_kind(joint) for joint in joints]
+            carries = (
+                self.model.body_treeid[body]
+                in self.model.body_treeid[
+                    [
+                        int(self.model.jnt_bodyid[joint])
+                        for joint in range(self.model.njnt)
+                        if joint not in joints
+                    ]
+                ]
+            )
+            planar = len(joints) > 1 and SLIDE in kinds and carries and not self.actuated & set(joints)
+            if FREE in kinds or planar:
+                found |= set(joints)
+        return found
+
+    @cached_property
+    def inertia(self) -> Array:
+        """Inertia of each degree of freedom in the reference pose, kg or kg m2."""
+        return np.maximum(self.model.dof_M0, 1e-6)
+
+    @cached_property
+    def force(self) -> Array:
+        """Characteristic force or torque of each degree of freedom: of gravity, of actuators, of 1 g."""
+        model, data = self.model, mujoco.MjData(self.model)
+        force = 10 * self.inertia
+        for pose in self.poses:
+            data.qpos[:] = pose
+            mujoco.mj_forward(model, data)
+            force = np.maximum(force, np.abs(data.qfrc_bias))
+        for actuator in range(model.nu):
+            joint = int(model.actuator_trnid[actuator, 0])
+            if int(model.actuator_trntype[actuator]) in JOINT_TRANSMISSIONS and self.joint_kind(joint) in (
+                HINGE,
+                SLIDE,
+            ):
+                limit = (
+                    np.abs(model.actuator_ctrlrange[actuator]).max()
+                    if model.actuator_ctrllimited[actuator]
+                    else 1.0
+                )
+                capacity = abs(model.actuator_gear[actuator, 0] * model.actuator_gainprm[actuator, 0]) * limit
+                dof = int(model.jnt_dofadr[joint])
+                force[dof] = max(force[dof], capacity)
+        return force
+
+    @cached_property
+    def stable_rate(self) -> Array:
+        """Largest damping that the integrator bears on each degree of freedom, force per velocity."""
+        if int(self.model.opt.integrator) != EXPLICIT_INTEGRATOR:
+            return np.full(self.model.nv, np.inf)
+        return 1 / (self.model.opt.timestep * np.maximum(self.model.dof_invweight0, 1e-9))
+
+
+def actuator_name(model: mujoco.MjModel, actuator: int) -> str:
+    """Return the actuator's name; if it has none the name of its joint; else ``actuator<id>``."""
+    own = [model.actuator(index).name for index in range(model.nu)]
+    if own[actuator]:
+        return own[actuator]
+
+    def joint_of(index: int) -> str:
+        if own[index] or int(model.actuator_trntype[index]) not in JOINT_TRANSMISSIONS:
+            return ""
+        return joint_name(model, int(model.actuator_trnid[index, 0]))
+
+    name = joint_of(actuator)
+    taken = own + [joint_of(index) for index in range(model.nu) if index != actuator]
+    return name if name and name not in taken else f"actuator{actuator}"
+
+
+def drag_joint(anatomy: Anatomy, axis: int) -> int | None:
+    """Return the slide joint whose quadratic damping is the root's air drag along a world axis.
+
+    None if there is none: the root turns, or its slides are oblique.
+    """
+    joints = anatomy.joints_of(anatomy.root)
+    if not all(anatomy.joint_kind(joint) == SLIDE for joint in joints):
+        return None
+    data = mujoco.MjData(anatomy.model)
+    mujoco.mj_kinematics(anatomy.model, data)
+    for joint in joints:
+        if abs(abs(data.xaxis[joint, axis]) - 1) < 1e-12:
+            return joint
+    return None

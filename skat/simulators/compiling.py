@@ -1,0 +1,61 @@
+"""From the text of a model to what MuJoCo steps."""
+
+import warnings
+
+import mujoco
+
+from skat.simulators.edits import fix_total_mass
+from skat.simulators.source import ModelSource, broken_model
+
+
+def lean_spec(source: ModelSource) -> mujoco.MjSpec:
+    """Return the model as a spec, without what only the eye needs, so that copies compile fast."""
+    try:
+        spec = source.spec()
+        fix_total_mass(spec)
+    except ValueError as error:
+        raise broken_model("the model", error) from None
+    for geom in [*spec.geoms, *spec.sites, *spec.skins]:
+        geom.material = ""
+    for element in [*spec.materials, *spec.textures, *spec.skins]:
+        spec.delete(element)
+    spec.compiler.fusestatic = spec.compiler.discardvisual = False  # effects mean elements by their place
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a diverged row must not restart
+    spec.option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)  # sleeping needs memory between calls
+    return spec
+
+
+def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """Return the compiled model; what MuJoCo warns of was said when the source was read."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return spec.compile()
+
+
+def checked_model(spec: mujoco.MjSpec, frame_skip: int) -> mujoco.MjModel:
+    """Return the compiled model, if its state is that of rows [qpos, qvel, ctrl].
+
+    Raises
+    ------
+    ValueError
+        If MuJoCo refuses the model, nothing can move, or there are other states.
+    """
+    if isinstance(frame_skip, bool) or int(frame_skip) != frame_skip or frame_skip < 1:
+        raise ValueError(f"frame_skip must be a positive whole number of time steps; got {frame_skip!r}")
+    try:
+        model = compile_spec(spec)
+    except ValueError as error:
+        raise broken_model("the model", error) from None
+    if model.nq == 0:
+        raise ValueError("the model has no joints: nothing in it can move, so there is no state to predict")
+    hidden = {
+        f"{model.na} actuator activations (dyntype other than 'none')": model.na,
+        "a history (delay, nsample); for a delay take the effect delay[action]": model.nhistory,
+        "a plugin with a state": model.npluginstate,
+    }
+    for what, count in hidden.items():
+        if count:
+            raise ValueError(
+                f"the model has {what}: a state that the rows [qpos, qvel, ctrl] do not hold; remove it"
+            )
+    return model
