@@ -82,9 +82,7 @@ class MujocoSimulator(Simulator):
         built_in: Mapping[str, float] | None = None,
         extra_effects: Sequence[Effect] = (),
     ):
-        self.model = read_source(
-            model
-        )  # a MjSpec can neither be copied nor pickled; ModelSource stays as it is
+        self.model = read_source(model)  # text, as a MjSpec can be neither copied nor pickled
         self.frame_skip = frame_skip
         self.built_in = built_in
         self.extra_effects = extra_effects
@@ -186,16 +184,13 @@ class MujocoSimulator(Simulator):
         substeps, beside = self.frame_skip, {}
         for effect in self._edit_order(values):
             value = values[effect.name]
-            if (
-                effect.family == "timestep"
-                and abs(self.frame_skip / value - round(self.frame_skip / value)) > 1e-9
-            ):
+            fits = effect.family != "timestep" or len(self._substeps(values)) == 1
+            fits &= effect.family != "delay" or int(spec.option.integrator) != EXPLICIT_INTEGRATOR
+            if effect.apply is None or not fits:
                 beside[effect.name] = value
-            elif effect.apply is not None and not (effect.family == "delay" and _is_explicit(spec)):
-                effect.apply(spec, value)
-                substeps = round(self.frame_skip / value) if effect.family == "timestep" else substeps
             else:
-                beside[effect.name] = value
+                effect.apply(spec, value)
+                substeps = self._substeps(values)[0][1] if effect.family == "timestep" else substeps
         beside |= {name: value for name, value in values.items() if name not in self._own_by_name}
         said = [f"One transition is {substeps} time steps."]
         said += [self._all_by_name[name].describe(value) + "." for name, value in values.items()]
@@ -217,12 +212,12 @@ class MujocoSimulator(Simulator):
         Parameters
         ----------
         effects : mapping from name to value, optional
-            On top of those that are built in. Those that MJCF cannot express are left out.
+            On top of those that are built in. Those that MJCF cannot express are left out; a time step is
+            rounded up to a whole number of them in a transition.
         """
         values = self._total(effects)
-        return self._model(
-            {name: values[name] for name in values if name in self._own_by_name}, self.frame_skip
-        )
+        own = {name: values[name] for name in values if name in self._own_by_name}
+        return self._model(own, self._substeps(values)[0][1])
 
     def prepared(
         self, values: Mapping[str, float], n_substeps: int | None = None
@@ -406,7 +401,3 @@ def _sensor_effects(layout: StateLayout) -> list[Effect]:
     return biases + [
         Effect(f"scale[{name}]", unit="1", neutral=1.0, bounds=(0.1, 10.0)) for name, _ in channels
     ]
-
-
-def _is_explicit(spec: mujoco.MjSpec) -> bool:
-    return int(spec.option.integrator) == EXPLICIT_INTEGRATOR

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from skat.simulators.tables import Array
 
 CHUNK = 8192
-CACHED_BATCHES = 8
+CACHED_BATCHES = 32
 HUGE = 1e10  # MuJoCo's own limit of a state that is not divergent
 
 _left_to_other_processes: list[object] = []
@@ -262,7 +262,6 @@ class _Pool:
         model: mujoco.MjModel = self.batch.get_model(0) if self.model is None else self.model
         if forces.position_friction:
             friction = self.batch.expand("dof_frictionloss")
-            friction[:] = model.dof_frictionloss  # of another candidate before
             friction[:] = model.dof_frictionloss  # the batch may have run with friction in other joints
         stage = mujoco.mjtStage.mjSTAGE_VEL if forces.has_drag else mujoco.mjtStage.mjSTAGE_NONE
         if forces.has_drag:

@@ -46,6 +46,13 @@ def test_distance_is_that_of_the_speed_after_the_hit():
     assert heavy / nominal == pytest.approx(((1 + 0.165) / (1 + 0.33)) ** 2, rel=0.05)
 
 
+def test_resting_place_is_smooth_in_the_strike():
+    z = np.column_stack([np.full(60, 0.3), np.linspace(-1, 1, 60)])
+    places = make_simulator("puck").predict(z)
+    smooth = np.polynomial.Polynomial.fit(z[:, 1], places[:, 0], 6)
+    assert np.std(places[:, 0] - smooth(z[:, 1])) < 0.0015  # of 0.77 m
+
+
 def test_left_and_right_are_mirror_images():
     z, effects = strikes(), {"contact_anisotropy[slide]": 0.6}
     mirrored = make_simulator("puck").predict(z * [-1, 1], effects=effects)
