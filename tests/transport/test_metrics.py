@@ -169,7 +169,7 @@ def test_proposition_1_by_hand():
 def test_corollary_2_bounds_the_distance_to_the_normal_approximation(seed):
     rng = np.random.default_rng(seed)
     rows = np.sort(any_rows(rng, 15, 1), axis=0)
-    # In one dimension W2^2 = 2 s^2 - 2 s sum_k x_k int_{(k-1)/n}^{k/n} z, and the integral of normal quantiles
+    # In one dimension W2^2 = 2 s^2 - 2 s sum_k x_k int_{(k-1)/n}^{k/n} z; the integral of normal quantiles
     # is a difference of normal densities.
     edges = norm.pdf(norm.ppf(np.linspace(0, 1, len(rows) + 1)))
     deviation = rows.std()
