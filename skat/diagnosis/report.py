@@ -59,6 +59,8 @@ class ShownLog:
     title : str
     log : Log
     gain : Gain or None
+    open_loop : Gain or None
+        Over whole episodes, where `gain` is one step ahead.
     errors : DataFrame or None
         From `compare_transports`.
     """
@@ -66,6 +68,7 @@ class ShownLog:
     title: str
     log: Log
     gain: Gain | None = None
+    open_loop: Gain | None = None
     errors: pd.DataFrame | None = None
 
 
@@ -208,27 +211,44 @@ class Report:
         diagnosis = self.diagnosis
         log = check_log(diagnosis.simulator, X, y, groups, fewest_rows=1, hidden=tuple(diagnosis.hidden))
         gain = diagnosis.evaluate(X, y, groups) if gain is None else gain
-        self._tests.append(ShownLog(str(title), log, gain, None if errors is None else errors.copy()))
+        self._tests.append(ShownLog(str(title), log, gain, errors=None if errors is None else errors.copy()))
 
     # -- content ------------------------------------------------------------------------------------------
 
     def _compare(self):
-        """Fit transports to the log and measure them on each test, once."""
+        """Measure each test in open loop, and transports on it, once."""
+        fitted = _rows(self.log)
         for index, test in enumerate(self._tests):
-            if test.errors is None:
-                with warnings.catch_warnings():
-                    warnings.simplefilter("ignore", UserWarning)  # the rows were accepted before
+            if test.errors is not None and test.open_loop is not None:
+                continue
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)  # the rows were accepted before
+                rows = _rows(test.log)
+                errors, open_loop = test.errors, test.open_loop
+                if errors is None:
                     errors = compare_transports(
                         self.diagnosis,
-                        self.log.X,
-                        self.log.y,
-                        test.log.X,
-                        test.log.y,
-                        groups_fit=_groups(self.log),
-                        groups_test=_groups(test.log),
+                        *fitted[:2],
+                        *rows[:2],
+                        groups_fit=fitted[2],
+                        groups_test=rows[2],
                         random_state=0,
                     )
-                self._tests[index] = replace(test, errors=errors)
+                if open_loop is None:
+                    open_loop = self._open_loop_gain(test, rows)
+            self._tests[index] = replace(test, errors=errors, open_loop=open_loop)
+
+    def _open_loop_gain(self, test, rows):
+        """Return the Gain over whole episodes, or None if it is known or there is none."""
+        known = test.gain is not None and test.gain.horizon == "episode"
+        if known or not test.log.consecutive or not self.diagnosis.causes_:
+            return None
+        diagnosis = copy.copy(self.diagnosis)
+        diagnosis.random_state = 0
+        try:
+            return diagnosis.evaluate(*rows, horizon="episode")
+        except RuntimeError:  # an episode diverges, which the picture shows
+            return None
 
     def _content(self, figures):
         diagnosis = self.diagnosis
@@ -247,7 +267,11 @@ class Report:
                 {
                     "title": test.title,
                     "fitted": not self._tests,
-                    "gain": gain_sentence(test.gain) if test.gain and diagnosis.causes_ else "",
+                    "gains": [
+                        gain_sentence(gain)
+                        for gain in (test.gain, test.open_loop)
+                        if gain and diagnosis.causes_
+                    ],
                     "errors": _errors(test.errors) if test.errors is not None else None,
                     "ceiling": ceiling_sentence(test.errors) if test.errors is not None else "",
                     "notes": _notes(test.errors) if test.errors is not None else [],
@@ -341,8 +365,9 @@ def _short(simulator):
     return text if len(text) <= LONGEST_REPR else type(simulator).__name__
 
 
-def _groups(log):
-    return log.episodes if log.consecutive else None
+def _rows(log):
+    """Return X, y and the episodes of a log."""
+    return log.X, log.y, log.episodes if log.consecutive else None
 
 
 # -- tables ----------------------------------------------------------------------------------------------

@@ -146,7 +146,7 @@ def test_ratio_intervals_cover_the_ratio_of_long_logs():
             diagnosis, *fit, *throws(with_drag, 200, 2 + seed), random_state=seed, **options
         ).iloc[0]
         covered += row["ratio_low"] <= long_run <= row["ratio_high"]
-    assert covered >= 86  # of 100: the 0.5 % quantile at 94 %, as a bootstrap loses a little
+    assert covered >= 86  # of 100: the 0.1 % quantile at 94 %, as a bootstrap loses a little
 
 
 def test_errors_do_not_depend_on_units():
