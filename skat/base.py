@@ -334,15 +334,18 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
             check_n_features(self, np.empty((1, X.shape[1])), reset=reset)
         return X
 
-    def _refuse_infinite(self, rows, name):
-        """Raise scikit-learn's error on NaN or infinity in the rows, or say that their squares overflow."""
-        if not is_dask(rows):
-            assert_all_finite(rows, estimator_name=type(self).__name__, input_name=name)
-            raise ValueError(f"the squares of {name} exceed the range of float64. Choose larger units.")
-        raise ValueError(
-            f"Input {name} contains NaN or infinity, or values whose squares exceed the range of float64. "
-            "Drop or fill those rows."
-        )
+    def _refuse_infinite(self, *named_rows):
+        """Raise on NaN or infinity in rows, given as (rows, name), or say that their squares overflow."""
+        for rows, name in named_rows:
+            if rows is not None and not is_dask(rows):
+                assert_all_finite(rows, estimator_name=type(self).__name__, input_name=name)
+        names = " or ".join(dict.fromkeys(name for rows, name in named_rows if rows is not None))
+        if any(is_dask(rows) for rows, _ in named_rows):
+            raise ValueError(
+                f"Input {names} contains NaN or infinity, or values whose squares exceed the range of "
+                "float64. Drop or fill those rows."
+            )
+        raise ValueError(f"the squares of {names} exceed the range of float64. Choose larger units.")
 
 
 def _domain(sample_domain, X):

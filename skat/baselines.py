@@ -117,7 +117,8 @@ class ExactTransport(BaseTransport):
     def _fit(self, samples):
         from ot.da import EMDTransport
 
-        source, target = (self._finite(on_host(rows)) for rows in (samples.source, samples.target))
+        source = self._finite(on_host(samples.source), "X")
+        target = self._finite(on_host(samples.target), "X" if samples.stacked else "y")
         weights = iter((samples.source_weight, samples.target_weight))
 
         def weight_of(rows):
@@ -134,9 +135,9 @@ class ExactTransport(BaseTransport):
             source, target, x_weight=samples.source_weight, y_weight=samples.target_weight
         )
 
-    def _finite(self, rows):
+    def _finite(self, rows, name="X"):
         if not np.isfinite(rows).all():
-            self._refuse_infinite(rows, "X")
+            self._refuse_infinite((rows, name))
         return np.asarray(rows, dtype=np.float64)
 
     def _carry(self, X, keep=None):

@@ -396,7 +396,8 @@ def coral_map(source_root, target_root):
     .. math:: A = C_t^{1/2} C_s^{-1/2}
 
     with the pseudo-inverse; where the source has the lower rank, that many of the target's largest principal
-    directions are matched.
+    directions are matched. Where the two span different subspaces, the product of their principal directions is
+    replaced by its orthogonal polar factor: the plain product, which the paper has, would lose variance.
 
     Parameters
     ----------
@@ -416,8 +417,8 @@ def coral_map(source_root, target_root):
     target_directions, target_spread = spectrum(target_root)
     rank = min(len(source_spread), len(target_spread))
     target_directions, target_spread = target_directions[:, :rank], target_spread[:rank]
-    coloured = (target_directions * target_spread) @ (target_directions.T @ source_directions)
-    return (coloured / source_spread) @ source_directions.T
+    left, _, right = np.linalg.svd(target_directions.T @ source_directions, full_matrices=False)
+    return ((target_directions * target_spread) @ (left @ right) / source_spread) @ source_directions.T
 
 
 def distance_of_roots(mean_difference, source_root, target_root):

@@ -124,10 +124,7 @@ class MomentTransport(BaseTransport):
     def _collect(self, samples):
         moments = tuple(moments_of(self._sets_of_rows(samples)))
         if not all(part is None or part.is_finite for part in moments):
-            for rows, name in ((samples.source, "X"), (samples.target, "X" if samples.stacked else "y")):
-                if rows is not None:
-                    self._refuse_infinite(rows, name)
-            raise ValueError("the squares of the rows exceed the range of float64. Choose larger units.")
+            self._refuse_infinite((samples.source, "X"), (samples.target, "X" if samples.stacked else "y"))
         return moments
 
     def _sides(self):
@@ -266,8 +263,7 @@ class MomentTransport(BaseTransport):
         return apply_map(self._back, X, check=self._refuse_rows)
 
     def _refuse_rows(self, rows):
-        self._refuse_infinite(rows, "X")
-        raise ValueError("the carried rows exceed the range of float64. Choose other units.")
+        self._refuse_infinite((rows, "X"))
 
 
 def _merged(first, second):

@@ -272,7 +272,8 @@ class ConditionalAffineTransport(MomentTransport):
                 )
             chosen[:context] = True
         else:
-            chosen[column_indices(X if hasattr(X, "columns") else rows, context)] = True
+            columns = X._meta if hasattr(X, "_meta") and hasattr(X, "columns") else X
+            chosen[column_indices(columns if hasattr(columns, "columns") else rows, context)] = True
         if not 0 < chosen.sum() < n_features:
             raise ValueError(
                 f"context must leave some columns to transport and name some that are not; {context!r} names "

@@ -1,0 +1,123 @@
+"""Dask containers are reduced where they are, in any chunks, and on a cluster."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from skat import AffineTransport, ConditionalAffineTransport, ProcrustesAffineTransport
+
+da = pytest.importorskip("dask.array")
+dd = pytest.importorskip("dask.dataframe")
+
+
+def arrays(n_rows=300):
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(n_rows, 4)) @ (np.eye(4) + 0.2 * rng.normal(size=(4, 4))) + 3
+    return X, X @ (np.eye(4) + 0.2 * rng.normal(size=(4, 4))) + 0.3 * rng.normal(size=X.shape)
+
+
+TRANSPORTS = [
+    AffineTransport(),
+    AffineTransport(covariance="shrunk"),
+    ProcrustesAffineTransport(),
+    ConditionalAffineTransport(context=2),
+]
+
+
+@pytest.mark.parametrize("transport", TRANSPORTS, ids=str)
+@pytest.mark.parametrize("chunks", [(70, 4), (300, 4), (7, 2)])
+def test_dask_arrays_give_the_map_of_their_values(transport, chunks):
+    X, y = arrays()
+    expected = transport.fit(X, y)
+    coef, carried, back = expected.coef_, expected.transform(X), expected.inverse_transform(y)
+    lazy = transport.fit(da.from_array(X, chunks=chunks), da.from_array(y, chunks=chunks))
+    np.testing.assert_allclose(lazy.coef_, coef, rtol=1e-11, atol=1e-13)
+    image = lazy.transform(da.from_array(X, chunks=chunks))
+    assert isinstance(image, da.Array)
+    np.testing.assert_allclose(image.compute(), carried, rtol=1e-11)
+    np.testing.assert_allclose(
+        lazy.inverse_transform(da.from_array(y, chunks=chunks)).compute(), back, rtol=1e-10
+    )
+    np.testing.assert_allclose(lazy.transform(X), carried, rtol=1e-11)
+
+
+@pytest.mark.parametrize(
+    "transport", [AffineTransport(), ConditionalAffineTransport(context=["a", "b"])], ids=str
+)
+def test_dask_frames_keep_their_names(transport):
+    X, y = (pd.DataFrame(rows, columns=list("abcd")) for rows in arrays())
+    coef, carried = transport.fit(X, y).coef_, transport.transform(X)
+    lazy = transport.fit(dd.from_pandas(X, npartitions=4), dd.from_pandas(y, npartitions=3))
+    np.testing.assert_allclose(lazy.coef_, coef, rtol=1e-11, atol=1e-13)
+    assert list(lazy.feature_names_in_) == list("abcd")
+    image = lazy.transform(dd.from_pandas(X, npartitions=4))
+    assert list(image.columns) == list("abcd")
+    np.testing.assert_allclose(image.compute().to_numpy(), carried, rtol=1e-11)
+    with pytest.raises(ValueError, match="in the order of those of X"):
+        transport.fit(dd.from_pandas(X, npartitions=4), dd.from_pandas(y[list("bacd")], npartitions=4))
+
+
+def test_stacked_and_weighted_dask_rows_give_the_map_of_their_values():
+    X, y = arrays()
+    rng = np.random.default_rng(1)
+    rows, domain, weight = np.vstack([X, y]), np.repeat([1, -1], 300), rng.uniform(0.5, 2, size=600)
+    order = rng.permutation(600)
+    rows, domain = rows[order], domain[order]
+    expected = AffineTransport().fit(rows, sample_domain=domain, sample_weight=weight)
+    lazy_rows, lazy_domain = da.from_array(rows, chunks=(110, 4)), da.from_array(domain, chunks=110)
+    for given in (domain, lazy_domain):
+        lazy = AffineTransport().fit(lazy_rows, sample_domain=given, sample_weight=weight)
+        np.testing.assert_allclose(lazy.coef_, expected.coef_, rtol=1e-11, atol=1e-13)
+        image = lazy.transform(lazy_rows, sample_domain=given).compute()
+        np.testing.assert_allclose(image, expected.transform(rows, sample_domain=domain), rtol=1e-11)
+
+
+def test_nothing_is_computed_before_it_is_asked_for_and_no_block_is_joined_to_another():
+    largest = []
+
+    def block(block_id):
+        rows = np.random.default_rng(block_id[0]).normal(size=(1000, 3))
+        largest.append(rows.shape[0])
+        return rows
+
+    X = da.map_blocks(block, chunks=((1000,) * 20, (3,)), dtype=float, meta=np.empty((0, 0)))
+    largest.clear()
+    transport = AffineTransport().fit(X, 2 * X)
+    np.testing.assert_allclose(transport.coef_, 2 * np.eye(3), atol=1e-12)
+    done = len(largest)
+    image = transport.transform(X)
+    assert len(largest) == done
+    assert image.chunks == X.chunks
+
+
+def test_not_a_number_in_a_block_is_refused():
+    X, y = arrays()
+    y[200, 1] = np.nan
+    lazy = [da.from_array(rows, chunks=(50, 4)) for rows in (X, y)]
+    with pytest.raises(ValueError, match="contains NaN or infinity"):
+        AffineTransport().fit(*lazy)
+    transport = AffineTransport().fit(X, X)
+    with pytest.raises(ValueError, match="Input X contains NaN"):
+        transport.transform(lazy[1]).compute()
+
+
+def test_partial_fit_takes_dask():
+    X, y = arrays()
+    transport = AffineTransport().partial_fit(X=da.from_array(X, chunks=(90, 4))).partial_fit(y=y)
+    np.testing.assert_allclose(transport.coef_, AffineTransport().fit(X, y).coef_, rtol=1e-12, atol=1e-14)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
+def test_a_cluster_fits_an_array_larger_than_the_memory_of_any_worker():
+    distributed = pytest.importorskip("distributed")
+    limit = 320 * 2**20
+    settings = {"n_workers": 2, "threads_per_worker": 1, "memory_limit": limit, "dashboard_address": None}
+    with distributed.LocalCluster(processes=True, **settings) as cluster, distributed.Client(cluster):
+        X = da.random.default_rng(0).normal(size=(850_000, 50), chunks=(50_000, 50))
+        assert X.nbytes > limit
+        y = X[:400_000] * 3.0 + 1.0
+        transport = AffineTransport().fit(X, y)
+        assert transport.source_mean_.shape == (50,)
+        np.testing.assert_allclose(transport.coef_, 3 * np.eye(50), atol=0.03)
+        mean = transport.transform(X[:100_000]).mean(axis=0).compute()
+    np.testing.assert_allclose(mean, transport.target_mean_, atol=0.05)

@@ -1,0 +1,98 @@
+"""What shrinkage promises: less error with few target rows, hardly ever more."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from skat import AffineTransport
+from skat.gaussian import transport_map
+from skat.moments import row_moments
+from skat.shrinkage import shrinkage_intensity, shrunk_towards
+from tests.transport.reference import relative_error
+
+
+def error_ratio(change, n_target, n_features, n_repeats=25):
+    """Return the mean error of the shrunk map over that of the empirical one."""
+    rng = np.random.default_rng(0)
+    errors = np.zeros(2)
+    for _ in range(n_repeats):
+        root = rng.normal(size=(n_features, n_features))
+        source = root @ root.T / n_features + 0.1 * np.eye(n_features)
+        coef = change(rng, n_features)
+        target = coef @ source @ coef.T
+        true = transport_map(source, target)
+        X = rng.normal(size=(3000, n_features)) @ np.linalg.cholesky(source).T
+        y = rng.normal(size=(n_target, n_features)) @ np.linalg.cholesky(target).T
+        errors += [
+            relative_error(AffineTransport(covariance=covariance).fit(X, y).coef_, true)
+            for covariance in ("shrunk", "empirical")
+        ]
+    return errors[0] / errors[1]
+
+
+def same(rng, n_features):
+    return np.eye(n_features)
+
+
+def rescaled(rng, n_features):
+    return np.diag(rng.uniform(0.7, 1.5, size=n_features))
+
+
+def perturbed(rng, n_features):
+    return np.eye(n_features) + 0.1 * rng.normal(size=(n_features, n_features))
+
+
+def unrelated(rng, n_features):
+    return rng.normal(size=(n_features, n_features)) / np.sqrt(n_features)
+
+
+@pytest.mark.filterwarnings("ignore:.*rows cannot show how")
+@pytest.mark.parametrize("n_target", [20, 50, 100])
+@pytest.mark.parametrize(
+    ("change", "at_most"), [(same, 0.3), (rescaled, 0.85), (perturbed, 0.95), (unrelated, 1.02)]
+)
+def test_shrinkage_lowers_the_error_of_the_map_and_never_raises_it_by_more_than_2_per_cent(
+    change, at_most, n_target
+):
+    assert error_ratio(change, n_target, 27) < at_most
+
+
+@pytest.mark.parametrize("change", [same, rescaled, perturbed, unrelated])
+def test_shrinkage_does_no_harm_where_there_are_rows_enough(change):
+    assert error_ratio(change, 2000, 5, n_repeats=40) < 1.02
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(2, 5))
+@settings(max_examples=30, deadline=None)
+def test_shrinkage_does_not_depend_on_units(seed, n_features):
+    rng = np.random.default_rng(seed)
+    X, y = rng.normal(size=(100, n_features)), rng.normal(size=(12, n_features)) * 2
+    change = np.eye(n_features) + 0.3 * rng.normal(size=(n_features, n_features))
+    target, intensity = shrunk_towards(row_moments(y), row_moments(X))
+    changed, same_intensity = shrunk_towards(row_moments(y @ change.T), row_moments(X @ change.T))
+    assert intensity == pytest.approx(same_intensity, abs=1e-8)
+    np.testing.assert_allclose(
+        changed.covariance, change @ target.covariance @ change.T, rtol=1e-6, atol=1e-8
+    )
+
+
+def test_intensity_is_one_without_and_nearly_zero_with_endless_rows():
+    values = np.array([0.5, 1.0, 2.0])
+    assert shrinkage_intensity(values, 1) == 1.0
+    assert shrinkage_intensity(values, 1e9) < 1e-8
+    rising = [shrinkage_intensity(values, n_rows) for n_rows in (1000, 100, 30, 10)]
+    assert rising == sorted(rising)
+
+
+def test_partial_fit_shrinks_as_fit_does():
+    rng = np.random.default_rng(0)
+    X, y = rng.normal(size=(100, 4)), 2 * rng.normal(size=(15, 4))
+    whole = AffineTransport(covariance="shrunk").fit(X, y)
+    parts = AffineTransport(covariance="shrunk").partial_fit(X, y[:6]).partial_fit(y=y[6:])
+    assert 0 < whole.shrinkage_ < 1
+    assert parts.shrinkage_ == pytest.approx(whole.shrinkage_, rel=1e-12)
+    np.testing.assert_allclose(parts.coef_, whole.coef_, rtol=1e-11, atol=1e-13)
+    np.testing.assert_allclose(
+        whole.coef_ @ whole.source_covariance_ @ whole.coef_, whole.target_covariance_, rtol=1e-10, atol=1e-12
+    )
