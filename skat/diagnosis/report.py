@@ -210,7 +210,8 @@ class Report:
         """
         diagnosis = self.diagnosis
         log = check_log(diagnosis.simulator, X, y, groups, fewest_rows=1, hidden=tuple(diagnosis.hidden))
-        gain = diagnosis.evaluate(X, y, groups) if gain is None else gain
+        if gain is None:
+            gain = diagnosis.evaluate(X, y, groups, initial_state=_initial_state(diagnosis))
         self._tests.append(ShownLog(str(title), log, gain, errors=None if errors is None else errors.copy()))
 
     # -- content ------------------------------------------------------------------------------------------
@@ -246,7 +247,7 @@ class Report:
         diagnosis = copy.copy(self.diagnosis)
         diagnosis.random_state = 0
         try:
-            return diagnosis.evaluate(*rows, horizon="episode")
+            return diagnosis.evaluate(*rows, horizon="episode", initial_state=_initial_state(diagnosis))
         except RuntimeError:  # an episode diverges, which the picture shows
             return None
 
@@ -363,6 +364,10 @@ def _listed(names):
 def _short(simulator):
     text = repr(simulator)
     return text if len(text) <= LONGEST_REPR else type(simulator).__name__
+
+
+def _initial_state(diagnosis):
+    return "fitted" if tuple(diagnosis.hidden) else "measured"
 
 
 def _rows(log):

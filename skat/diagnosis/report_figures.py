@@ -106,10 +106,9 @@ def log_pictures(diagnosis, log):
     if log.consecutive:
         if log.steps.max() > 0:
             pictures.append(_open_loop(diagnosis, log))
-        pictures.append(_residuals_over_time(diagnosis, log, rows))
+        pictures += [_structure(diagnosis, rows), _residuals_over_time(diagnosis, log, rows)]
     else:
-        pictures.append(_scatter(diagnosis, rows))
-    pictures.append(_structure(diagnosis, rows))
+        pictures += [_scatter(diagnosis, rows), _structure(diagnosis, rows)]
     return [picture for picture in pictures if picture is not None]
 
 
