@@ -305,7 +305,7 @@ def _source_outputs(fitted, random_state):
         return fitted.nominal, ""
     deviations = (fitted.measured - fitted.extended).std(axis=0)
     noisy = fitted.nominal + random_state.standard_normal(fitted.nominal.shape) * deviations
-    return noisy, "fitted with noise added to the simulated rows, in which some outputs are linear in the inputs"
+    return noisy, "fitted with noise added to the simulated rows: their outputs are linear in the inputs"
 
 
 def _rank(rows):
