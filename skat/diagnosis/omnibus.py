@@ -45,7 +45,7 @@ class Remainder:
 
 
 def test_remainder(residuals, line, fitted):
-    """Return the Remainder of a linearisation at a model.
+    """Return the Remainder of a linearisation at a model, or None where there is no direction to test.
 
     Parameters
     ----------
@@ -56,6 +56,8 @@ def test_remainder(residuals, line, fitted):
     """
     weights = robust_weights(line.residuals)
     directions, names = residuals.directions(line.values)
+    if not names:
+        return None
     evidence = residuals.unwhiten_adjoint(line.residuals * weights[:, None])
     pushes = np.einsum("ndj,nd->nj", directions, evidence)
     inside = [line.names.index(name) for name in fitted]
