@@ -74,13 +74,31 @@ def test_grid_search_takes_two_scorers_at_once():
     assert {"mean_test_error", "mean_test_affinity"} <= set(search.cv_results_)
 
 
-def test_learning_curve_falls_with_more_rows():
+@pytest.mark.parametrize("transport", TRANSPORTS, ids=lambda transport: type(transport).__name__)
+def test_data_frames_stay_data_frames_through_cross_validation(transport):
+    X, y = (pd.DataFrame(rows, columns=list("abc")) for rows in pairs())
+    seen = []
+
+    def watchful_error(estimator, X, y):
+        seen.append(estimator.transform(X).columns)
+        return paired_error_scorer(estimator, X, y)
+
+    pipeline = make_pipeline(FunctionTransformer(), transport).set_output(transform="pandas")
+    scoring = {"error": watchful_error, "affinity": affinity_scorer()}
+    result = cross_validate(pipeline, X, y, cv=3, scoring=scoring)
+    plain = cross_validate(pipeline, X, y, cv=3, scoring=paired_error_scorer)
+    assert [list(columns) for columns in seen] == [list("abc")] * 3
+    np.testing.assert_array_equal(result["test_error"], plain["test_score"])
+
+
+def test_learning_curve_rises_with_more_rows_by_either_scorer():
     X, y = pairs(400, noise=0.5)
-    sizes, _, scores = learning_curve(
-        ProcrustesAffineTransport(), X, y, train_sizes=[12, 200], cv=4, scoring=paired_error_scorer
-    )
-    assert list(sizes) == [12, 200]
-    assert scores[0].mean() < scores[1].mean() < 0
+    for scoring in (paired_error_scorer, affinity_scorer()):
+        sizes, _, scores = learning_curve(
+            ProcrustesAffineTransport(), X, y, train_sizes=[12, 200], cv=4, scoring=scoring
+        )
+        assert list(sizes) == [12, 200]
+        assert scores[0].mean() < scores[1].mean() < 1
 
 
 @pytest.mark.parametrize(
