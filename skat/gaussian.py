@@ -396,8 +396,8 @@ def coral_map(source_root, target_root):
     .. math:: A = C_t^{1/2} C_s^{-1/2}
 
     with the pseudo-inverse; where the source has the lower rank, that many of the target's largest principal
-    directions are matched. Where the two span different subspaces, the product of their principal directions is
-    replaced by its orthogonal polar factor: the plain product, which the paper has, would lose variance.
+    directions are matched. Where the two span different subspaces, the product of their principal directions
+    is replaced by its orthogonal polar factor: the plain product, which the paper has, loses variance.
 
     Parameters
     ----------

@@ -233,7 +233,8 @@ class ConditionalAffineTransport(MomentTransport):
         An int k: the first k columns (not the k-th, as in `~sklearn.compose.ColumnTransformer`). Anything
         else selects columns as there: positions or names in a list, a slice, a mask, or a callable of `X`.
     covariance : {"empirical", "shrunk"} or estimator, default="empirical"
-        As for `AffineTransport`.
+        As for `AffineTransport`, for all columns together. Where the context determines the rest almost
+        exactly, the regression needs no shrinkage and is worse off with it.
     metric_scale : None, "target" or array-like of shape (n_features,), default=None
         As for `AffineTransport`.
 
