@@ -1,0 +1,101 @@
+"""Hidden effects are found, named and measured, in worlds that share no code with the library."""
+
+import numpy as np
+import pytest
+
+from skat.diagnosis import SimulationDiagnosis
+from skat.simulators import MujocoSimulator, make_simulator
+
+# Every family but mass, length and gain, which the conditions of the paper hide.
+SINGLE = [
+    ("hopper", ("gravity", None, 0.7)),
+    ("puck", ("tilt", "x", 0.03)),
+    ("puck", ("centre_of_mass", "puck.x", 0.005)),
+    ("hopper", ("wind", "x", -40.0)),
+    ("puck", ("air_drag", "all", 0.8)),
+    ("halfcheetah", ("damping", "all", 0.5)),
+    ("hopper", ("dry_friction", "leg_joint", 12.0)),
+    ("hopper", ("position_friction", "thigh_joint", 25.0)),
+    ("hopper", ("armature", "leg_joint", -0.3)),
+    ("hopper", ("stiffness", "foot_joint", 30.0)),
+    ("puck", ("delay", "action", 0.005)),
+    ("hopper", ("bias", "qvel.rootz", 0.2)),
+    ("puck", ("scale", "qvel.y", 1.04)),
+    ("puck", ("contact_friction", "all", 0.8)),
+    ("puck", ("contact_anisotropy", "all", 0.8)),
+    ("puck", ("restitution", "all", 0.8)),
+    ("ant", ("timestep", None, 0.5)),
+]
+EPISODES, SEED = 8, 17
+
+
+def simulator_of(worlds, kind):
+    return MujocoSimulator(worlds.nominal_mjcf(kind), frame_skip=worlds.FRAME_SKIP[kind])
+
+
+def diagnosed(worlds, log):
+    diagnosis = SimulationDiagnosis(simulator_of(worlds, log.kind), random_state=0)
+    return diagnosis.fit(log.X, log.y, groups=log.groups)
+
+
+def excess_left(diagnosis, fresh):
+    """Return the share of the excess error on other episodes that the extended simulation leaves."""
+    nominal = fresh.squared_errors(fresh.predict()).mean()
+    floor = fresh.squared_errors(fresh.predict(fresh.hidden, refined=True)).mean()
+    extended = fresh.squared_errors(
+        diagnosis.extended_simulator_.predict(fresh.X, groups=fresh.groups)
+    ).mean()
+    return (extended - floor) / (nominal - floor)
+
+
+@pytest.mark.parametrize("kind", ["hopper", "halfcheetah", "ant"])
+def test_world_with_nothing_hidden_is_the_gymnasium_robot(worlds, kind):
+    log = worlds.measure(kind, seed=3, n_episodes=2)
+    np.testing.assert_allclose(make_simulator(kind).predict(log.X), log.predict(), atol=1e-9)
+    assert make_simulator(kind).input_names == log.names
+
+
+@pytest.mark.parametrize("kind", ["hopper", "halfcheetah", "ant", "puck"])
+def test_another_step_or_solver_of_a_world_is_not_felt(worlds, kind):
+    log = worlds.measure(kind, seed=3, n_episodes=4)
+    assert abs(log.excess()) < 0.01
+
+
+@pytest.mark.parametrize(
+    ("kind", "hidden"), SINGLE, ids=[f"{hidden[0]} in {kind}" for kind, hidden in SINGLE]
+)
+def test_single_hidden_effect_is_named_and_measured(worlds, cases, kind, hidden):
+    family, target, value = hidden
+    diagnosis = diagnosed(worlds, worlds.measure(kind, [hidden], seed=SEED, n_episodes=EPISODES))
+    (cause,) = diagnosis.causes_
+    assert cases.name(family, target) in (cause.name, *cause.aliases)
+    assert diagnosis.verdict_ == ("ambiguous" if cause.aliases else "named")
+    if cause.name == cases.name(family, target):
+        neutral = cases.value_of(family, 0.0, 1)
+        assert abs(cause.value - value) < 0.05 * abs(value - neutral)
+
+
+def test_nothing_hidden_is_nothing_found(worlds):
+    diagnosis = diagnosed(worlds, worlds.measure("puck", seed=SEED, n_episodes=EPISODES))
+    assert diagnosis.verdict_ == "nothing detected"
+    assert diagnosis.causes_ == []
+
+
+def test_two_hidden_effects_are_both_named_and_explain_other_episodes(worlds):
+    hidden = [("gain", "thigh_joint", 0.8), ("damping", "foot_joint", 2.0)]
+    diagnosis = diagnosed(worlds, worlds.measure("hopper", hidden, seed=SEED, n_episodes=EPISODES))
+    assert {cause.name for cause in diagnosis.causes_} == {"gain[thigh_joint]", "damping[foot_joint]"}
+    fresh = worlds.measure("hopper", hidden, seed=SEED + 1, n_episodes=EPISODES)
+    assert excess_left(diagnosis, fresh) < 0.05
+
+
+@pytest.mark.parametrize(
+    ("kind", "hidden"),
+    [
+        ("hopper", ("saturation", "leg_joint", 0.5)),
+        ("puck", ("magnet", "0.2", 0.4)),
+    ],
+)
+def test_effect_outside_the_list_is_unexplained_and_gets_no_full_false_name(worlds, kind, hidden):
+    diagnosis = diagnosed(worlds, worlds.measure(kind, [hidden], seed=SEED, n_episodes=EPISODES))
+    assert diagnosis.verdict_ == "unexplained"
