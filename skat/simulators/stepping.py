@@ -6,6 +6,7 @@ order, or on how they are cut into chunks.
 """
 
 import math
+import multiprocessing
 import os
 import threading
 from collections import OrderedDict
@@ -190,7 +191,7 @@ class _Pool:
     """A MuJoCo batch with the views that a transition needs."""
 
     def __init__(self, model: mujoco.MjModel, size: int, *, own_model: bool):
-        self.batch = Batch(model, nsim=size, nthread=min(size, joblib.cpu_count()))
+        self.batch = Batch(model, nsim=size, nthread=min(size, _thread_count()))
         self.model = model if own_model else None
         self.size, self.count = size, 0
         self.qpos, self.qvel, self.ctrl = (self.batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
@@ -331,6 +332,17 @@ def _layout(model: mujoco.MjModel) -> tuple[int, ...]:
         model.nq, model.nv, model.nu, model.nbody, model.njnt, model.ngeom, model.nsite, model.ntendon,
         model.neq, model.nM, model.nC, model.nB, model.nD, model.nsensordata, model.nuserdata, model.nmocap,
     )  # fmt: skip
+
+
+def _thread_count() -> int:
+    """Return how many threads to use: the processors there are; in a worker process its share of them.
+
+    joblib and dask tell their workers the share by OMP_NUM_THREADS.
+    """
+    share = os.environ.get("OMP_NUM_THREADS", "")
+    if multiprocessing.parent_process() is not None and share.isdigit() and int(share) > 0:
+        return min(int(share), joblib.cpu_count())
+    return joblib.cpu_count()
 
 
 @contextmanager
