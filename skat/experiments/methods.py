@@ -169,7 +169,7 @@ def chosen_methods(methods: Iterable[str] | Mapping[str, object] | None, default
     """
     if isinstance(methods, str):
         raise ValueError(
-            f"methods must be a list of names; it is the string {methods!r}. Give [{methods!r}]."
+            f"methods must be a list of names; it is {methods!r}. Give [{methods!r}]."
         )
     chosen: dict[str, Method | None] = {}
     for name in default if methods is None else methods:

@@ -165,7 +165,8 @@ def puck_table(
         - rho: affinity score of carried and measured resting places, of all the strikes tested;
         - rho_rows: the same of whole rows. The strike has no unit and is the same on both sides, so that this
           score is the higher, the wider strikes are scattered;
-        - covariance_error: Frobenius distance between their covariances, over the norm of the latter's;
+        - covariance_error: Frobenius distance between the covariances of carried and measured rows, in units
+          of the latter's standard deviations, over the norm of the latter;
         - noise: mean distance of repeated strikes from their mean, m; no prediction does better;
         - error_after_std, rho_std: standard deviation over repeats (NaN for one).
 
@@ -201,6 +202,48 @@ def puck_table(
     groups = pd.DataFrame(records).groupby(["puck", "simulation", "method"], sort=False)
     deviations = groups[["error_after", "rho"]].std().add_suffix("_std")
     return groups.mean().join(deviations).reset_index()
+
+
+def in_columns_of_paper(table, method="affine"):
+    """Return a puck table as the paper prints it.
+
+    Parameters
+    ----------
+    table : DataFrame
+        As `puck_table` returns it.
+    method : str, default="affine"
+
+    Returns
+    -------
+    DataFrame
+        Columns Puck, Simulation, Sim2Real Error, Sim Error and rho; errors are mean ± standard deviation over
+        strikes, m.
+
+    Raises
+    ------
+    ValueError
+        If the table does not have this method.
+    """
+    rows = table[table["method"] == method]
+    if rows.empty:
+        raise ValueError(
+            f"the table has no method {method!r}. It has: {', '.join(dict.fromkeys(table['method']))}"
+        )
+    errors = {
+        name: [
+            f"{mean:.2f} ± {spread:.2f}"
+            for mean, spread in zip(rows[f"error_{when}"], rows[f"error_{when}_spread"])
+        ]
+        for name, when in (("Sim2Real Error", "after"), ("Sim Error", "before"))
+    }
+    return pd.DataFrame(
+        {
+            "Puck": rows["puck"].to_numpy(),
+            "Simulation": rows["simulation"].to_numpy(),
+            **errors,
+            "rho": [f"{rho:.2f}" for rho in rows["rho"]],
+        }
+    )
 
 
 def puck_learning_curve(

@@ -184,8 +184,8 @@ def domain_matrix(
         - error_before: mean Euclidean distance between the next states of source and target;
         - rho: affinity score of carried and target rows;
         - error_after: mean distance between carried and target next states;
-        - covariance_error: Frobenius distance between the covariances of carried and target rows, over the
-          norm of the latter;
+        - covariance_error: Frobenius distance between the covariances of carried and target rows, in units of
+          the target's standard deviations, over the norm of the latter;
         - error_before_std, rho_std, error_after_std, covariance_error_std: standard deviations over the
           repeats (NaN for one).
 

@@ -23,9 +23,11 @@ def pointwise_errors(rows, target_rows, context):
 
 
 def covariance_error(rows, target_rows):
-    r"""Return how far the covariance of rows is from that of the target's.
+    r"""Return how far the covariance of rows is from that of the target's, whatever the columns' units.
 
-    .. math:: \|C - C_t\|_F / \|C_t\|_F
+    .. math:: \|D^{-1} (C - C_t) D^{-1}\|_F / \|D^{-1} C_t D^{-1}\|_F
+
+    with D the diagonal matrix of the target's standard deviations, 1 for constant columns.
 
     Parameters
     ----------
@@ -35,7 +37,9 @@ def covariance_error(rows, target_rows):
     -------
     float
     """
-    covariance, target_covariance = np.cov(rows.T), np.cov(target_rows.T)
+    deviations = target_rows.std(axis=0)
+    scale = np.where(deviations > 0, deviations, 1.0)
+    covariance, target_covariance = np.cov((rows / scale).T), np.cov((target_rows / scale).T)
     return float(np.linalg.norm(covariance - target_covariance) / np.linalg.norm(target_covariance))
 
 

@@ -1,0 +1,160 @@
+"""The paper's experiments in full, as tables for the documentation.
+
+Run from the root of the repository::
+
+    python benchmarks/experiments.py                      # everything, about an hour on 2 cores
+    python benchmarks/experiments.py hopper puck          # some of it
+    python benchmarks/experiments.py --small              # a cut of two minutes, for a look
+
+Each experiment writes ``benchmarks/results/experiments_<name>.csv``; the pucks' also
+``experiments_puck_paper.csv``, in the columns of the paper. Bounds that the medians of a robot are to keep
+are printed with whether they hold. The seed is 0 throughout.
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+import pandas as pd
+
+from skat.experiments import domain_matrix, in_columns_of_paper, puck_learning_curve, puck_table
+from skat.experiments.puck import SIMULATIONS
+
+RESULTS = Path(__file__).parent / "results"
+ROBOTS = ("hopper", "halfcheetah", "ant")
+SIZES = (2000, 200)
+SMALL_WORLDS = ("normal", "heavy", "inverted")
+# Largest median of error after / before with 2,000 pairs.
+BOUNDS = {
+    "procrustes_whitened": {"hopper": 0.20, "halfcheetah": 0.27, "ant": 0.50},
+    "conditional_disjoint": {"hopper": 0.35, "halfcheetah": 0.35, "ant": 0.70},
+}
+MOST_OF_LEAST_SQUARES = 1.10
+
+
+def main():
+    names = (*ROBOTS, "puck", "learning_curve")
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*", default=names, help=f"Which: {', '.join(names)}")
+    parser.add_argument("--small", action="store_true")
+    parser.add_argument("--results", type=Path, default=RESULTS)
+    arguments = parser.parse_args()
+    arguments.results.mkdir(exist_ok=True)
+    for name in arguments.names:
+        if name not in names:
+            parser.error(f"unknown experiment {name!r}. There are: {', '.join(names)}")
+        began = time.perf_counter()
+        for suffix, table in tables_of(name, arguments.small).items():
+            path = arguments.results / f"experiments_{name}{suffix}.csv"
+            table.to_csv(path, index=False, float_format="%.4g")
+            print(f"\n{path.name}\n{table.to_string(index=False)}")
+        if name in ROBOTS and not arguments.small:
+            for line, holds in bounds(table, name):
+                print(f"{'holds' if holds else 'DOES NOT HOLD'}: {line}")
+        print(f"{name}: {time.perf_counter() - began:.0f} s", flush=True)
+
+
+def tables_of(name, small):
+    """Return the tables of an experiment by what their files' names end in."""
+    if name == "puck":
+        return pucks(small)
+    return {"": curves(small) if name == "learning_curve" else robots(name, small)}
+
+
+def robots(name, small):
+    """Return the medians over the ordered pairs of worlds, by number of transitions and method."""
+    options = {"conditions": SMALL_WORLDS, "n_repeats": 1, "n_test": 500} if small else {}
+    tables = [
+        robot_medians(domain_matrix(name, n_transitions=n_transitions, **options), n_transitions)
+        for n_transitions in SIZES
+    ]
+    return pd.concat(tables)
+
+
+def robot_medians(table, n_transitions):
+    """Return one row for each method: medians, and quartiles of the ratio, over the pairs of worlds."""
+    table = table.assign(
+        ratio=table["error_after"] / table["error_before"],
+        spread=table["error_after_std"] / table["error_before"],
+    )
+    by_method = table.groupby("method", sort=False)
+    medians = pd.DataFrame(
+        {
+            "pairs to fit": n_transitions,
+            "after / before": by_method["ratio"].median(),
+            "lower quartile": by_method["ratio"].quantile(0.25),
+            "upper quartile": by_method["ratio"].quantile(0.75),
+            "spread over seeds": by_method["spread"].median(),
+            "rho": by_method["rho"].median(),
+            "covariance error": by_method["covariance_error"].median(),
+            "best in": wins(table, ["source", "target"], by_method.ngroups),
+        }
+    )
+    return medians.sort_values("after / before").reset_index()
+
+
+def pucks(small):
+    """Return the puck table in the paper's columns, and the medians over simulations and pucks by method."""
+    options = {"simulations": SIMULATIONS[4:6], "n_repeats": 1, "n_test": 100} if small else {}
+    table = puck_table(**options)
+    return {"": puck_medians(table), "_paper": in_columns_of_paper(table)}
+
+
+def puck_medians(table):
+    """Return one row for each puck and method: medians over the simulations."""
+    table = table.assign(
+        ratio=table["error_after"] / table["error_before"], floor=table["error_after"] / table["noise"]
+    )
+    by_method = table.groupby(["puck", "method"], sort=False)
+    medians = pd.DataFrame(
+        {
+            "error after, m": by_method["error_after"].median(),
+            "largest": by_method["error_after"].max(),
+            "after / noise": by_method["floor"].median(),
+            "after / before": by_method["ratio"].median(),
+            "rho": by_method["rho"].median(),
+            "rho of rows": by_method["rho_rows"].median(),
+            "best in": wins(table, ["puck", "simulation"], by_method.ngroups),
+        }
+    )
+    return medians.sort_values(["puck", "error after, m"]).reset_index()
+
+
+def curves(small):
+    """Return the median error over simulations and twice its deviation, by method and number of strikes."""
+    options = {"simulations": SIMULATIONS[4:6], "n_repeats": 5, "n_test": 100} if small else {}
+    table = puck_learning_curve(**options)
+    by_size = table.groupby(["method", "n_strikes"], sort=False)
+    errors = by_size["error_after"].median().unstack()
+    twice = 2 * by_size["error_after_std"].median().unstack()
+    printed = errors.map("{:.3f}".format) + " ± " + twice.map("{:.3f}".format)
+    return printed.loc[errors.iloc[:, -1].sort_values().index].reset_index()
+
+
+def wins(table, case, n_methods):
+    """Return in how many cases each method has the smallest error."""
+    best = table.loc[table.groupby(case)["error_after"].idxmin()]
+    keys = [name for name in ("puck", "method") if name == "method" or "puck" in case]
+    return best.groupby(keys).size().reindex(table.groupby(keys, sort=False).size().index, fill_value=0)
+
+
+def bounds(medians, robot):
+    """Yield a line for each bound on a robot's medians, with whether it holds."""
+    rows = medians.set_index(["pairs to fit", "method"])
+    for method, largest in BOUNDS.items():
+        value = rows.loc[(2000, method), "after / before"]
+        yield f"{robot}, 2000 pairs: {method} {value:.3f} <= {largest[robot]:.2f}", value <= largest[robot]
+    for n_transitions in SIZES:
+        ours, theirs = (rows.loc[(n_transitions, name)] for name in ("procrustes_whitened", "least_squares"))
+        ratio = ours["after / before"] / theirs["after / before"]
+        comparison = f"whitened over least squares {ratio:.3f} <= {MOST_OF_LEAST_SQUARES:.2f}"
+        yield f"{robot}, {n_transitions} pairs: {comparison}", ratio <= MOST_OF_LEAST_SQUARES
+        errors = ours["covariance error"], theirs["covariance error"]
+        yield (
+            "{}, {} pairs: covariance error {:.4f} < {:.4f}".format(robot, n_transitions, *errors),
+            errors[0] < errors[1],
+        )
+
+
+if __name__ == "__main__":
+    main()

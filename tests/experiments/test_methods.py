@@ -1,0 +1,107 @@
+import numpy as np
+import pytest
+from sklearn.linear_model import LinearRegression
+
+from skat import AffineTransport
+from skat.experiments.methods import (
+    DIAGNOSIS,
+    METHODS,
+    RegressionTransport,
+    chosen_methods,
+    fitted_transport,
+    of_repeat,
+)
+from skat.experiments.scores import covariance_error, pointwise_errors
+
+CONTEXT = 2
+
+
+@pytest.fixture
+def pairs():
+    """Rows (context, outcome) whose target outcome is affine in the source row."""
+    rng = np.random.default_rng(0)
+    source = rng.normal(size=(60, 5))
+    target = source.copy()
+    target[:, CONTEXT:] = 1.0 + source @ rng.normal(size=(5, 3))
+    return source, target
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_every_method_carries_rows_to_rows(name, pairs):
+    carried = fitted_transport(METHODS[name], *pairs, CONTEXT).transform(pairs[0])
+    assert carried.shape == pairs[1].shape
+    assert np.isfinite(carried).all()
+
+
+@pytest.mark.parametrize("name", [name for name in METHODS if name.startswith(("least", "ridge"))])
+def test_regressions_recover_an_affine_relation_of_the_rows(name, pairs):
+    carried = fitted_transport(METHODS[name], *pairs, CONTEXT).transform(pairs[0])
+    np.testing.assert_allclose(carried, pairs[1], atol=1e-3 if "ridge" in name else 1e-9)
+
+
+def test_target_only_makes_no_use_of_the_simulated_outcome(pairs):
+    transport = fitted_transport(METHODS["target_only"], *pairs, CONTEXT)
+    other = pairs[0].copy()
+    other[:, CONTEXT:] = 7.0
+    np.testing.assert_array_equal(transport.transform(other), transport.transform(pairs[0]))
+
+
+def test_a_regression_on_the_residual_predicts_what_is_missing(pairs):
+    direct = RegressionTransport(LinearRegression(), context=CONTEXT).fit(*pairs)
+    residual = RegressionTransport(LinearRegression(), context=CONTEXT, residual=True).fit(*pairs)
+    # For least squares the two are the same thing, since the source's outcome is a predictor.
+    np.testing.assert_allclose(direct.transform(pairs[0]), residual.transform(pairs[0]), atol=1e-9)
+
+
+def test_a_disjoint_method_sees_halves_that_share_no_row(pairs):
+    method = METHODS["conditional_disjoint"]
+    changed = [rows.copy() for rows in pairs]
+    changed[0][30:] = np.nan
+    changed[1][:30] = np.nan
+    np.testing.assert_array_equal(
+        fitted_transport(method, *pairs, CONTEXT).transform(pairs[0]),
+        fitted_transport(method, *changed, CONTEXT).transform(pairs[0]),
+    )
+
+
+def test_methods_are_chosen_by_name_and_own_ones_are_cloned(pairs):
+    own = AffineTransport()
+    chosen = chosen_methods({"mine": own}, METHODS)
+    assert list(chosen) == ["mine"]
+    fitted_transport(chosen["mine"], *pairs, CONTEXT)
+    assert not hasattr(own, "coef_")
+    assert list(chosen_methods(["none", DIAGNOSIS], METHODS)) == ["none", DIAGNOSIS]
+    assert list(chosen_methods(None, METHODS)) == list(METHODS)
+
+
+def test_slow_methods_run_in_the_first_repeat_only():
+    chosen = chosen_methods(["affine", "exact_transport", DIAGNOSIS], METHODS)
+    assert list(of_repeat(chosen, 0)) == list(chosen)
+    assert list(of_repeat(chosen, 1)) == ["affine"]
+
+
+@pytest.mark.parametrize(
+    ("methods", "message"),
+    [
+        (["afine"], r"unknown method 'afine'\. There are: none, affine, .*, diagnosis"),
+        ("affine", r"methods must be a list of names; it is 'affine'\. Give \['affine'\]"),
+        ([], "no methods to compare; there are: none, affine"),
+    ],
+)
+def test_methods_that_cannot_be_compared_are_refused(methods, message):
+    with pytest.raises(ValueError, match=message):
+        chosen_methods(methods, METHODS)
+
+
+def test_errors_are_distances_of_outcomes():
+    rows, target = np.array([[9.0, 3.0, 4.0], [9.0, 0.0, 0.0]]), np.zeros((2, 3))
+    np.testing.assert_array_equal(pointwise_errors(rows, target, 1), [5.0, 0.0])
+
+
+def test_covariance_error_is_relative_and_depends_on_no_unit():
+    rng = np.random.default_rng(0)
+    rows, target = rng.normal(size=(2, 50, 3))
+    units = np.array([1.0, 1000.0, 0.01])
+    assert covariance_error(target + 5.0, target) < 1e-12
+    np.testing.assert_allclose(covariance_error(2.0 * target, target), 3.0)
+    np.testing.assert_allclose(covariance_error(rows * units, target * units), covariance_error(rows, target))
