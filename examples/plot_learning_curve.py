@@ -74,8 +74,8 @@ untouched = -paired_error_scorer(IdentityTransport().fit(X, y), X, y)
 LearningCurveDisplay.from_frame(errors, size="pairs", value="error", baseline=untouched)
 
 # %%
-# The affinity score ranks the methods as the error does here, but it is flatter: more than half of the columns
-# that it sees are state and action, which are right from the start.
+# The affinity score ranks the methods as the error does here, but it is flatter: more than half of the
+# columns that it sees are state and action, which are right from the start.
 
 LearningCurveDisplay.from_frame(curves[curves["scorer"] == "affinity"], size="pairs", value="score")
 
