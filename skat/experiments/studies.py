@@ -18,6 +18,10 @@ from skat.datasets.ball_drops import BALLS
 from skat.diagnosis import Gain, SimulationDiagnosis, compare_transports
 from skat.simulators import make_simulator
 
+# The joint stands for the way through the air. It has no bearing, so nothing of bearings is considered; and
+# the way of a ball in free fall does not depend on its mass.
+BALL_EFFECTS = ["air_drag[z]", "damping[z]", "gravity", "wind[z]", "scale[qpos.z]"]
+
 
 @dataclass(frozen=True)
 class Study:
@@ -104,6 +108,7 @@ def study_ball_drops(balls=None, *, data_home=None, random_state=0, progress=Non
     """
     balls = list(BALLS) if balls is None else list(balls)
     fetch_ball_drops(balls, data_home=data_home)
+    parameters = {"effects": BALL_EFFECTS, **parameters}
     studies = {}
     for done, ball in enumerate(balls):
         if progress is not None:
