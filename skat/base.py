@@ -22,7 +22,7 @@ from skat._compat import (
 from skat.backends import is_dask
 from skat.wasserstein import affinity
 
-__all__ = ["BaseTransport", "Samples", "on_host"]
+__all__ = ["BaseTransport", "Samples", "on_host", "same_length"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,7 +238,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
     def _weighted(self, source, target, sample_weight):
         """Return samples with their weights; either side may be None."""
         if not isinstance(sample_weight, tuple) and sample_weight is not None:
-            if source is not None and target is not None and not _same_length(source, target):
+            if source is not None and target is not None and not same_length(source, target):
                 raise ValueError(
                     f"one array of weights is for rows side by side, but there are {source.shape[0]} source "
                     "rows and "
@@ -373,7 +373,8 @@ def _domain(sample_domain, X):
     return domain
 
 
-def _same_length(source, target):
+def same_length(source, target):
+    """Whether two sets of rows are of one number, or may be: dask does not always know."""
     lengths = (source.shape[0], target.shape[0])
     return not all(isinstance(length, int | np.integer) for length in lengths) or lengths[0] == lengths[1]
 

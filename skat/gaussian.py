@@ -9,7 +9,7 @@ remain.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import lapack, solve_triangular
+from scipy.linalg import bandwidth, lapack, solve_triangular
 
 from skat.moments import Moments, row_moments, triangle
 
@@ -320,7 +320,7 @@ def _half_of_well_conditioned_map(source_root, target_root):
     core = target_root.T @ source_root
     if len(core) > 256:
         squares, right = np.linalg.eigh(core.T @ core)
-        if squares[0] > 1e-5 * squares[-1] and _is_triangular(source_root):
+        if squares[0] > 1e-5 * squares[-1] and bandwidth(source_root)[1] == 0:
             return solve_triangular(
                 source_root,
                 right * squares**0.25,
@@ -333,10 +333,6 @@ def _half_of_well_conditioned_map(source_root, target_root):
     if values[-1] > 1e-4 * values[0]:
         return target_root @ (left / np.sqrt(values))
     return None
-
-
-def _is_triangular(root):
-    return not np.triu(root, 1).any()
 
 
 def check_that_source_reaches_target(angles):

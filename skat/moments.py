@@ -226,7 +226,7 @@ def _sum_with_remainder(large, small):
 
 
 def _blocks(n_rows, n_features):
-    size = max(BLOCK_ELEMENTS // n_features, 256)
+    size = max(BLOCK_ELEMENTS // n_features, n_features, 256)
     return [slice(start, min(start + size, n_rows)) for start in range(0, n_rows, size)]
 
 

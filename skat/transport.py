@@ -7,6 +7,7 @@ import numpy as np
 from skat._compat import column_indices
 from skat.alignment import correlation_score, raw_alignment, whitened_alignment
 from skat.backends import beside
+from skat.base import same_length
 from skat.conditional import conditional_map
 from skat.gaussian import AffineMap, coefficient_distance, optimal_map, root_of_moments
 from skat.moment_transport import MomentTransport
@@ -151,14 +152,11 @@ class ProcrustesAffineTransport(MomentTransport):
                 f"{type(self).__name__} learns from pairs, so each call needs source and target rows "
                 "together."
             )
-        n_source, n_target = samples.source.shape[0], samples.target.shape[0]
-        if n_source != n_target and not (np.isnan(n_source) or np.isnan(n_target)):
+        if not same_length(samples.source, samples.target):
             raise ValueError(
-                f"{type(self).__name__} learns from pairs: row k of the target belongs to row k of the "
-                "source; "
-                f"there are {n_source} source rows and {n_target} target rows. Without pairs, use "
-                "AffineTransport "
-                "or ConditionalAffineTransport."
+                f"{type(self).__name__} learns from pairs: row k of the target belongs to row k of the source; "
+                f"there are {samples.source.shape[0]} source rows and {samples.target.shape[0]} target rows. "
+                "Without pairs, use AffineTransport or ConditionalAffineTransport."
             )
         if (samples.source_weight is None) != (samples.target_weight is None) or (
             samples.source_weight is not None

@@ -21,7 +21,7 @@ ALLOWED = {
     "backends": {"_compat", "moments", "gaussian"},
     "base": {"_compat", "backends", "wasserstein"},
     "moment_transport": {"backends", "base", "gaussian", "moments", "shrinkage"},
-    "transport": {"_compat", "gaussian", "alignment", "conditional", "backends", "moment_transport"},
+    "transport": {"_compat", "gaussian", "alignment", "conditional", "backends", "base", "moment_transport"},
     "baselines": {"gaussian", "wasserstein", "base", "moment_transport"},
     "marginals": {"moments"},
     "affinity": {"gaussian", "marginals", "wasserstein"},

@@ -42,7 +42,9 @@ def test_dask_arrays_give_the_map_of_their_values(transport, chunks):
 
 
 @pytest.mark.parametrize(
-    "transport", [AffineTransport(), ConditionalAffineTransport(context=["a", "b"])], ids=str
+    "transport",
+    [AffineTransport(), ConditionalAffineTransport(context=["a", "b"]), ProcrustesAffineTransport()],
+    ids=str,
 )
 def test_dask_frames_keep_their_names(transport):
     X, y = (pd.DataFrame(rows, columns=list("abcd")) for rows in arrays())
