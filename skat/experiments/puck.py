@@ -165,8 +165,8 @@ def puck_table(
         - rho: affinity score of carried and measured resting places, of all the strikes tested;
         - rho_rows: the same of whole rows. The strike has no unit and is the same on both sides, so that this
           score is the higher, the wider strikes are scattered;
-        - covariance_error: Frobenius distance between the covariances of carried and measured rows, in units
-          of the latter's standard deviations, over the norm of the latter;
+        - covariance_error: Frobenius distance between the covariances of carried and measured resting places,
+          over the norm of the latter;
         - noise: mean distance of repeated strikes from their mean, m; no prediction does better;
         - error_after_std, rho_std: standard deviation over repeats (NaN for one).
 
@@ -340,7 +340,7 @@ def _compared(strikes, simulation, chosen, fitted, tested, seed):
                 "rho_rows": affinity_score(carried, expected),
                 "error_after": after.mean(),
                 "error_after_spread": after.std(),
-                "covariance_error": covariance_error(carried, expected),
+                "covariance_error": covariance_error(carried, expected, CONTEXT),
             }
         )
     return records

@@ -184,8 +184,8 @@ def domain_matrix(
         - error_before: mean Euclidean distance between the next states of source and target;
         - rho: affinity score of carried and target rows;
         - error_after: mean distance between carried and target next states;
-        - covariance_error: Frobenius distance between the covariances of carried and target rows, in units of
-          the target's standard deviations, over the norm of the latter;
+        - covariance_error: Frobenius distance between the covariances of carried and target next states, over
+          the norm of the latter;
         - error_before_std, rho_std, error_after_std, covariance_error_std: standard deviations over the
           repeats (NaN for one).
 
@@ -262,7 +262,7 @@ def _compared(replay, source, target, chosen, fitted, tested, n_scored, seed):
                 "error_before": before,
                 "rho": affinity_of_first(carried, expected, n_scored),
                 "error_after": pointwise_errors(carried, expected, replay.context).mean(),
-                "covariance_error": covariance_error(carried, expected),
+                "covariance_error": covariance_error(carried, expected, replay.context),
             }
         )
     return records

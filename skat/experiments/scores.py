@@ -22,24 +22,23 @@ def pointwise_errors(rows, target_rows, context):
     return np.linalg.norm(rows[:, context:] - target_rows[:, context:], axis=1)
 
 
-def covariance_error(rows, target_rows):
-    r"""Return how far the covariance of rows is from that of the target's, whatever the columns' units.
+def covariance_error(rows, target_rows, context):
+    r"""Return how far the covariance of the outcomes is from that of the target's.
 
-    .. math:: \|D^{-1} (C - C_t) D^{-1}\|_F / \|D^{-1} C_t D^{-1}\|_F
-
-    with D the diagonal matrix of the target's standard deviations, 1 for constant columns.
+    .. math:: \|C - C_t\|_F / \|C_t\|_F
 
     Parameters
     ----------
     rows, target_rows : ndarray of shape (n_rows, n_features)
+    context : int
+        Number of leading columns that are no outcome.
 
     Returns
     -------
     float
+        Over the columns that the pointwise error is over, in their units.
     """
-    deviations = target_rows.std(axis=0)
-    scale = np.where(deviations > 0, deviations, 1.0)
-    covariance, target_covariance = np.cov((rows / scale).T), np.cov((target_rows / scale).T)
+    covariance, target_covariance = (np.cov(part[:, context:].T) for part in (rows, target_rows))
     return float(np.linalg.norm(covariance - target_covariance) / np.linalg.norm(target_covariance))
 
 
