@@ -20,8 +20,8 @@ LONGEST_TABLE = 15
 LONGEST_REPR = 120
 HEADLINES = {
     "nothing detected": "Nothing detected",
-    "named": "Named",
-    "ambiguous": "Named, but the data allow other names",
+    "named": "{} named",
+    "ambiguous": "{} named, but the data allow other names",
     "unexplained": "Unexplained",
 }
 
@@ -108,7 +108,7 @@ class Report:
             if cause.aliases:
                 lines.append(f"    cannot be told from: {', '.join(cause.aliases)}")
         if diagnosis.verdict_ == "unexplained":
-            lines.append(f"  {_sentence(diagnosis.remainder_.sentence)}")
+            lines.append(f"  {_capital(diagnosis.remainder_.sentence)}.")
         if diagnosis.causes_:
             lines += [f"  {test.title}: {gain_sentence(test.gain)}" for test in self._tests if test.gain]
         return "\n".join(lines)
@@ -260,7 +260,7 @@ class Report:
         table, invisible = _identifiability(diagnosis)
         return {
             "verdict": diagnosis.verdict_,
-            "headline": HEADLINES[diagnosis.verdict_],
+            "headline": HEADLINES[diagnosis.verdict_].format(_counted(diagnosis.causes_, "cause")),
             "sentences": self._sentences(),
             "causes": _causes(diagnosis.causes_) if diagnosis.causes_ else None,
             "cause_picture": cause_picture(diagnosis) if figures else None,
@@ -305,7 +305,7 @@ class Report:
         if unexplained:
             rest = diagnosis.remainder_.sentence
             sentences.insert(
-                0, f"Beside what is named below, {rest}." if diagnosis.causes_ else _sentence(rest)
+                0, f"Beside what is named below, {rest}." if diagnosis.causes_ else f"{_capital(rest)}."
             )
         known = [test.errors for test in self._tests if test.errors is not None]
         return sentences + [ceiling_sentence(errors) for errors in known if unexplained or is_beaten(errors)]
@@ -346,14 +346,16 @@ def gain_sentence(gain):
 
 def _cause_sentence(cause):
     low, high = cause.interval
-    return f"{_sentence(cause.sentence).rstrip('.')} (95 %: {_number(low)} to {_number(high)})."
+    sentence = cause.sentence if cause.sentence.startswith(cause.name) else _capital(cause.sentence)
+    return f"{sentence.rstrip('.')} (95 %: {_number(low)} to {_number(high)})."
 
 
-def _sentence(text):
-    """Return text with a capital letter, unless it starts with a name such as ``gain[all]``."""
-    first = text.split(" ", 1)[0]
-    starts = text if "[" in first or "_" in first or len(first) == 1 else text[:1].upper() + text[1:]
-    return starts if starts.endswith(".") else f"{starts}."
+def _capital(text):
+    return text[:1].upper() + text[1:]
+
+
+def _counted(things, word):
+    return f"{len(things)} {word}{'' if len(things) == 1 else 's'}"
 
 
 def _listed(names):
@@ -501,7 +503,7 @@ def _identifiability(diagnosis):
     named = {cause.name for cause in diagnosis.causes_}
     shown = pd.DataFrame(
         {
-            "smallest size that would be named": frame.loc[visible, "smallest"],
+            "smallest size": frame.loc[visible, "smallest"],
             "unit": frame.loc[visible, "unit"].map(_unit),
             "most similar effect": frame.loc[visible, "nearest_alias"],
             "similarity": frame.loc[visible, "similarity"].map("{:.2f}".format),

@@ -15,6 +15,7 @@ MOST_EPISODES = 2
 # Episodes and steps looked at to choose those that are drawn, and points of a scatter.
 MOST_CANDIDATES, MOST_STEPS, MOST_POINTS = 12, 400, 600
 MOST_ROWS = 5_000
+FEW_POINTS = 200
 N_BINS = 12
 # Standard deviations of a chi-square beyond which an error's dependence on an input is worth a picture.
 CLEAR_DEPENDENCE = 5.0
@@ -298,7 +299,7 @@ def _scatter(diagnosis, rows):
     picked = np.unique(np.linspace(0, len(rows.rows) - 1, min(len(rows.rows), MOST_POINTS)).astype(int))
     reference = rows.log.X[rows.rows] if state else np.zeros((len(rows.rows), len(outputs)))
     measured = rows.log.y[rows.rows]
-    word = "change of " if state else ""
+    word, size = "change of " if state else "", 8 if len(picked) < FEW_POINTS else 4
 
     def draw(figure):
         panels = figure.subplots(1, len(channels), squeeze=False)[0]
@@ -306,9 +307,7 @@ def _scatter(diagnosis, rows):
             across = (measured - reference[:, : len(outputs)])[picked, channel]
             for predicted, colour, name in _versions(diagnosis, (rows.before, rows.after)):
                 simulated = (predicted - reference[:, : len(outputs)])[picked, channel]
-                axes.plot(
-                    simulated, across, ".", color=colour, markersize=4, alpha=0.65, label=name, linewidth=0
-                )
+                axes.plot(simulated, across, ".", color=colour, markersize=size, alpha=0.65, label=name)
             axes.axline((across[0], across[0]), slope=1, color=MEASURED, linewidth=1)
             axes.set(
                 xlabel=f"simulated {word}{outputs[channel]}", ylabel=f"measured {word}{outputs[channel]}"

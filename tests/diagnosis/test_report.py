@@ -4,6 +4,7 @@ import pickle
 import re
 import runpy
 import warnings
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from xml.etree import ElementTree
@@ -173,7 +174,16 @@ def test_a_cause_is_said_with_its_interval_in_text_and_page():
     report = reported()
     sentence = "Viscous damping of hinge is 0.6 1/s more than the model's (95 %: 0.5875 to 0.6125)."
     assert sentence in report.text()
-    assert sentence in Page(report.html(figures=False)).text
+    text = Page(report.html(figures=False)).text
+    assert sentence in text
+    assert "1 cause named" in text
+
+
+def test_a_sentence_begins_with_a_capital_unless_it_begins_with_the_name_of_an_effect():
+    assert "\n  drag is 0.5 (95 %" in reported(thrower(), thrown_log(), value=0.5).text()
+    report = reported()
+    report.diagnosis.causes_ = [replace(report.diagnosis.causes_[0], sentence="a constant force is 2 N")]
+    assert "\n  A constant force is 2 N (95 %" in report.text()
 
 
 def test_nothing_detected_is_said_with_what_would_have_shown():
