@@ -137,11 +137,12 @@ def fetch_cube_tosses(tosses=None, *, data_home=None, download_if_missing=True):
 
 
 def cube_toss_simulator():
-    """Return the simulation of a tossed cube one would write first: MuJoCo's defaults everywhere.
+    """Return the simulation of a tossed cube one would write first, with MuJoCo's default friction.
 
-    The cube has the stated size and mass; contact, friction and solver are MuJoCo's defaults. A step is a
-    frame of the motion capture, because its velocities are differences between frames, which is what
-    MuJoCo's Euler step gives.
+    The cube has the stated size and mass; contact and friction are MuJoCo's defaults. The friction cone is
+    round (elliptic): MuJoCo's default, a pyramid, is weaker between its edges, so that its coefficient is not
+    the one that a slope measures. A step is a frame of the motion capture, because its velocities are
+    differences between frames, which is what MuJoCo's Euler step gives.
 
     Returns
     -------
@@ -157,7 +158,7 @@ def cube_toss_simulator():
     return MujocoSimulator(
         f"""
         <mujoco model="cube toss">
-          <option timestep="{FRAME_INTERVAL!r}"/>
+          <option timestep="{FRAME_INTERVAL!r}" cone="elliptic"/>
           <worldbody>
             <geom name="table" type="plane" size="2 2 0.1"/>
             <body name="cube" pos="0 0 {HALF_WIDTH}">
