@@ -154,9 +154,9 @@ class ProcrustesAffineTransport(MomentTransport):
             )
         if not same_length(samples.source, samples.target):
             raise ValueError(
-                f"{type(self).__name__} learns from pairs: row k of the target belongs to row k of the source; "
-                f"there are {samples.source.shape[0]} source rows and {samples.target.shape[0]} target rows. "
-                "Without pairs, use AffineTransport or ConditionalAffineTransport."
+                f"{type(self).__name__} learns from pairs: row k of y belongs to row k of X; "
+                f"there are {samples.source.shape[0]} source rows and {samples.target.shape[0]} target "
+                "rows. Without pairs, use AffineTransport or ConditionalAffineTransport."
             )
         if (samples.source_weight is None) != (samples.target_weight is None) or (
             samples.source_weight is not None

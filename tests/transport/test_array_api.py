@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -58,13 +59,32 @@ with config_context(array_api_dispatch=True):
     np.testing.assert_allclose(host(parts.coef_), AffineTransport().fit(X, y).coef_, rtol=1e-10, atol=1e-12)
 """
 
+CHECKS = """
+from sklearn.utils.estimator_checks import check_array_api_input, check_array_api_same_namespace
+from tests.transport.test_estimator_checks import AffineWithTarget, ConditionalWithTarget
+from tests.transport.test_estimator_checks import ProcrustesWithTarget
+
+for transport in (AffineWithTarget(), ConditionalWithTarget(context=1), ProcrustesWithTarget()):
+    name = type(transport).__name__
+    for device, dtype in (("CPU_DEVICE", "float64"), ("device1", "float32")):
+        check_array_api_input(name, transport, "array_api_strict", device, dtype, check_values=True)
+    check_array_api_same_namespace(name, transport, "array_api_strict")
+"""
+
 
 @pytest.mark.parametrize("module", ["array_api_strict", "torch"])
 def test_arrays_of_other_libraries_give_the_map_of_their_values(module):
     pytest.importorskip(module)
-    # SciPy decides on its array API support as it is imported, hence another process.
-    subprocess.run(
-        [sys.executable, "-W", "error", "-c", SCRIPT.format(module=module)],
-        check=True,
-        env={**os.environ, "SCIPY_ARRAY_API": "1"},
-    )
+    run_with_array_api(SCRIPT.format(module=module))
+
+
+def test_scikit_learns_array_checks_pass_values_included():
+    pytest.importorskip("array_api_strict")
+    run_with_array_api(CHECKS)
+
+
+def run_with_array_api(script):
+    """Run in another process: SciPy decides on its array API support as it is imported."""
+    root = Path(__file__).parents[2]
+    environment = {**os.environ, "SCIPY_ARRAY_API": "1", "PYTHONPATH": str(root)}
+    subprocess.run([sys.executable, "-W", "error", "-c", script], check=True, env=environment, cwd=root)

@@ -15,8 +15,8 @@ from skat import (
 EXPECTED_FAILURES = {
     "ExactWithTarget": {
         "check_sample_weight_equivalence_on_dense_data": (
-            "the optimal plan may send the copies of a repeated row to different target rows, and one row of twice "
-            "the weight to their mean"
+            "the optimal plan may send the copies of a repeated row to different target rows, and one row "
+            "of twice the weight to their mean"
         )
     }
 }
@@ -65,7 +65,6 @@ class ExactWithTarget(WithTarget, ExactTransport):
 
 
 @pytest.mark.filterwarnings("ignore:.*rows cannot show how:UserWarning")
-@pytest.mark.filterwarnings("ignore:the pairs carry no correlation:UserWarning")
 @parametrize_with_checks(
     [
         AffineWithTarget(),
