@@ -63,6 +63,10 @@ class ShownLog:
         Over whole episodes, where `gain` is one step ahead.
     errors : DataFrame or None
         From `compare_transports`.
+    note : str
+        Why there are none.
+    is_compared : bool
+        Whether `errors` and `open_loop` were sought.
     """
 
     title: str
@@ -70,6 +74,8 @@ class ShownLog:
     gain: Gain | None = None
     open_loop: Gain | None = None
     errors: pd.DataFrame | None = None
+    note: str = ""
+    is_compared: bool = False
 
 
 class Report:
@@ -220,24 +226,27 @@ class Report:
         """Measure each test in open loop, and transports on it, once."""
         fitted = _rows(self.log)
         for index, test in enumerate(self._tests):
-            if test.errors is not None and test.open_loop is not None:
+            if test.is_compared:
                 continue
+            rows, errors, note = _rows(test.log), test.errors, ""
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UserWarning)  # the rows were accepted before
-                rows = _rows(test.log)
-                errors, open_loop = test.errors, test.open_loop
                 if errors is None:
-                    errors = compare_transports(
-                        self.diagnosis,
-                        *fitted[:2],
-                        *rows[:2],
-                        groups_fit=fitted[2],
-                        groups_test=rows[2],
-                        random_state=0,
-                    )
-                if open_loop is None:
-                    open_loop = self._open_loop_gain(test, rows)
-            self._tests[index] = replace(test, errors=errors, open_loop=open_loop)
+                    try:
+                        errors = compare_transports(
+                            self.diagnosis,
+                            *fitted[:2],
+                            *rows[:2],
+                            groups_fit=fitted[2],
+                            groups_test=rows[2],
+                            random_state=0,
+                        )
+                    except (ValueError, RuntimeError) as error:  # no row of it can be simulated
+                        note = f"No comparison by method: {error}"
+                open_loop = self._open_loop_gain(test, rows)
+            self._tests[index] = replace(
+                test, errors=errors, open_loop=open_loop, note=note, is_compared=True
+            )
 
     def _open_loop_gain(self, test, rows):
         """Return the Gain over whole episodes, or None if it is known or there is none."""
@@ -276,6 +285,7 @@ class Report:
                     "errors": _errors(test.errors) if test.errors is not None else None,
                     "ceiling": ceiling_sentence(test.errors) if test.errors is not None else "",
                     "notes": _notes(test.errors) if test.errors is not None else [],
+                    "note": test.note,
                     "channels": _channels(diagnosis, test),
                     "pictures": pictures.get(index, []),
                 }

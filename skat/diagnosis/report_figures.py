@@ -98,8 +98,12 @@ def log_pictures(diagnosis, log):
     log : Log
         Rows to show: best those that were not fitted.
     """
-    if diagnosis.hidden:
-        return [_open_loop(diagnosis, log)]
+    if tuple(diagnosis.hidden):
+        try:
+            picture = _open_loop(diagnosis, log)
+        except RuntimeError:  # no initial state can be fitted to an episode that diverges
+            return []
+        return [] if picture is None else [picture]
     rows = _one_step(diagnosis, log)
     if rows is None:
         return []
@@ -329,7 +333,7 @@ def _open_loop(diagnosis, log):
     """Return the Picture of episodes simulated from their first state on."""
     short = log.rows(_within(log))
     simulator = diagnosis.simulator
-    paths, initial_is_fitted = [], bool(diagnosis.hidden)
+    paths, initial_is_fitted = [], bool(tuple(diagnosis.hidden))
     for each in (simulator, diagnosis.extended_simulator_):
         episodes = Episodes(each, short, tuple(diagnosis.hidden))
         initial = episodes.fit_initial_states({}, diagnosis.noise_) if initial_is_fitted else episodes.initial

@@ -308,6 +308,14 @@ def test_a_simulation_that_diverges_is_shown_as_far_as_it_goes():
     assert "rows left out, in which a simulation diverges" in Page(html).text
 
 
+def test_a_log_that_cannot_be_simulated_at_all_is_said_on_a_page_that_is_written():
+    X, y, groups = pendulum_log()
+    report = reported(pendulum(blow_up), value=0.6)
+    X[:, 0], y[:, 0] = X[:, 0] + 50, y[:, 0] + 50
+    report.add_test("Far away", X, y, groups, gain=report.diagnosis.gain_)
+    assert "No comparison by method: The simulation diverges in every row" in Page(report.html()).text
+
+
 def test_errors_are_measured_on_rows_held_out_by_every_method():
     text = Page(reported().html()).text
     for method in (
