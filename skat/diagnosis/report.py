@@ -418,7 +418,7 @@ def _number(value):
 
 
 def _p_value(value):
-    return "< 0.0001" if value < 1e-4 else f"{value:.2g}"
+    return "<\N{NO-BREAK SPACE}0.0001" if value < 1e-4 else f"{value:.2g}"
 
 
 def _unit(unit):
@@ -432,7 +432,10 @@ def _causes(causes):
             {
                 "cause": [cause.name for cause in causes],
                 "size": [cause.value for cause in causes],
-                "95 % interval": ["{} to {}".format(*map(_number, cause.interval)) for cause in causes],
+                "95 % interval": [
+                    "{}\N{NO-BREAK SPACE}to\N{NO-BREAK SPACE}{}".format(*map(_number, cause.interval))
+                    for cause in causes
+                ],
                 "unit": [_unit(cause.unit) for cause in causes],
                 "p": [_p_value(cause.p_value) for cause in causes],
                 "cannot be told from": [", ".join(cause.aliases) or "none" for cause in causes],
