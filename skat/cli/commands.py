@@ -267,8 +267,11 @@ def _show(study):
     if diagnosis.causes_:
         console.print(table_of(_causes(diagnosis.causes_)))
     console.print(
-        table_of(study.errors[["method", "error", "ratio", "note"]], title="One-step error on data not used")
+        table_of(study.errors[["method", "error", "ratio"]], title="One-step error on data not used")
     )
+    noted = study.errors[study.errors["note"] != ""]
+    for note, rows in noted.groupby("note", sort=False):
+        print_line(f"  {', '.join(rows['method'])}: {note}")
     print_line(
         f"{study.error_name}, on data not used: {gain.nominal:.3g} before, {gain.extended:.3g} after, "
         f"{gain.ratio:.3g} times smaller"
