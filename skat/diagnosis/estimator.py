@@ -248,7 +248,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
     def _chosen_effects(self):
         known = {effect.name: effect for effect in self.simulator.effects()}
         if isinstance(self.effects, str) and self.effects == "all":
-            return list(known.values())
+            return [effect for effect in known.values() if not self._senses_hidden(effect)]
         names = [
             effect.name if isinstance(effect, Effect) else effect for effect in np.atleast_1d(self.effects)
         ]
@@ -258,6 +258,9 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         if not names:
             raise ValueError("effects is empty: name at least one, or pass 'all'.")
         return [known[name] for name in dict.fromkeys(names)]
+
+    def _senses_hidden(self, effect):
+        return effect.family in ("bias", "scale") and effect.target in self.hidden
 
     def _checked_hidden(self):
         hidden = tuple(self.hidden)

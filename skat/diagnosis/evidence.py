@@ -152,7 +152,9 @@ def wald(gram):
     covariance = bread @ meat @ bread
     widen = np.sqrt(np.maximum(np.diag(bread) / np.maximum(np.diag(covariance), 1e-300), 1.0))
     freedom = np.maximum(1 / np.maximum(np.sum(np.square(leverages), axis=0), 1e-12) - n_effects, 1.0)
-    return covariance * np.outer(widen, widen), freedom
+    covariance = covariance * np.outer(widen, widen)
+    covariance[np.diag_indices(n_effects)] += np.where(np.diag(total) > 0, 0.0, np.inf)
+    return covariance, freedom
 
 
 def family_p_value(p_value, n_effects):

@@ -77,6 +77,8 @@ def test_remainder(residuals, line, fitted):
                 cross = np.einsum("nm,nk->mk", basis, crossed[:, j])
                 scores = scores - own_blocks @ np.linalg.lstsq(information, cross.T, rcond=1e-12)[0]
             found.append((direction, coordinate, _score_test(scores)))
+    if not found:
+        return None
     found.sort(key=lambda row: row[2])
     direction, coordinate, p_value = found[0]
     return Remainder(family_p_value(p_value, len(found)), direction, coordinate, tuple(found[:10]))

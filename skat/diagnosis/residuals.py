@@ -16,6 +16,8 @@ STEP_IN_NOISE = 0.3
 # ... sought from this share of the effect's range, and never beyond that one.
 FIRST_STEP = 1e-4
 LARGEST_STEP = 0.05
+# In noise units.
+LEAST_CHANGE = 1e-5
 # Smoothed states stay this close to the measured ones, in standard deviations of the noise.
 FARTHEST_SMOOTHED = 3.0
 # A model that misses less than this share beyond the noise counts as right where states are smoothed.
@@ -129,7 +131,9 @@ class Residuals:
         if len(self.log) <= 2 * n_rows:
             return self
         count = self.blocks[-1] + 1
-        chosen = np.unique(np.linspace(0, count - 1, max(1, round(n_rows * count / len(self.log)))).astype(int))
+        chosen = np.unique(
+            np.linspace(0, count - 1, max(1, round(n_rows * count / len(self.log)))).astype(int)
+        )
         return self._at_rows(np.isin(self.blocks, chosen))
 
     def _at_rows(self, rows):
@@ -155,9 +159,12 @@ class Residuals:
             move = _within(at, self.steps[name], self.effects[name].bounds)
             stepped.append({**values, name: at + move})
             moves.append(move)
-        changes = self._changes([values, *stepped])
+        changes = np.nan_to_num(self._changes([values, *stepped]), nan=0.0, posinf=0.0, neginf=0.0)
+        # What a step of an effect moves by less than this is rounding, not a derivative.
+        felt = np.max(np.abs(changes / self._typical_deviations()), axis=(1, 2))
+        changes[felt < LEAST_CHANGE] = 0.0
         moves = np.where(np.equal(moves, 0), np.inf, moves)
-        return np.nan_to_num(np.moveaxis(changes, 0, -1) / moves, nan=0.0, posinf=0.0, neginf=0.0)
+        return np.moveaxis(changes, 0, -1) / moves
 
     def _changes(self, candidates, rows=slice(None)):
         """Return by how much the predictions of the candidates after the first exceed the first's."""
@@ -312,7 +319,9 @@ class TransitionResiduals(Residuals):
         # What the model misses beyond the noise is no noise of the state: smooth the less, the more it misses.
         missed = np.where(found > NEGLIGIBLE_MISFIT * expected, found - expected, 0.0)
         scale = self.deviations
-        noise = self._factorised(missed).smooth(self._padded(np.where(self.present[:, None], raw, 0.0) / scale))
+        noise = self._factorised(missed).smooth(
+            self._padded(np.where(self.present[:, None], raw, 0.0) / scale)
+        )
         noise = np.clip(noise[self.chain, self.step], -FARTHEST_SMOOTHED, FARTHEST_SMOOTHED)
         self.noise = noise * scale
         self.points = self.simulator.displace(self.log.X, -self.noise)
@@ -358,9 +367,13 @@ class TransitionResiduals(Residuals):
                 tangent[:, channel] = sign * deviations[channel]
                 moved.append(self.simulator.displace(self.points, tangent))
         stacked = np.concatenate(moved)
-        groups = np.concatenate([self.log.episodes + copy * self.log.n_episodes for copy in range(len(moved))])
+        groups = np.concatenate(
+            [self.log.episodes + copy * self.log.n_episodes for copy in range(len(moved))]
+        )
         self.n_simulated_rows += len(stacked)
-        next_states = self.simulator.predict_many(stacked, [values], groups=groups)[0].reshape(2 * d + 1, n, -1)
+        next_states = self.simulator.predict_many(stacked, [values], groups=groups)[0].reshape(
+            2 * d + 1, n, -1
+        )
         base = next_states[0]
         up = np.stack([self.simulator.residual(one, base) for one in next_states[1::2]], axis=-1)
         down = np.stack([self.simulator.residual(one, base) for one in next_states[2::2]], axis=-1)

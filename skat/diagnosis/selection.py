@@ -16,7 +16,7 @@ ALIAS_LEVEL = 0.05
 # Values tried over an effect's range when the model is far off, in units of the way to each bound.
 GRID = (0.02, 0.1, 0.4)
 ROWS_OF_GRID = 120
-POLISH_STEPS = 3
+POLISH_STEPS = 8
 # Of the models refitted side by side, so many go on after so many steps.
 FINALISTS = {2: 5, 4: 3}
 # Loss in noise units beyond which, to first order, a rival is not refitted to see whether it is an alias.
@@ -168,13 +168,13 @@ class Selection:
             for k in chosen
         ]
         if misfit > 2:
-            starts += self._grid(values, order)
+            starts += self._grid(values, [first.names[k] for k in np.flatnonzero(first.p_values < 1)])
         return starts
 
-    def _grid(self, values, order):
+    def _grid(self, values, names):
         """Return the best starting values over the whole range of every effect: far off, a derivative misleads."""
         candidates = []
-        for name in self.names:
+        for name in names:
             effect = self.effects[name]
             if name in values:
                 continue
@@ -346,7 +346,9 @@ class Selection:
             if p_values[worst] < self.alpha:
                 break
             kept = {name: value for name, value in values.items() if name != worst}
-            values, line = self._polished(self.refit([kept])[0].values) if kept else ({}, self._linearised({}))
+            values, line = (
+                self._polished(self.refit([kept])[0].values) if kept else ({}, self._linearised({}))
+            )
         return values, line
 
     def _result(self, values, line, history):

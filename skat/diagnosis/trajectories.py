@@ -5,6 +5,9 @@ import numpy as np
 from skat.diagnosis.open_loop import Episodes
 from skat.diagnosis.residuals import Residuals
 
+# An effect counts as made up for by initial states where less than this share of its derivative is left.
+LEAST_SHARE = 1e-4
+
 
 class TrajectoryResiduals(Residuals):
     """Residuals of measured channels along whole episodes, each with an initial state of its own that is fitted.
@@ -44,6 +47,13 @@ class TrajectoryResiduals(Residuals):
     def part(self, n_rows):
         """Return all of the log: a trajectory is compared whole."""
         return self
+
+    def _derivatives(self, values, names):
+        """Return derivatives, zero for effects that an initial state makes up for entirely."""
+        raw = super()._derivatives(values, names)
+        left = self._without_initial_states(raw, self.nuisance)
+        norms, kept = np.linalg.norm(raw, axis=(0, 1)), np.linalg.norm(left, axis=(0, 1))
+        return raw * (kept > LEAST_SHARE * norms)
 
     def raw_residuals(self, candidates):
         self.n_simulated_rows += len(self.log) * len(candidates)
