@@ -25,7 +25,7 @@ def test_map_agrees_with_exact_arithmetic(make, condition, target_condition):
 
 @pytest.mark.parametrize("condition", [1e4, 1e9, 1e12])
 def test_large_samples_agree_with_exact_arithmetic(condition):
-    """Enough rows for the product path, where conditioning allows it; the exact map by exact sums of integers."""
+    """Enough rows for the product path, where conditioning allows it."""
     rng = np.random.default_rng(0)
     n_rows, n_features = 30_000, 30
     X = rotated(rng, n_rows, n_features, condition) + 10

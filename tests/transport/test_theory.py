@@ -109,7 +109,7 @@ def test_a_positive_definite_map_is_the_optimal_one_and_is_found(seed, n_feature
 
 
 def test_score_is_one_only_where_the_affine_map_is_positive_semi_definite():
-    """The paper says "affine"; a rotation is affine, and the score of a skewed sample and its rotation is not one."""
+    """The paper says "affine"; a rotation is affine, yet a skewed sample and its rotation score low."""
     rng = np.random.default_rng(0)
     X = rng.exponential(size=(200, 2))
     assert AffineTransport().fit(X, -X).score(X, -X) < 0.9
@@ -218,7 +218,7 @@ def test_conditional_transport_leaves_the_context_and_matches_the_conditional_mo
 @given(seeds)
 @laws
 def test_conditional_transport_recovers_a_change_that_is_positive_given_the_context(seed):
-    """The next state changes by z' = B c + P z, with P positive definite; rows of the two domains are not paired."""
+    """The next state changes by z' = B c + P z, with P positive definite; the rows are not paired."""
     rng = np.random.default_rng(seed)
     c = rng.normal(size=(60, 2))
     z = c @ rng.normal(size=(2, 3)) + skewed(rng, 60, 3)
