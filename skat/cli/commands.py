@@ -52,6 +52,10 @@ def demo_ball_drops(
     ball: Annotated[
         list[str] | None, typer.Option(help="Name of a ball; repeat for several. Default: all.")
     ] = None,
+    effect: Annotated[
+        list[str] | None,
+        typer.Option(help="Effect to consider, or 'all'; repeat. Default: drag, quadratic and linear."),
+    ] = None,
     output: Output = None,
     force: Force = False,
     seed: Seed = 0,
@@ -61,8 +65,9 @@ def demo_ball_drops(
         from skat.experiments.studies import ball_drop_table, study_ball_drops
 
         path = _report_path(output, "skat-ball-drops-report.html", force)
+        options = {} if not effect else {"effects": "all" if effect == ["all"] else effect}
         with progress_bars() as progress:
-            studies = study_ball_drops(ball or None, random_state=seed, progress=progress)
+            studies = study_ball_drops(ball or None, random_state=seed, progress=progress, **options)
         for study in studies.values():
             _show(study)
         table, title = ball_drop_table(studies), "Every ball: trajectory error on drop 2, m"
@@ -74,7 +79,7 @@ def demo_ball_drops(
 
 @demo.command("cube-tosses")
 def demo_cube_tosses(
-    fit: Annotated[int, typer.Option(min=2, help="Number of tosses to fit on.")] = 20,
+    fit: Annotated[int, typer.Option(min=2, help="Number of tosses to fit on.")] = 12,
     test: Annotated[int, typer.Option(min=1, help="Number of other tosses to test on.")] = 50,
     output: Output = None,
     force: Force = False,
