@@ -146,8 +146,10 @@ def debiased_and_bound(dimensions, n_rows, n_trials, n_jobs):
     print()
 
 
-def estimates(n_rows, dimensions):
-    print(f"affinity_estimate of {n_rows} rows, default options, n_jobs=2")
+def estimates(n_rows, dimensions, n_jobs):
+    print(f"affinity_estimate of {n_rows} rows, default options, n_jobs={n_jobs}")
+    for law in LAWS:
+        population_score(law)
     head = f"{'law':<14}{'features':>8}{'population':>12}{'lower':>8}{'score':>8}{'upper':>8}{'bias':>8}"
     print(f"{head}{'wall s':>8}{'CPU s':>8}")
     rng = np.random.default_rng(0)
@@ -155,7 +157,7 @@ def estimates(n_rows, dimensions):
         for law in LAWS:
             X, y = rng.normal(size=(n_rows, n_features)), turned(law, rng, n_rows, n_features)
             wall, cpu = time.perf_counter(), time.process_time()
-            estimate = affinity_estimate(X, y, n_jobs=2, random_state=0)
+            estimate = affinity_estimate(X, y, n_jobs=n_jobs, random_state=0)
             wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
             truth = population_score(law)
             cells = f"{law.__name__:<14}{n_features:>8}{truth:>12.3f}{estimate.lower:>8.3f}"
@@ -164,9 +166,8 @@ def estimates(n_rows, dimensions):
             print(cells, flush=True)
         sizes = (n_rows // 4, n_rows // 2, n_rows)
         cells = [f"{peak_bytes(X[:size], y[:size]) / 1e6:.0f} at {size}" for size in sizes]
-        print(
-            f"Peak of allocations, MB: {', '.join(cells)} rows; the rows themselves have {2 * X.nbytes / 1e6:.0f}.\n"
-        )
+        rows = f"the rows themselves have {2 * X.nbytes / 1e6:.0f}"
+        print(f"Peak of allocations, MB: {', '.join(cells)} rows; {rows}.\n")
 
 
 def peak_bytes(X, y):
@@ -177,24 +178,24 @@ def peak_bytes(X, y):
     return peak
 
 
+# Table -> function, and its arguments in full and in the small cut.
+TABLES = {
+    "estimate": (estimates, (100_000, (27,)), (20_000, (27,))),
+    "bias": (bias_of_rho, ((2, 5, 10, 27, 62), (100, 1000), 20), ((2, 27), (100, 500), 4)),
+    "level": (rejections, ((2, 10, 27), 100, 100), ((2,), 50, 40)),
+    "scores": (debiased_and_bound, ((2, 10, 27), 1000, 6), ((2, 27), 300, 4)),
+}
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--small", action="store_true", help="a cut of half a minute")
+    parser.add_argument("--tables", nargs="+", choices=TABLES, default=list(TABLES))
     parser.add_argument("--n-jobs", type=int, default=2)
     arguments = parser.parse_args()
-    n_jobs = arguments.n_jobs
-    for law in LAWS:
-        population_score(law)
-    if arguments.small:
-        estimates(20_000, (27,))
-        bias_of_rho((2, 27), (100, 500), 4, n_jobs)
-        rejections((2,), 50, 40, n_jobs)
-        debiased_and_bound((2, 27), 300, 4, n_jobs)
-    else:
-        estimates(100_000, (27,))
-        bias_of_rho((2, 5, 10, 27, 62), (100, 1000), 20, n_jobs)
-        rejections((2, 10, 27), 150, 120, n_jobs)
-        debiased_and_bound((2, 5, 10, 27, 62), 1000, 10, n_jobs)
+    for name in arguments.tables:
+        table, in_full, small = TABLES[name]
+        table(*(small if arguments.small else in_full), arguments.n_jobs)
 
 
 if __name__ == "__main__":

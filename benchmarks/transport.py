@@ -15,7 +15,8 @@ rows are left out with a message::
 What is measured
 
 - time: wall time of each call, the median over repeats; the methods take turns within a repeat. ADAPT, in a
-  process of its own, cannot take turns.
+  process of its own, cannot take turns. On a machine that others use at the same time, ``--clock cpu`` with
+  ``OMP_NUM_THREADS=1`` measures CPU time instead.
 - floor: time of the two bare products X'X and Y'Y, which any method that reads the rows once has to pay.
 - memory: peak resident memory of a fresh process over that just before ``fit``, with the arrays loaded.
 - covariance, mean: relative distance of the carried rows' covariance from the target's, and of their mean
@@ -58,6 +59,7 @@ LEAST_SPEED_UP_OVER_SKADA = 3.0
 LEAST_TRANSFORM_SPEED = 0.8
 LARGEST_MEMORY_RATIO = 0.5
 LARGEST_TIME_OF_2000_BY_10 = 2e-3
+CLOCKS = {"wall": time.perf_counter, "cpu": time.process_time}
 
 
 # --- methods: fit on X and y, carry X, tell the coefficient ---------------------------------------
@@ -141,7 +143,10 @@ def work(arguments):
     X, y = (np.load(Path(arguments.rows) / f"{name}.npy") for name in "Xy")
     names = arguments.methods.split(",")
     warnings.simplefilter("ignore")
-    report = memory_of(names[0], X, y) if arguments.memory else times_of(names, X, y, arguments.repeats)
+    clock = CLOCKS[arguments.clock]
+    report = (
+        memory_of(names[0], X, y) if arguments.memory else times_of(names, X, y, arguments.repeats, clock)
+    )
     print("RESULT" + json.dumps(report))
 
 
@@ -158,7 +163,7 @@ def warm_up(name):
     METHODS[name](*np.random.default_rng(0).normal(size=(2, 50, 3))).fit()
 
 
-def times_of(names, X, y, repeats):
+def times_of(names, X, y, repeats, clock):
     reports = {name: {"fit": [], "transform": []} for name in names}
     for name in names:
         warm_up(name)
@@ -167,19 +172,19 @@ def times_of(names, X, y, repeats):
             if "failure" not in report:
                 calls = METHODS[name](X, y)
                 try:
-                    report["fit"].append(seconds(calls.fit))
+                    report["fit"].append(seconds(calls.fit, clock))
                     if calls.transform:
-                        report["transform"].append(seconds(calls.transform))
+                        report["transform"].append(seconds(calls.transform, clock))
                         report |= residuals(calls, X, y) if repeat == 0 else {}
                 except Exception as failure:
                     report["failure"] = f"{type(failure).__name__}: {failure}".splitlines()[0]
     return reports
 
 
-def seconds(call):
-    start = time.perf_counter()
+def seconds(call, clock):
+    start = clock()
     call()
-    return time.perf_counter() - start
+    return clock() - start
 
 
 def residuals(calls, X, y):
@@ -265,19 +270,36 @@ def power(matrix, exponent, mp):
 # --- the tables -----------------------------------------------------------------------------------
 
 
-def in_a_process(python, rows, methods, repeats=1, memory=False):
-    command = [
-        python,
-        __file__,
-        "--worker",
-        "--rows",
-        rows,
-        "--methods",
-        ",".join(methods),
-        "--repeats",
-        str(repeats),
-    ]
-    done = subprocess.run(command + ["--memory"] * memory, capture_output=True, text=True, check=False)
+@dataclass
+class Settings:
+    """How to measure."""
+
+    peers: list
+    adapt_python: str | None
+    repeats: int
+    clock: str
+
+    def measured(self, X, y, repeats=None, with_memory=True):
+        """Return the report of every method on some rows."""
+        with tempfile.TemporaryDirectory() as rows:
+            np.save(Path(rows) / "X.npy", X)
+            np.save(Path(rows) / "y.npy", y)
+            options = ["--rows", rows, "--clock", self.clock, "--repeats", str(repeats or self.repeats)]
+            reports = in_a_process(sys.executable, options, ["skat", *self.peers, "floor"])
+            if self.adapt_python:
+                reports |= in_a_process(self.adapt_python, options, ["ADAPT CORAL"])
+            for name, report in reports.items():
+                if with_memory and "failure" not in report and name != "floor":
+                    python = self.adapt_python if name == "ADAPT CORAL" else sys.executable
+                    report["memory"] = in_a_process(python, [*options, "--memory"], [name]).get(
+                        "bytes", np.nan
+                    )
+        return reports
+
+
+def in_a_process(python, options, methods):
+    command = [python, __file__, "--worker", "--methods", ",".join(methods), *options]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     lines = [line for line in done.stdout.splitlines() if line.startswith("RESULT")]
     if not lines:
         tail = (done.stderr.strip().splitlines() or ["nothing"])[-1]
@@ -285,31 +307,16 @@ def in_a_process(python, rows, methods, repeats=1, memory=False):
     return json.loads(lines[-1].removeprefix("RESULT"))
 
 
-def measured(X, y, peers, adapt_python, repeats, with_memory=True):
-    """Return the report of every method on some rows."""
-    with tempfile.TemporaryDirectory() as rows:
-        np.save(Path(rows) / "X.npy", X)
-        np.save(Path(rows) / "y.npy", y)
-        reports = in_a_process(sys.executable, rows, ["skat", *peers, "floor"], repeats)
-        if adapt_python:
-            reports |= in_a_process(adapt_python, rows, ["ADAPT CORAL"], repeats)
-        for name, report in reports.items():
-            if with_memory and "failure" not in report:
-                python = adapt_python if name == "ADAPT CORAL" else sys.executable
-                report["memory"] = in_a_process(python, rows, [name], memory=True).get("bytes", np.nan)
-    return reports
-
-
 def median(report, call):
     return float(np.median(report[call])) if report.get(call) else np.nan
 
 
-def print_sizes(cases, peers, adapt_python, repeats):
+def print_sizes(cases, settings):
     verdicts = []
     head = f"{'case':<12}{'method':<14}{'fit s':>10}{'transform s':>13}"
     print(f"{head}{'memory MB':>11}{'covariance':>12}{'mean':>10}")
     for case, shape in cases.items():
-        reports = measured(*plain_rows(*shape), peers, adapt_python, repeats)
+        reports = settings.measured(*plain_rows(*shape))
         for name, report in reports.items():
             print(line_of(case, name, report), flush=True)
         verdicts += verdicts_of(case, reports)
@@ -363,11 +370,11 @@ def verdict(case, what, value, sign, bound):
     return f"{case:<12}{what:<24}{value:>9.3g} {sign} {bound:<8g}{word}"
 
 
-def print_hard(peers, adapt_python):
+def print_hard(settings):
     print(f"{'hard case':<26}{'method':<14}{'map error':>11}{'covariance':>12}{'mean':>10}")
     for case, (X, y) in hard_rows().items():
         reference = reference_map(X, y)
-        reports = measured(X, y, peers, adapt_python, repeats=1, with_memory=False)
+        reports = settings.measured(X, y, repeats=1, with_memory=False)
         del reports["floor"]
         for name, report in reports.items():
             if "failure" in report:
@@ -387,13 +394,32 @@ def print_hard(peers, adapt_python):
         print()
 
 
+def installed_peers():
+    """Return the peers that run in this interpreter, with a line about each package."""
+    import ot
+    import sklearn
+
+    packages = [f"POT {ot.__version__}", f"numpy {np.__version__}", f"scikit-learn {sklearn.__version__}"]
+    try:
+        import skada as skada_package
+    except ImportError:
+        print("skada is not installed, so its rows are left out: pip install 'skat[bench]'.")
+        return ["POT"], packages
+    return ["POT", "skada", "skada CORAL"], [*packages, f"skada {skada_package.__version__}"]
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--small", action="store_true", help="a cut of a minute: small arrays, no targets")
+    parser.add_argument(
+        "--small", action="store_true", help="a cut of a few minutes: small arrays, no targets"
+    )
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument(
-        "--cases", nargs="*", help="some of the sizes, such as '1e6 x 30'; none for the hard cases only"
+        "--cases", nargs="*", help="some of the sizes, such as '1e6 x 30'; none without a name"
     )
+    parser.add_argument("--no-hard", action="store_true", help="leave the hard cases out")
+    parser.add_argument("--peers", help="some of POT,skada,skada CORAL")
+    parser.add_argument("--clock", choices=CLOCKS, default="wall", help="cpu on a machine that others use")
     parser.add_argument("--adapt-python", help="interpreter of an environment with ADAPT")
     for option in ("--worker", "--memory"):
         parser.add_argument(option, action="store_true", help=argparse.SUPPRESS)
@@ -401,35 +427,30 @@ def main():
         parser.add_argument(option, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.worker:
-        return work(arguments)
-    cases = SMALL if arguments.small else LARGE
-    if arguments.cases is not None:
-        cases = {name: shape for name, shape in cases.items() if name in arguments.cases}
-    peers = ["POT"]
-    try:
-        import skada as skada_package
-    except ImportError:
-        print("skada is not installed, so its rows are left out: pip install 'skat[bench]'.")
-    else:
-        peers += ["skada", "skada CORAL"]
-        print(f"skada {skada_package.__version__}", end=", ")
-    import ot
-    import sklearn
-
-    print(f"POT {ot.__version__}, numpy {np.__version__}, scikit-learn {sklearn.__version__}, ", end="")
+        work(arguments)
+        return
+    peers, packages = installed_peers()
+    if arguments.peers:
+        peers = arguments.peers.split(",")
     cores, load = len(os.sched_getaffinity(0)), os.getloadavg()[0]
-    print(f"Python {platform.python_version()}, {cores} cores, load {load:.1f} before the run")
+    print(f"{', '.join(packages)}, Python {platform.python_version()}")
+    threads = os.environ.get("OMP_NUM_THREADS", "all")
+    print(f"{cores} cores, load {load:.1f} before the run, {arguments.clock} time, BLAS threads: {threads}")
     if not arguments.adapt_python:
         print("ADAPT is left out: see the head of this script for an environment, and --adapt-python.")
     print()
-    verdicts = print_sizes(cases, peers, arguments.adapt_python, arguments.repeats)
-    if not arguments.small:
-        reports = measured(*plain_rows(2000, 10), ["POT"], None, 50, with_memory=False)
+    settings = Settings(peers, arguments.adapt_python, arguments.repeats, arguments.clock)
+    cases = SMALL if arguments.small else LARGE
+    if arguments.cases is not None:
+        cases = {name: shape for name, shape in cases.items() if name in arguments.cases}
+    verdicts = print_sizes(cases, settings)
+    if cases and not arguments.small:
+        reports = settings.measured(*plain_rows(2000, 10), repeats=50, with_memory=False)
         small = median(reports["skat"], "fit")
         verdicts.append(verdict("2000 x 10", "fit s", small, "<=", LARGEST_TIME_OF_2000_BY_10))
-    print_hard(peers, arguments.adapt_python)
+    if not arguments.no_hard:
+        print_hard(settings)
     print("\n".join(verdicts))
-    return None
 
 
 if __name__ == "__main__":

@@ -165,9 +165,9 @@ def affinity_test(
         Whether row k of `X_transported` belongs to row k of `y`.
     in_sample : bool, default=False
         Whether the map was an affine transport fitted to these very rows, so that their means and covariances
-        agree. Then the carried rows are moved off, before each shuffle, by as much as the moments of two samples
-        differ (by a bootstrap), and after it both sides are fitted to the moments of `y`. Without it the test of
-        such rows rejects too rarely.
+        agree. Then the carried rows are moved off, before each shuffle, by as much as the moments of two
+        samples differ, and after it both sides are fitted to the moments of `y`. Without it the test of such
+        rows rejects too rarely.
     n_permutations : int, default=99
         Number of shuffles. Each costs one exact score, 0.1 s for 1,000 rows.
     n_jobs : int, default=None
