@@ -258,7 +258,13 @@ class MomentTransport(BaseTransport):
     def _carry_back(self, X):
         if self._back is None:
             scale = self._learned[2]
-            affine = self._solve_back(*self._scaled(), scale)
+            try:
+                affine = self._solve_back(*self._scaled(), scale)
+            except np.linalg.LinAlgError as error:
+                raise np.linalg.LinAlgError(
+                    f"this map has no inverse: it is of rank {self.rank_}, and the source varies in "
+                    "directions in which the carried rows do not. Fit it with more target rows."
+                ) from error
             self._back = affine if self.metric_scale is None else affine.scaled(scale)
         return apply_map(self._back, X, check=self._refuse_rows)
 

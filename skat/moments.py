@@ -15,6 +15,8 @@ WORST_CONDITION_OF_A_PRODUCT = 1e6
 CHEAP_QR = 2e7
 # Up to here all eigenvalues cost less than waking SciPy's own BLAS threads beside NumPy's.
 LARGEST_CHEAP_SPECTRUM = 400
+# Squares of anything smaller have lost digits to underflow.
+SMALLEST_SPREAD = 1e-140
 BLOCK_ELEMENTS = 2**18
 # BLAS works on pieces of this size without threads, whose start costs more than such a piece.
 SERIAL_ELEMENTS = 2**12
@@ -305,6 +307,8 @@ def _is_well_conditioned(scatter):
     varies = scale > 0
     if not varies.any():
         return True
+    if scale[varies].min() < SMALLEST_SPREAD:
+        return False
     if not varies.all():
         scatter, scale = scatter[varies][:, varies], scale[varies]
     correlation = scatter / scale / scale[:, np.newaxis]

@@ -57,7 +57,7 @@ def test_partial_fit_in_any_chunks_equals_fit(seed, n_chunks):
     np.testing.assert_allclose(parts.transform(X), whole.transform(X), rtol=1e-12, atol=1e-10)
 
 
-@pytest.mark.parametrize("factor", [1e-6, 1e-12, 1e6])
+@pytest.mark.parametrize("factor", [1e-6, 1e-12, 1e6, 1e-150])
 def test_a_common_factor_leaves_the_map_unchanged(factor):
     rng = np.random.default_rng(0)
     X, y = rotated(rng, 100, 6, 1e6), rotated(rng, 80, 6, 1e4)
@@ -167,3 +167,19 @@ def test_far_from_the_origin_carried_rows_keep_their_digits():
         AffineTransport().fit(X + 2**30, y).transform(X + 2**30),
     )
     np.testing.assert_allclose(far, near, atol=1e-12)
+
+
+def test_a_map_that_drops_directions_has_no_inverse_and_says_so():
+    rng = np.random.default_rng(0)
+    X, y = rng.normal(size=(50, 3)), rng.normal(size=(50, 3))
+    y[:, 1] = 2.0
+    y[:, [0, 2]] += X[:, :2]
+    for transport in (
+        AffineTransport(),
+        ProcrustesAffineTransport(),
+        ProcrustesAffineTransport(alignment="raw"),
+    ):
+        transport.fit(X, y)
+        assert transport.rank_ == 2
+        with pytest.raises(ValueError, match="no inverse: it is of rank 2"):
+            transport.inverse_transform(y)
