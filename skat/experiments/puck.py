@@ -191,13 +191,17 @@ def puck_table(
         strikes = strike_pucks(puck, n_strikes=n_all, simulations=simulations, random_state=seed)
         report("striking", number + 1, len(pucks))
         tested = np.arange(n_strikes * n_repeats, n_all)
+        expected = strikes.target_rows[tested]
         for place, simulation in enumerate(simulations):
+            before = pointwise_errors(strikes.source_rows(simulation)[tested], expected, CONTEXT)
             for repeat in range(n_repeats):
                 report("carrying", (number * len(simulations) + place) * n_repeats + repeat, n_steps)
                 fitted = np.arange(repeat * n_strikes, (repeat + 1) * n_strikes)
                 now, case = of_repeat(chosen, repeat), {"puck": puck, "simulation": simulation}
-                measures = _compared(strikes, simulation, now, fitted, tested, seed)
-                records += [{**case, **row, "noise": noise} for row in measures]
+                records += [
+                    {**case, "method": name, **_measures(rows, before, expected), "noise": noise}
+                    for name, rows in _carried(strikes, simulation, now, fitted, tested, seed)
+                ]
     report("carrying", n_steps, n_steps)
     groups = pd.DataFrame(records).groupby(["puck", "simulation", "method"], sort=False)
     deviations = groups[["error_after", "rho"]].std().add_suffix("_std")
@@ -281,9 +285,8 @@ def puck_learning_curve(
     Returns
     -------
     DataFrame
-        A row for each puck, simulation, method and n_strikes: error_before, error_after (mean distance, m),
-        error_after_std (standard deviation over repeats; the paper's figure shades twice that) and rho, as in
-        `puck_table`.
+        A row for each puck, simulation, method and n_strikes: error_before, error_after (mean distance, m)
+        and error_after_std (standard deviation over repeats; the paper's figure shades twice that).
 
     Raises
     ------
@@ -302,6 +305,7 @@ def puck_learning_curve(
     strikes = strike_pucks(puck, n_strikes=pool + n_test, simulations=simulations, random_state=rng)
     report("striking", 1, 1)
     tested = np.arange(pool, pool + n_test)
+    expected = strikes.target_rows[tested]
     records = []
     n_steps = len(sizes) * n_repeats
     for place, size in enumerate(sizes):
@@ -310,40 +314,39 @@ def puck_learning_curve(
             fitted, seed = rng.permutation(pool)[:size], rng.randint(2**31)
             for simulation in simulations:
                 case = {"puck": puck, "simulation": simulation, "n_strikes": size}
-                measures = _compared(strikes, simulation, chosen, fitted, tested, seed)
-                records += [{**case, **row} for row in measures]
+                before = pointwise_errors(strikes.source_rows(simulation)[tested], expected, CONTEXT).mean()
+                for name, rows in _carried(strikes, simulation, chosen, fitted, tested, seed):
+                    after = pointwise_errors(rows, expected, CONTEXT).mean()
+                    records.append({**case, "method": name, "error_before": before, "error_after": after})
     report("carrying", n_steps, n_steps)
     groups = pd.DataFrame(records).groupby(["puck", "simulation", "method", "n_strikes"], sort=False)
-    means = groups[["error_before", "error_after", "rho"]].mean()
+    means = groups[["error_before", "error_after"]].mean()
     return means.join(groups[["error_after"]].std().add_suffix("_std")).reset_index()
 
 
-def _compared(strikes, simulation, chosen, fitted, tested, seed):
-    """Return the measures of each method for one simulation."""
+def _carried(strikes, simulation, chosen, fitted, tested, seed):
+    """Yield the name of each method, and the tested rows as it carries them."""
     source_rows, target_rows = strikes.source_rows(simulation), strikes.target_rows
-    expected = target_rows[tested]
-    before = pointwise_errors(source_rows[tested], expected, CONTEXT)
-    records = []
     for name, method in chosen.items():
         if method is None:
-            carried = _diagnosed(strikes, simulation, fitted, tested, seed)
+            yield name, _diagnosed(strikes, simulation, fitted, tested, seed)
         else:
             transport = fitted_transport(method, source_rows[fitted], target_rows[fitted], CONTEXT)
-            carried = transport.transform(source_rows[tested])
-        after = pointwise_errors(carried, expected, CONTEXT)
-        records.append(
-            {
-                "method": name,
-                "error_before": before.mean(),
-                "error_before_spread": before.std(),
-                "rho": affinity_score(carried[:, CONTEXT:], expected[:, CONTEXT:]),
-                "rho_rows": affinity_score(carried, expected),
-                "error_after": after.mean(),
-                "error_after_spread": after.std(),
-                "covariance_error": covariance_error(carried, expected, CONTEXT),
-            }
-        )
-    return records
+            yield name, transport.transform(source_rows[tested])
+
+
+def _measures(rows, before, expected):
+    """Return what the puck table has of carried rows."""
+    after = pointwise_errors(rows, expected, CONTEXT)
+    return {
+        "error_before": before.mean(),
+        "error_before_spread": before.std(),
+        "rho": affinity_score(rows[:, CONTEXT:], expected[:, CONTEXT:]),
+        "rho_rows": affinity_score(rows, expected),
+        "error_after": after.mean(),
+        "error_after_spread": after.std(),
+        "covariance_error": covariance_error(rows, expected, CONTEXT),
+    }
 
 
 def _diagnosed(strikes, simulation, fitted, tested, seed):
