@@ -58,11 +58,14 @@ class Study:
     truth: str | None = None
 
 
-def study_hidden_puck(*, random_state=0, progress=None, **parameters):
+def study_hidden_puck(*, n_shots=120, random_state=0, progress=None, **parameters):
     """Diagnose the puck simulator on shots "measured" in a world that differs from it.
 
     Parameters
     ----------
+    n_shots : int, default=120
+        Number of strikes, one half to fit and one half to test.
+
     random_state : int, default=0
         Seed of the strikes, the noise and the diagnosis.
 
@@ -75,9 +78,9 @@ def study_hidden_puck(*, random_state=0, progress=None, **parameters):
     Returns
     -------
     Study
-        With the gain on as many shots again.
+        With the gain on the half not used.
     """
-    shots = make_hidden_puck(random_state=random_state)
+    shots = make_hidden_puck(n_shots, random_state=random_state)
     fit, test = split_episodes(shots, test_size=0.5, random_state=random_state)
     return _study(
         "Puck shots",
