@@ -1,0 +1,54 @@
+"""Diagnoses of measured data, with their gain on data that they did not use."""
+
+import os
+
+import numpy as np
+import pytest
+
+from skat.datasets import make_hidden_puck
+from skat.experiments.studies import ball_drop_table, study_ball_drops, study_cube_tosses, study_hidden_puck
+
+NO_DATA = pytest.mark.skipif(not os.environ.get("SKAT_DATA_HOME"), reason="SKAT_DATA_HOME is not set")
+
+
+@NO_DATA
+@pytest.mark.parametrize(("ball", "times_smaller"), [("Whiffle Ball 1", 10), ("Tennis Ball", 3)])
+def test_drag_of_a_light_ball_is_named_and_makes_the_error_many_times_smaller(ball, times_smaller):
+    study = study_ball_drops([ball])[ball]
+    named = {name for cause in study.diagnosis.causes_ for name in (cause.name, *cause.aliases)}
+    assert named & {"air_drag[z]", "air_drag[all]", "damping[z]", "damping[all]"}
+    assert study.gain.ratio > times_smaller
+
+
+@NO_DATA
+def test_nothing_is_named_that_does_not_gain_on_the_other_drop():
+    ball = "Bowling Ball"
+    study = study_ball_drops([ball])[ball]
+    assert not study.diagnosis.causes_ or study.gain.ratio > 1
+    table = ball_drop_table({ball: study})
+    assert list(table["ball"]) == [ball]
+    assert table["nominal"].item() == study.gain.nominal
+
+
+@NO_DATA
+def test_friction_of_the_cube_is_named_and_tilt_is_not():
+    study = study_cube_tosses(n_fit=12, n_test=20)
+    causes = {cause.family: cause for cause in study.diagnosis.causes_}
+    assert "tilt" not in causes
+    assert 0.15 < causes["contact_friction"].value < 0.25  # a factor on the default coefficient, which is 1
+    assert study.gain.ratio > 3.5
+
+
+def test_demo_finds_what_the_world_hides_or_an_alias_of_it_and_compares_every_method():
+    # Of the simulator's effects those that push sideways or shorten the way, so that the test is short.
+    effects = ["tilt[x]", "tilt[y]", "wind[x]", "wind[y]", "contact_friction[slide]", "mass[puck]"]
+    study = study_hidden_puck(n_shots=60, random_state=0, effects=effects)
+    truth = make_hidden_puck(random_state=0)
+    assert study.truth == truth.truth_sentence
+    (name,) = truth.truth
+    assert name in effects
+    assert any(name in (cause.name, *cause.aliases) for cause in study.diagnosis.causes_)
+    assert study.gain.extended < 0.5 * study.gain.nominal
+    errors = study.errors.set_index("method")["error"]
+    assert {"AffineTransport", "ProcrustesAffineTransport", "CORAL", "ExactTransport"} < set(errors.index)
+    assert np.isfinite(errors).all()
