@@ -440,7 +440,7 @@ def robust_weights(residuals):
     n_channels = residuals.shape[-1]
     noise = n_channels + 3.1 * np.sqrt(2 * n_channels) + 6
     typical = 4 * np.median(sizes[sizes > 0]) if (sizes > 0).any() else noise
-    return np.sqrt(np.minimum(1.0, max(noise, typical) / np.maximum(sizes, 1e-300)))
+    return np.sqrt(np.minimum(1.0, max(noise, typical) / np.maximum(sizes, 1e-30)))
 
 
 def _within(at, step, bounds):

@@ -13,10 +13,13 @@ REFIT_STEPS = 8
 CONVERGED = 0.05
 # Effects within this loss quantile of the named one (paired over blocks, one-sided) cannot be told from it.
 ALIAS_LEVEL = 0.05
+# A cause must lower the loss of episodes, not only of the whole, at this level; from so many episodes on.
+IMPROVEMENT_LEVEL = 0.02
+FEWEST_EPISODES = 8
 # Values tried over an effect's range when the model is far off, in units of the way to each bound.
 GRID = (0.02, 0.1, 0.4)
 ROWS_OF_GRID = 120
-POLISH_STEPS = 8
+POLISH_STEPS = 5
 # Of the models refitted side by side, so many go on after so many steps.
 FINALISTS = {2: 5, 4: 3}
 # Loss in noise units beyond which, to first order, a rival is not refitted to see whether it is an alias.
@@ -147,7 +150,7 @@ class Selection:
             fit = fits[index]
             new = [name for name in fit.values if name not in values]
             p_value = self._p_values(fit.values)[new[0]]
-            if family_p_value(p_value, len(self.names)) < self.alpha:
+            if family_p_value(p_value, len(self.names)) < self.alpha and self._improves(fit, line):
                 return fit.values
         return None
 
@@ -413,6 +416,15 @@ class Selection:
                 )
             self.progress("aliases", done + 1, len(values))
         return aliases
+
+    def _improves(self, fit, line):
+        """Whether the loss falls in most episodes (or blocks, where episodes are few), not in a few rows only."""
+        fall = self._block_losses(line.residuals) - fit.losses
+        episodes = self.residuals.log.episodes[self.starts]
+        if self.residuals.log.consecutive and episodes[-1] + 1 >= FEWEST_EPISODES:
+            fall = np.bincount(episodes, fall)
+        error = np.sqrt(len(fall) * fall.var(ddof=1))
+        return bool(fall.sum() > stats.t.isf(IMPROVEMENT_LEVEL, len(fall) - 1) * error)
 
     def _as_good(self, losses, reference):
         """Whether the losses are not significantly higher, paired by block (Vuong)."""
