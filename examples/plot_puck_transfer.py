@@ -3,8 +3,8 @@ Carrying simulated puck shots onto measured ones
 ================================================
 
 A stick strikes a hockey puck, which slides and comes to rest. In the simulation ``isotr_low_offc`` the table
-is slipperier than the real one, and the stick hits the puck off its centre: simulated pucks go too far, and to
-one side. An affine map, learned from strikes that were both simulated and carried out, brings them back.
+is slipperier than the real one, and the stick hits the puck off its centre: simulated pucks go too far, and
+to one side. An affine map, learned from strikes that were both simulated and carried out, brings them back.
 
 The recordings of the paper that this follows (Mallasto et al., 2021) are not public. The "real" puck here is
 simulated, too, in a world of its own; see `skat.datasets.make_real_puck`.

@@ -11,7 +11,7 @@ import pandas as pd
 from sklearn.utils import check_random_state
 
 from skat.datasets import make_real_puck
-from skat.experiments.methods import DIAGNOSIS, METHODS, chosen_methods, fitted_transport, of_repeat
+from skat.experiments.methods import METHODS, chosen_methods, fitted_transport, of_repeat
 from skat.experiments.scores import covariance_error, pointwise_errors
 from skat.metrics import affinity_score
 from skat.simulators import make_simulator
@@ -141,8 +141,8 @@ def puck_table(
     simulations : sequence of str
         Conditions of ``make_simulator("puck")``.
     methods : list of str, or dict of str to transport, default=None
-        Names of methods, or transports of your own. None: all. Slow ones, the exact transport and the
-        diagnosis, run in the first repeat only.
+        Names of methods, or transports of your own. None: all but "diagnosis", which takes minutes for each
+        puck and simulation. It and the exact transport run in the first repeat only.
     n_strikes : int, default=100
         Strikes to fit on. Methods whose name has "disjoint" see one half simulated, the other half measured.
     random_state : int, RandomState instance or None, default=0
@@ -179,7 +179,7 @@ def puck_table(
     ----------
     .. [1] Mallasto et al. (2021). Affine Transport for Sim-to-Real Domain Adaptation. Table II.
     """
-    chosen = chosen_methods(methods, (*METHODS, DIAGNOSIS))
+    chosen = chosen_methods(methods, METHODS)
     rng = check_random_state(random_state)
     report = progress or _silent
     records = []
