@@ -9,7 +9,7 @@ from skat.diagnosis.findings import Cause
 from skat.diagnosis.gains import episode_gain, one_step_gain
 from skat.diagnosis.identifiability import identifiability, preflight
 from skat.diagnosis.log import check_log
-from skat.diagnosis.omnibus import test_remainder
+from skat.diagnosis.omnibus import find_remainder
 from skat.diagnosis.report import Report
 from skat.diagnosis.residuals import Residuals, TransitionResiduals
 from skat.diagnosis.selection import Selection
@@ -127,7 +127,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             residuals, names, alpha=self.alpha / 2, max_effects=self.max_effects, progress=progress
         ).run()
         progress("remainder", 0, 1)
-        self.remainder_ = test_remainder(residuals, selected.linearisation, list(selected.values))
+        self.remainder_ = find_remainder(residuals, selected.linearisation, list(selected.values))
         self.noise_ = residuals.deviations
         self.causes_ = [self._cause(residuals.effects[name], selected) for name in selected.values]
         self.verdict_ = self._verdict()

@@ -1,4 +1,4 @@
-r"""What blocks of whitened residuals say about effects: linear gains, Wald statistics and intervals that hold by blocks.
+r"""What blocks of whitened residuals say about effects: linear gains, Wald statistics and intervals.
 
 With weights w, residuals z and derivatives G, the score of effect k in block b is :math:`g_{bk} = \sum w G_k^T z` and
 the information :math:`H = \sum w G^T G`. Effects already in the model are projected out of both. Variances come from

@@ -57,7 +57,8 @@ def episode_gain(simulator, log, values, deviations, *, hidden, initial_state, o
         raise ValueError(f"outputs names {', '.join(unknown)}; measured channels are {', '.join(names)}.")
     chosen = [names.index(name) for name in (outputs or names)]
     errors = []
-    for model in ({}, values):
+    models: tuple[dict, dict] = ({}, values)
+    for model in models:
         initial = episodes.fit_initial_states(model, deviations) if initial_state == "fitted" else None
         residuals = episodes.residuals([model], initial)[0][:, chosen]
         lost = ~np.isfinite(residuals).all(axis=1)
@@ -86,8 +87,8 @@ def _gain(nominal, extended, floor, blocks, random_state, *, horizon, channels, 
     draws = random_state.randint(len(counts), size=(N_BOOTSTRAP, len(counts)))
     totals = counts[draws].sum(axis=1)
     sampled = [
-        _explained(*transform(sums[:, draw].sum(axis=1) / total), float(transform(floor)))
-        for draw, total in zip(draws, totals)
+        _explained(a, b, float(transform(floor)))
+        for a, b in (transform(sums[:, draw].sum(axis=1) / total) for draw, total in zip(draws, totals))
     ]
     low, high = np.quantile(sampled, [0.025, 0.975])
     nominal, extended, floor = (float(transform(one)) for one in (nominal.mean(), extended.mean(), floor))

@@ -37,6 +37,7 @@ class Log:
 
     @property
     def n_episodes(self):
+        """Number of episodes."""
         return int(self.episodes[-1]) + 1 if len(self) else 0
 
     @property
@@ -144,11 +145,10 @@ def check_log(simulator, X, y, groups, *, fewest_rows=FEWEST_ROWS, hidden=()):
     starts = np.r_[True, groups[1:] != groups[:-1]]
     episodes = np.cumsum(starts) - 1
     if len(np.unique(groups)) <= episodes[-1]:
-        seen, row = set(), 0
-        for row in np.flatnonzero(starts):
-            if groups[row] in seen:
-                break
-            seen.add(groups[row])
+        labels = groups[starts]
+        first = {label: place for place, label in reversed(list(enumerate(labels)))}
+        again = next(place for place, label in enumerate(labels) if first[label] != place)
+        row = np.flatnonzero(starts)[again]
         raise ValueError(
             f"Episode {groups[row]!r} goes on at row {row} after rows of another episode. The rows of an episode must "
             "be consecutive and in time order: sort the log by episode and time."
@@ -177,8 +177,8 @@ def _check_matrix(values, what, names):
                 row, column = np.argwhere(~np.isfinite(numbers))[0]
                 name = f" ({names[column]})" if column < len(names) else ""
                 raise ValueError(
-                    f"{what} has {array[row, column]} in row {row}, column {column}{name}; every value must be a finite "
-                    "number. Leave such rows out and start a new episode behind the gap."
+                    f"{what} has {array[row, column]} in row {row}, column {column}{name}; every value must be "
+                    "a finite number. Leave such rows out and start a new episode behind the gap."
                 ) from error
         raise
     if values.shape[1] != len(names):

@@ -44,7 +44,7 @@ class Remainder:
         return f"something acts on {self.direction} that depends on {self.coordinate} and is none of the effects known"
 
 
-def test_remainder(residuals, line, fitted):
+def find_remainder(residuals, line, fitted):
     """Return the Remainder of a linearisation at a model, or None where there is no direction to test.
 
     Parameters
@@ -84,11 +84,8 @@ def test_remainder(residuals, line, fitted):
     return Remainder(family_p_value(p_value, len(found)), direction, coordinate, tuple(found[:10]))
 
 
-test_remainder.__test__ = False  # not a test for pytest
-
-
 def hat_functions(values):
-    """Return piecewise linear functions (n_rows, at most KNOTS) that sum to 1, with knots at quantiles of the values."""
+    """Return piecewise linear functions (n_rows, at most KNOTS) that sum to 1, knots at quantiles."""
     knots = np.unique(np.quantile(values, np.linspace(0.02, 0.98, KNOTS)))
     if len(knots) < 2:
         return np.ones((len(values), 1))

@@ -113,7 +113,7 @@ class Episodes:
                 flat = np.nan_to_num(design[rows]).reshape(-1, n_directions)
                 information[episode] = flat.T @ flat
                 score[episode] = flat.T @ np.nan_to_num(white[rows]).ravel()
-            for episode in range(n_episodes):
+            for episode in np.arange(n_episodes):
                 scale = np.sqrt(np.maximum(np.diag(information[episode]), 1e-300))
                 inner = information[episode] / np.outer(scale, scale) + damping[episode] * np.eye(
                     n_directions

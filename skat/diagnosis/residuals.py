@@ -6,6 +6,7 @@ independent of each other (`RowResiduals`), and episodes of which only some chan
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -72,13 +73,14 @@ class Residuals:
         if any(effect.family == "delay" for effect in effects) and log.consecutive:
             self.present = log.steps > 0
         self.smallest = self._smallest_variances()
-        self.variances = self.given_variances
+        self.variances: Any = self.given_variances
         self.regressors = np.zeros((len(log), self.n_channels, 0))
         self.steps = {}
         self.n_simulated_rows = 0
 
     @property
     def n_channels(self):
+        """Number of columns of a residual."""
         return len(self.simulator.residual_names)
 
     @property
@@ -163,8 +165,7 @@ class Residuals:
         # What a step of an effect moves by less than this is rounding, not a derivative.
         felt = np.max(np.abs(changes / self._typical_deviations()), axis=(1, 2))
         changes[felt < LEAST_CHANGE] = 0.0
-        moves = np.where(np.equal(moves, 0), np.inf, moves)
-        return np.moveaxis(changes, 0, -1) / moves
+        return np.moveaxis(changes, 0, -1) / np.where(np.equal(moves, 0), np.inf, moves)
 
     def _changes(self, candidates, rows=slice(None)):
         """Return by how much the predictions of the candidates after the first exceed the first's."""
@@ -305,7 +306,7 @@ class TransitionResiduals(Residuals):
         self.transitions = np.zeros((len(log), self.n_channels, self.n_channels))
         self.curvatures = np.zeros((len(log), self.n_channels, self.n_channels))
         self.noise = np.zeros((len(log), self.n_channels))
-        self.whitener = None
+        self.whitener: Any = None
 
     def settle(self, values):
         """Smooth the measured states with the model, and differentiate the next state by the state there."""
@@ -421,6 +422,7 @@ class TransitionResiduals(Residuals):
         return self.whitener.whiten(self._padded(columns / scale))[self.chain, self.step]
 
     def unwhiten_adjoint(self, white):
+        """Return the transposed whitening of columns (n_rows, n_channels[, k])."""
         scale = np.sqrt(self.variances).reshape((-1,) + (1,) * (white.ndim - 2))
         return self.whitener.unwhiten_adjoint(self._padded(white))[self.chain, self.step] / scale
 

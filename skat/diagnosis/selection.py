@@ -1,6 +1,7 @@
-"""Which effects explain the residuals: screen all, refit the best few, add one, prune, and find what cannot be told apart."""
+"""Which effects explain the residuals: screen all, refit the best, add one, prune, and find aliases."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -99,7 +100,8 @@ class Selection:
 
     def run(self):
         """Return the Selected effects."""
-        values, history = {}, []
+        values: dict[str, float] = {}
+        history: list[dict[str, float]] = []
         line = self._linearised(values)
         while len(values) < self.max_effects:
             self.progress("select", len(values), self.max_effects)
@@ -188,7 +190,7 @@ class Selection:
                     if bound != effect.neutral:
                         candidates.append({name: effect.neutral + share * (bound - effect.neutral)})
         losses = self._coarse_losses([{**values, **candidate} for candidate in candidates])
-        best = {}
+        best: dict[str, tuple] = {}
         for candidate, loss in zip(candidates, losses):
             (name,) = candidate
             if name not in best or loss < best[name][0]:
@@ -203,10 +205,9 @@ class Selection:
 
         With `race`, only the best go on to the end.
         """
-        current = [dict(model) for model in models]
         damping = np.full(len(models), 1e-4)
-        best = [None] * len(models)
-        proposals = current
+        best: list[Any] = [None] * len(models)
+        proposals = [dict(model) for model in models]
         active = list(range(len(models)))
         for step in range(REFIT_STEPS):
             if race and step in FINALISTS:
@@ -214,9 +215,8 @@ class Selection:
                 active = [m for m in active if m in leaders]
             if not active:
                 break
-                if not active:
-                    break
-            candidates, places = [], []
+            candidates: list[dict[str, float]] = []
+            places = []
             for m in active:
                 places.append(len(candidates))
                 candidates.append(proposals[m])
@@ -282,7 +282,7 @@ class Selection:
         return new, size
 
     def _moved(self, values, name):
-        low, high = self.effects[name].bounds
+        high = self.effects[name].bounds[1]
         step = self.residuals.steps[name]
         at = values[name]
         return {**values, name: at + step if at + step <= high else at - step}
@@ -345,7 +345,7 @@ class Selection:
             p_values = {
                 name: family_p_value(p, len(self.names)) for name, p in self._p_values(values).items()
             }
-            worst = max(p_values, key=p_values.get)
+            worst = max(p_values, key=lambda name: p_values[name])
             if p_values[worst] < self.alpha:
                 break
             kept = {name: value for name, value in values.items() if name != worst}
@@ -368,7 +368,7 @@ class Selection:
             reach = stats.t.ppf(0.975, freedom[k]) * error
             low, high = self.effects[name].bounds
             intervals[name] = (max(values[name] - reach, low), min(values[name] + reach, high))
-        order = sorted(names, key=telling.get, reverse=True)
+        order = sorted(names, key=lambda name: telling[name], reverse=True)
         aliases = self._aliases({name: values[name] for name in order}, line)
         return Selected(
             {name: values[name] for name in order}, p_values, intervals, aliases, line, gram, history

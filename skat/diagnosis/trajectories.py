@@ -34,6 +34,7 @@ class TrajectoryResiduals(Residuals):
 
     @property
     def n_channels(self):
+        """Number of channels measured."""
         return int(self.episodes.measured.sum())
 
     def settle(self, values):
@@ -101,6 +102,7 @@ class TrajectoryResiduals(Residuals):
         return out
 
     def whiten(self, columns):
+        """Return raw columns without what initial states explain, uncorrelated and in units of the noise."""
         wide = columns[..., None] if columns.ndim == 2 else columns
         scaled = wide / self.deviations[:, None]
         nuisance = self._decorrelated(self.nuisance / self.deviations[:, None])
@@ -119,7 +121,7 @@ class TrajectoryResiduals(Residuals):
         return np.zeros((len(self.log), self.n_channels, 0)), ()
 
     def noise_errors(self, candidates):
-        """Return the squared distances of whole trajectories (n_candidates, n_rows) in units of what noise alone gives."""
+        """Return the squared distances of whole trajectories (n_candidates, n_rows) in noise units."""
         errors = []
         for values in candidates:
             initial = self.episodes.fit_initial_states(values, self.deviations)

@@ -2,7 +2,8 @@ r"""Noise of a measured state, seen through a simulation: whitening, smoothing a
 
 A measured state is :math:`s_t = x_t + e_t` with :math:`e_t \sim (0, R)`, R diagonal. The one-step residual of a right
 model is then :math:`r_t = s_{t+1} - f(s_t) \approx e_{t+1} - A_t e_t`, a moving average whose covariance is block
-tridiagonal: :math:`C_{tt} = A_t R A_t^T + R + Q_t` and :math:`C_{t,t-1} = -A_t R`. The derivation is in the theory page.
+tridiagonal: :math:`C_{tt} = A_t R A_t^T + R + Q_t` and :math:`C_{t,t-1} = -A_t R`. The theory
+page has the derivation.
 """
 
 from dataclasses import dataclass
@@ -39,7 +40,7 @@ class Whitener:
     present: np.ndarray
 
     def whiten(self, residuals):
-        """Return residuals of shape (n_chains, n_steps, n_channels[, n_columns]) as uncorrelated ones of unit variance."""
+        """Return residuals of shape (n_chains, n_steps, n_channels[, n_columns]) uncorrelated and of variance 1."""
         columns = residuals[..., None] if residuals.ndim == 3 else residuals
         columns = np.where(self.present[..., None, None], columns, 0.0)
         white = np.empty_like(columns)
