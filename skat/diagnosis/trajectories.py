@@ -57,6 +57,7 @@ class TrajectoryResiduals(Residuals):
         return raw * (kept > LEAST_SHARE * norms)
 
     def raw_residuals(self, candidates):
+        """Return measured minus rolled out from the fitted initial states."""
         self.n_simulated_rows += len(self.log) * len(candidates)
         return self.episodes.residuals(candidates, self.initial)
 
