@@ -26,7 +26,8 @@ SINGLE = [
     ("puck", ("restitution", "all", 0.8)),
     ("ant", ("timestep", None, 0.5)),
 ]
-EPISODES, SEED = 8, 17
+EPISODES = {"hopper": 8, "halfcheetah": 8, "ant": 4, "puck": 12}
+SEED = 17
 
 
 def simulator_of(worlds, kind):
@@ -66,7 +67,7 @@ def test_another_step_or_solver_of_a_world_is_not_felt(worlds, kind):
 )
 def test_single_hidden_effect_is_named_and_measured(worlds, cases, kind, hidden):
     family, target, value = hidden
-    diagnosis = diagnosed(worlds, worlds.measure(kind, [hidden], seed=SEED, n_episodes=EPISODES))
+    diagnosis = diagnosed(worlds, worlds.measure(kind, [hidden], seed=SEED, n_episodes=EPISODES[kind]))
     (cause,) = diagnosis.causes_
     assert cases.name(family, target) in (cause.name, *cause.aliases)
     assert diagnosis.verdict_ == ("ambiguous" if cause.aliases else "named")
@@ -76,16 +77,16 @@ def test_single_hidden_effect_is_named_and_measured(worlds, cases, kind, hidden)
 
 
 def test_nothing_hidden_is_nothing_found(worlds):
-    diagnosis = diagnosed(worlds, worlds.measure("puck", seed=SEED, n_episodes=EPISODES))
+    diagnosis = diagnosed(worlds, worlds.measure("puck", seed=SEED, n_episodes=EPISODES["puck"]))
     assert diagnosis.verdict_ == "nothing detected"
     assert diagnosis.causes_ == []
 
 
 def test_two_hidden_effects_are_both_named_and_explain_other_episodes(worlds):
     hidden = [("gain", "thigh_joint", 0.8), ("damping", "foot_joint", 2.0)]
-    diagnosis = diagnosed(worlds, worlds.measure("hopper", hidden, seed=SEED, n_episodes=EPISODES))
+    diagnosis = diagnosed(worlds, worlds.measure("hopper", hidden, seed=SEED, n_episodes=EPISODES["hopper"]))
     assert {cause.name for cause in diagnosis.causes_} == {"gain[thigh_joint]", "damping[foot_joint]"}
-    fresh = worlds.measure("hopper", hidden, seed=SEED + 1, n_episodes=EPISODES)
+    fresh = worlds.measure("hopper", hidden, seed=SEED + 1, n_episodes=EPISODES["hopper"])
     assert excess_left(diagnosis, fresh) < 0.05
 
 
@@ -97,5 +98,5 @@ def test_two_hidden_effects_are_both_named_and_explain_other_episodes(worlds):
     ],
 )
 def test_effect_outside_the_list_is_unexplained_and_gets_no_full_false_name(worlds, kind, hidden):
-    diagnosis = diagnosed(worlds, worlds.measure(kind, [hidden], seed=SEED, n_episodes=EPISODES))
+    diagnosis = diagnosed(worlds, worlds.measure(kind, [hidden], seed=SEED, n_episodes=EPISODES[kind]))
     assert diagnosis.verdict_ == "unexplained"

@@ -36,6 +36,6 @@ def test_some_off_of_halfcheetah_is_the_gains_of_every_second_actuator(worlds, c
 
 
 def test_inverted_ant_is_one_cause(worlds, cases):
-    diagnosis, truth = diagnosed(worlds, cases, "ant", "inverted", n_episodes=8)
+    diagnosis, truth = diagnosed(worlds, cases, "ant", "inverted", n_episodes=4)
     assert_diagnosed(diagnosis, truth)
     assert diagnosis.causes_[0].sentence == "gain[all] is inverted"
