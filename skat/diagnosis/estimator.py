@@ -1,6 +1,7 @@
 """SimulationDiagnosis: what a user meets."""
 
 import numpy as np
+from scipy import stats
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted
@@ -15,6 +16,9 @@ from skat.diagnosis.residuals import Residuals, TransitionResiduals
 from skat.diagnosis.selection import Selection
 from skat.diagnosis.trajectories import TrajectoryResiduals
 from skat.effects import Effect, unknown_name_message
+
+# Squared one-step errors in noise units up to which heavy tails and rounding of the noise are taken to be the cause.
+CLEAN_EXCESS = 1.3
 
 
 class SimulationDiagnosis(RegressorMixin, BaseEstimator):
@@ -51,6 +55,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         Standard deviation of the measurement noise of each channel.
     remainder_ : Remainder or None
         What is left beside the causes.
+    excess_p_value_ : float
+        Chance of one-step errors so far above the noise if nothing were left.
     extended_simulator_ : Simulator
         The simulation with the causes built in.
     identifiability_ : DataFrame
@@ -130,7 +136,6 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         self.remainder_ = find_remainder(residuals, selected.linearisation, list(selected.values))
         self.noise_ = residuals.deviations
         self.causes_ = [self._cause(residuals.effects[name], selected) for name in selected.values]
-        self.verdict_ = self._verdict()
         self.extended_simulator_ = self.simulator.extended(selected.values)
         self.identifiability_ = identifiability(selected, residuals.effects, self.alpha / 2)
         self.gain_ = None
@@ -138,6 +143,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         if held_out is not None:
             progress("gain", 0, 1)
             self.gain_ = self._one_step_gain(held_out, random_state)
+        self.excess_p_value_ = self._excess(held_out, residuals)
+        self.verdict_ = self._verdict()
         self.report_ = Report(self, fitted, held_out)
         self.n_simulated_rows_ = residuals.n_simulated_rows
         progress("done", 1, 1)
@@ -249,9 +256,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         known = {effect.name: effect for effect in self.simulator.effects()}
         if isinstance(self.effects, str) and self.effects == "all":
             return [effect for effect in known.values() if not self._senses_hidden(effect)]
-        names = [
-            effect.name if isinstance(effect, Effect) else effect for effect in np.atleast_1d(self.effects)
-        ]
+        named = [self.effects] if isinstance(self.effects, str | Effect) else list(self.effects)
+        names = [effect.name if isinstance(effect, Effect) else effect for effect in named]
         for name in names:
             if name not in known:
                 raise ValueError(unknown_name_message(name, known))
@@ -297,8 +303,22 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         residuals.settle(self._values)
         return one_step_gain(residuals, self._values, random_state)
 
+    def _excess(self, held_out, residuals):
+        """Return the chance of errors so far above the noise, over the blocks of the log, if nothing is left."""
+        if self.hidden:
+            return 1.0
+        if held_out is not None:
+            residuals = self._residuals(held_out, self._chosen_effects(), self.noise_)
+            residuals.settle(self._values)
+        (errors,) = residuals.noise_errors([self._values])
+        blocks = np.unique(residuals.blocks[residuals.present], return_inverse=True)[1]
+        means = np.bincount(blocks, errors) / np.bincount(blocks)
+        spread = means.std(ddof=1) / np.sqrt(len(means)) if len(means) > 2 else np.inf
+        return float(stats.t.sf((means.mean() - CLEAN_EXCESS) / max(spread, 1e-12), max(len(means) - 1, 1)))
+
     def _verdict(self):
-        if self.remainder_ is not None and self.remainder_.p_value < self.alpha / 2:
+        structured = self.remainder_ is not None and self.remainder_.p_value < self.alpha / 4
+        if structured or self.excess_p_value_ < self.alpha / 4:
             return "unexplained"
         if not self.causes_:
             return "nothing detected"

@@ -118,31 +118,35 @@ class Residuals:
         white[lost] = 1e3
         return white
 
-    def part(self, n_rows):
-        """Return residuals of about so many rows, whole blocks spread over the log, in whitening of their own.
+    def error_sizes(self, candidates, n_rows):
+        """Return how far each candidate is off, by no measure of noise: the sum over channels of log errors.
 
         Parameters
         ----------
+        candidates : sequence of dict
+            Effect values.
         n_rows : int
+            About so many rows, whole blocks spread over the log, are simulated from their measured states.
 
         Returns
         -------
-        Residuals
-            To compare models with; all of the log where it is short.
+        ndarray of shape (n_candidates,)
+            Infinite where most rows diverge.
         """
-        if len(self.log) <= 2 * n_rows:
-            return self
         count = self.blocks[-1] + 1
-        chosen = np.unique(
-            np.linspace(0, count - 1, max(1, round(n_rows * count / len(self.log)))).astype(int)
-        )
-        return self._at_rows(np.isin(self.blocks, chosen))
-
-    def _at_rows(self, rows):
-        inner = type(self)(self.simulator, self.log.rows(rows), self.effects.values(), self.deviations)
-        inner.points, inner.steps = self.points[rows], self.steps
-        inner.present = self.present[rows] & inner.present
-        return inner
+        chosen = np.linspace(0, count - 1, max(1, round(n_rows * count / len(self.log)))).astype(int)
+        part = self.log.rows(np.isin(self.blocks, chosen))
+        groups = part.episodes if part.consecutive else None
+        sizes = []
+        for i in range(0, len(candidates), 64):
+            self.n_simulated_rows += len(part) * len(candidates[i : i + 64])
+            for one in self.simulator.predict_many(part.X, candidates[i : i + 64], groups=groups):
+                errors = np.nan_to_num(np.abs(self.simulator.residual(part.y, one)), nan=np.inf)
+                with np.errstate(divide="ignore"):
+                    sizes.append(
+                        np.sum(np.log(np.maximum(np.median(errors, axis=0), np.sqrt(self.smallest))))
+                    )
+        return np.array(sizes)
 
     def derivatives(self, values, names):
         """Return the whitened derivatives (n_rows, n_channels, n_effects) at a model."""
@@ -327,13 +331,6 @@ class TransitionResiduals(Residuals):
         self.noise = noise * scale
         self.points = self.simulator.displace(self.log.X, -self.noise)
         self._differentiate(values)
-
-    def _at_rows(self, rows):
-        inner = super()._at_rows(rows)
-        inner.noise, inner.transitions = self.noise[rows], self.transitions[rows]
-        inner.curvatures = self.curvatures[rows]
-        inner.whitener = inner._factorised()
-        return inner
 
     def raw_residuals(self, candidates):
         """Return residuals at the smoothed states, carried to the measured ones to first order."""

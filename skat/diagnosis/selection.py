@@ -14,11 +14,21 @@ REFIT_STEPS = 8
 CONVERGED = 0.05
 # Effects within this loss quantile of the named one (paired over blocks, one-sided) cannot be told from it.
 ALIAS_LEVEL = 0.05
+# Numbers in the information of all pieces of time together.
+LARGEST_GRAM = 50_000_000
+FEWEST_BLOCKS_TO_WIDEN = 10
 # A cause must lower the loss of episodes, not only of the whole, at this level; from so many episodes on.
 IMPROVEMENT_LEVEL = 0.02
 FEWEST_EPISODES = 8
+# Or blocks lose at most this share of what others gain, and no block has more than that share of the gain.
+LOST_SHARE = 0.1
+LARGEST_BLOCK_SHARE = 0.7
 # Values tried over an effect's range when the model is far off, in units of the way to each bound.
 GRID = (0.02, 0.1, 0.4)
+FACTORS = (0.33, 0.5, 0.7, 0.85, 1.2, 1.5, 2.0, 3.0)
+LONGEST_GRID = 5
+# Fall of the log error, summed over channels, that makes a value far off worth a refit.
+WORTH_A_REFIT = 0.3
 ROWS_OF_GRID = 120
 POLISH_STEPS = 5
 # Of the models refitted side by side, so many go on after so many steps.
@@ -137,13 +147,13 @@ class Selection:
 
     def _add(self, values, line):
         """Return the values of the model with the best further effect, None if no effect is significant."""
-        gram = grams(line.residuals, line.derivatives, self.blocks)
+        gram = grams(line.residuals, line.derivatives, self._clusters(len(line.names)))
         first = screen(gram, line.names, values, self.effects, list(values))
         misfit = np.median(np.sum(line.residuals**2, axis=-1)) / line.residuals.shape[1]
         best_p = family_p_value(first.p_values.min(), len(self.names))
-        if best_p > 0.5 and misfit < 2:
-            return None
-        starts = self._starts(values, first, misfit)
+        starts = [] if best_p > 0.5 and misfit < 2 else self._starts(values, first)
+        if misfit > 2 or not values:
+            starts += self._grid(values, [first.names[k] for k in np.flatnonzero(first.p_values < 1)])
         if not starts:
             return None
         fits = self.refit([{**values, **start} for start in starts], race=True)
@@ -156,7 +166,7 @@ class Selection:
                 return fit.values
         return None
 
-    def _starts(self, values, first, misfit):
+    def _starts(self, values, first):
         """Return starting values {name: value} of effects worth refitting."""
         order = [
             k for k in np.argsort(first.gains)[::-1] if first.gains[k] > 0 and first.names[k] not in values
@@ -172,8 +182,6 @@ class Selection:
             }
             for k in chosen
         ]
-        if misfit > 2:
-            starts += self._grid(values, [first.names[k] for k in np.flatnonzero(first.p_values < 1)])
         return starts
 
     def _grid(self, values, names):
@@ -183,20 +191,23 @@ class Selection:
             effect = self.effects[name]
             if name in values:
                 continue
-            if effect.neutral == 1 and effect.bounds[0] < 0:
-                candidates += [{name: 0.0}, {name: -1.0}]
-            for share in GRID:
-                for bound in effect.bounds:
-                    if bound != effect.neutral:
-                        candidates.append({name: effect.neutral + share * (bound - effect.neutral)})
-        losses = self._coarse_losses([{**values, **candidate} for candidate in candidates])
+            if effect.neutral == 1:
+                points = [*FACTORS, 0.0, -1.0] if effect.bounds[0] < 0 else FACTORS
+            else:
+                points = [share * bound for share in GRID for bound in effect.bounds]
+            low, high = effect.bounds
+            candidates += [
+                {name: point} for point in points if low <= point <= high and point != effect.neutral
+            ]
+        sizes = self.residuals.error_sizes([values, *({**values, **one} for one in candidates)], ROWS_OF_GRID)
+        losses = sizes[1:]
         best: dict[str, tuple] = {}
         for candidate, loss in zip(candidates, losses):
             (name,) = candidate
             if name not in best or loss < best[name][0]:
                 best[name] = (loss, candidate)
         ranked = sorted(best.values(), key=lambda pair: pair[0])
-        return [candidate for _, candidate in ranked[:SHORTLIST]]
+        return [candidate for size, candidate in ranked[:LONGEST_GRID] if size < sizes[0] - WORTH_A_REFIT]
 
     # -- refits ----------------------------------------------------------------------------------------------------
 
@@ -293,15 +304,6 @@ class Selection:
             [self.residuals.whitened(candidates[i : i + 32]) for i in range(0, len(candidates), 32)]
         )
 
-    def _coarse_losses(self, candidates):
-        """Return the sums of losses of many models over a part of the rows, spread over the log."""
-        part = self.residuals.part(ROWS_OF_GRID)
-        losses = []
-        for i in range(0, len(candidates), 64):
-            sizes = np.sum(part.whitened(candidates[i : i + 64]) ** 2, axis=-1)
-            losses.append(np.sum(self._loss(sizes), axis=-1))
-        return np.concatenate(losses)
-
     def _set_scale(self, residuals):
         """Fix the size beyond which a row's residual counts linearly, for all models compared with each other."""
         sizes = np.sum(residuals**2, axis=-1)
@@ -325,8 +327,19 @@ class Selection:
         names = list(values)
         residuals = self.residuals.whitened([values])[0]
         derivatives = self.residuals.derivatives(values, names)
-        gram = grams(residuals, derivatives, self.blocks, self._weights(residuals))
-        return (names, *wald(gram))
+        weights = self._weights(residuals)
+        covariance, freedom = wald(grams(residuals, derivatives, self._clusters(len(names)), weights))
+        by_block, block_freedom = wald(grams(residuals, derivatives, self.blocks, weights))
+        # What neighbours in time have in common widens intervals where enough blocks tell.
+        enough = np.isfinite(np.diag(covariance)) & (block_freedom > FEWEST_BLOCKS_TO_WIDEN)
+        ratio = np.where(enough, np.diag(by_block), np.diag(covariance)) / np.diag(covariance)
+        widen = np.sqrt(np.maximum(np.nan_to_num(ratio, nan=1.0), 1.0))
+        return names, covariance * np.outer(widen, widen), freedom
+
+    def _clusters(self, n_effects):
+        """Return the piece of time of each row: a row where memory allows, whitened rows being uncorrelated."""
+        count = len(self.blocks)
+        return np.arange(count) // -(-count * n_effects**2 // LARGEST_GRAM)
 
     def _p_values(self, values):
         names, covariance, freedom = self._covariance(values)
@@ -355,7 +368,7 @@ class Selection:
         return values, line
 
     def _result(self, values, line, history):
-        gram = grams(line.residuals, line.derivatives, self.blocks)
+        gram = grams(line.residuals, line.derivatives, self._clusters(len(line.names)))
         if not values:
             return Selected({}, {}, {}, {}, line, gram, history)
         names, covariance, freedom = self._covariance(values)
@@ -418,8 +431,15 @@ class Selection:
         return aliases
 
     def _improves(self, fit, line):
-        """Whether the loss falls in most episodes (or blocks, where episodes are few), not in a few rows only."""
+        """Whether the loss falls throughout: in episodes (blocks, where they are few), or wherever it moves at all.
+
+        An effect that acts in few blocks, such as at impacts, passes where it lowers several of them and raises
+        hardly any; what fits one row at the cost of others does not.
+        """
         fall = self._block_losses(line.residuals) - fit.losses
+        gained, lost = fall[fall > 0].sum(), -fall[fall < 0].sum()
+        if lost < LOST_SHARE * gained and fall.max() < LARGEST_BLOCK_SHARE * gained:
+            return True
         episodes = self.residuals.log.episodes[self.starts]
         if self.residuals.log.consecutive and episodes[-1] + 1 >= FEWEST_EPISODES:
             fall = np.bincount(episodes, fall)

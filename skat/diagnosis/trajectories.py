@@ -45,9 +45,9 @@ class TrajectoryResiduals(Residuals):
         self.initial = self.episodes.fit_initial_states(values, self.deviations)
         _, self.nuisance = self.episodes.sensitivities(values, self.initial, 1e-4 * self._spread())
 
-    def part(self, n_rows):
-        """Return all of the log: a trajectory is compared whole."""
-        return self
+    def error_sizes(self, candidates, n_rows):
+        """Return the log root mean square of the whitened trajectories of each candidate."""
+        return np.array([np.log(np.sqrt(np.mean(one**2))) for one in self.whitened(candidates)])
 
     def _derivatives(self, values, names):
         """Return derivatives, zero for effects that an initial state makes up for entirely."""
