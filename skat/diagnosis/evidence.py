@@ -88,7 +88,7 @@ def screen(gram, names, values, effects, fitted=()):
     scores = gram.scores
     carry = np.zeros((len(inside), len(names)))
     if len(inside):
-        carry = np.linalg.lstsq(information[np.ix_(inside, inside)], information[inside], rcond=1e-12)[0]
+        carry = solve_scaled(information[np.ix_(inside, inside)], information[inside])
     own = np.einsum("bkk->bk", gram.information)
     cross = gram.information[:, inside, :]
     # Information and score of each effect with the fitted ones projected out, by block.
@@ -139,12 +139,19 @@ def wald(gram):
     The covariance is the sandwich of the blocks' scores with each block's leverage taken out, never smaller than what
     noise alone gives.
     """
-    total = gram.information.sum(axis=0)
+    sizes = np.diag(gram.information.sum(axis=0))
+    scale = np.sqrt(np.where(sizes > 0, sizes, 1.0))
+    covariance, freedom = _scaled_wald(gram.scores / scale, gram.information / np.outer(scale, scale))
+    return covariance / np.outer(scale, scale), freedom
+
+
+def _scaled_wald(scores, informations):
+    total = informations.sum(axis=0)
     bread = np.linalg.pinv(total, rcond=1e-12, hermitian=True)
     n_effects = len(total)
     meat = np.zeros_like(total)
     leverages = []
-    for score, information in zip(gram.scores, gram.information):
+    for score, information in zip(scores, informations):
         hat = information @ bread
         leverages.append(np.clip(np.diag(hat), 0, 1))
         corrected = np.linalg.lstsq(np.eye(n_effects) - np.clip(hat, -0.999, 0.999), score, rcond=1e-8)[0]
@@ -155,6 +162,13 @@ def wald(gram):
     covariance = covariance * np.outer(widen, widen)
     covariance[np.diag_indices(n_effects)] += np.where(np.diag(total) > 0, 0.0, np.inf)
     return covariance, freedom
+
+
+def solve_scaled(information, right):
+    """Return the least-squares solution of information @ x = right, whatever the units of the effects."""
+    scale = np.sqrt(np.where(np.diag(information) > 0, np.diag(information), 1.0))
+    inner = information / np.outer(scale, scale)
+    return np.linalg.lstsq(inner, right / scale[:, None], rcond=1e-12)[0] / scale[:, None]
 
 
 def family_p_value(p_value, n_effects):

@@ -46,7 +46,7 @@ class Gain:
     floor : float
         What a right model would have.
     explained : float
-        (nominal - extended) / (nominal - floor); NaN where the simulation as given is at the floor.
+        (nominal - extended) / (nominal - floor); 0 where the simulation as given is at the floor.
     interval : tuple of two floats
         95 % interval of `explained`, from a bootstrap over episodes or blocks of time.
     horizon : int or str

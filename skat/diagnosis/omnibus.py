@@ -11,10 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from skat.diagnosis.evidence import family_p_value
+from skat.diagnosis.evidence import family_p_value, solve_scaled
 from skat.diagnosis.residuals import robust_weights
 
 KNOTS = 4
+# Rows whose scores count as one: whitened rows are uncorrelated where nothing is left.
+ROWS_TOGETHER = 3
 
 
 @dataclass(frozen=True)
@@ -54,29 +56,28 @@ def find_remainder(residuals, line, fitted):
     fitted : sequence of str
         Effects of the model, which the test projects out.
     """
-    weights = robust_weights(line.residuals)
     directions, names = residuals.directions(line.values)
-    if not names:
-        return None
-    evidence = residuals.unwhiten_adjoint(line.residuals * weights[:, None])
-    pushes = np.einsum("ndj,nd->nj", directions, evidence)
+    weights = robust_weights(line.residuals)[:, None]
     inside = [line.names.index(name) for name in fitted]
     derivatives = line.derivatives[..., inside]
-    information = np.einsum("ndk,ndl->kl", derivatives * weights[:, None, None], derivatives)
-    carried = residuals.unwhiten_adjoint(derivatives * weights[:, None, None])
-    crossed = np.einsum("ndj,ndk->njk", directions, carried)
-    own = np.einsum("ndk,nd->nk", derivatives * weights[:, None, None], line.residuals)
-    starts = np.flatnonzero(np.r_[True, np.diff(residuals.blocks) > 0])
-    own_blocks = np.add.reduceat(own, starts, axis=0)
+    weighted = derivatives * weights[..., None]
+    information = np.einsum("ndk,ndl->kl", weighted, derivatives)
+    starts = np.arange(0, len(residuals.blocks), ROWS_TOGETHER)
+    own = np.add.reduceat(np.einsum("ndk,nd->nk", weighted, line.residuals), starts, axis=0)
     found = []
-    for index, coordinate in enumerate(residuals.simulator.input_names):
+    for index, coordinate in enumerate(residuals.simulator.input_names if names else ()):
         basis = hat_functions(residuals.points[:, index])
-        for j, direction in enumerate(names):
-            scores = np.add.reduceat(basis * pushes[:, [j]], starts, axis=0)
-            if inside:
-                cross = np.einsum("nm,nk->mk", basis, crossed[:, j])
-                scores = scores - own_blocks @ np.linalg.lstsq(information, cross.T, rcond=1e-12)[0]
-            found.append((direction, coordinate, _score_test(scores)))
+        n_rows, n_channels, n_directions = directions.shape
+        # Whitened, what different rows say is uncorrelated; the errors themselves are not.
+        columns = residuals.whiten(
+            (directions[..., None] * basis[:, None, None, :]).reshape(n_rows, n_channels, -1)
+        )
+        scores = np.add.reduceat(np.einsum("ndm,nd->nm", columns, line.residuals * weights), starts, axis=0)
+        if inside:
+            cross = np.einsum("ndm,ndk->km", columns, weighted)
+            scores = scores - own @ solve_scaled(information, cross)
+        for direction, part in zip(names, np.split(scores, n_directions, axis=1)):
+            found.append((direction, coordinate, _score_test(part)))
     if not found:
         return None
     found.sort(key=lambda row: row[2])

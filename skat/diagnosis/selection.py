@@ -17,6 +17,9 @@ ALIAS_LEVEL = 0.05
 # Numbers in the information of all pieces of time together.
 LARGEST_GRAM = 50_000_000
 FEWEST_BLOCKS_TO_WIDEN = 10
+# An effect on all is taken apart into so many elements at most, where that leaves less than this share of the loss.
+MOST_ELEMENTS = 16
+APART_LOSS = 0.7
 # A cause must lower the loss of episodes, not only of the whole, at this level; from so many episodes on.
 IMPROVEMENT_LEVEL = 0.02
 FEWEST_EPISODES = 8
@@ -115,7 +118,7 @@ class Selection:
         line = self._linearised(values)
         while len(values) < self.max_effects:
             self.progress("select", len(values), self.max_effects)
-            added = self._add(values, line)
+            added = self._add(values, line) or self._apart(values, line)
             if added is None:
                 break
             history.append(added)
@@ -163,6 +166,39 @@ class Selection:
             new = [name for name in fit.values if name not in values]
             p_value = self._p_values(fit.values)[new[0]]
             if family_p_value(p_value, len(self.names)) < self.alpha and self._improves(fit, line):
+                return fit.values
+        return None
+
+    def _apart(self, values, line):
+        """Return the model with an effect on all elements taken apart into one for each, None if that is no better.
+
+        Where some elements of a family differ and others do not, what is common to all is found first, and no single
+        element can then be added to it.
+        """
+        loss = self._block_losses(line.residuals).sum()
+        for name in values:
+            effect = self.effects[name]
+            elements = [
+                other.name
+                for other in self.effects.values()
+                if other.family == effect.family and other.target != "all" and other.name not in values
+            ]
+            if effect.target != "all" or not 2 <= len(elements) <= MOST_ELEMENTS:
+                continue
+            rest = {other: value for other, value in values.items() if other != name}
+            fit = self.refit([{**rest, **dict.fromkeys(elements, values[name])}])[0]
+            if fit.loss > APART_LOSS * loss:
+                continue
+            while True:
+                p_values = {
+                    other: family_p_value(p, len(self.names))
+                    for other, p in self._p_values(fit.values).items()
+                }
+                kept = {other: value for other, value in fit.values.items() if p_values[other] < self.alpha}
+                if len(kept) == len(fit.values) or not kept:
+                    break
+                fit = self.refit([kept])[0]
+            if kept and len(kept) <= self.max_effects and fit.loss < APART_LOSS * loss:
                 return fit.values
         return None
 
@@ -312,7 +348,7 @@ class Selection:
         self.cut = max(n + 3.1 * np.sqrt(2 * n) + 6, 4 * typical)
 
     def _weights(self, residuals):
-        return np.sqrt(np.minimum(1.0, self.cut / np.maximum(np.sum(residuals**2, axis=-1), 1e-300)))
+        return np.sqrt(np.minimum(1.0, self.cut / np.maximum(np.sum(residuals**2, axis=-1), 1e-30)))
 
     def _block_losses(self, residuals):
         return np.add.reduceat(self._loss(np.sum(residuals**2, axis=-1)), self.starts)
