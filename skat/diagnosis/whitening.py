@@ -13,6 +13,8 @@ from scipy import optimize, stats
 
 # Squared residuals, in units of their variance, count up to this much in the estimate of the noise.
 LARGEST_SQUARE = 9.0
+# A channel has at least this share of its residual's typical variance: other channels cannot explain it all.
+SMALLEST_SHARE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -136,7 +138,8 @@ def estimate_variances(residuals, transitions, extra_variances, *, smallest):
     design = transitions**2
     design[:, np.arange(n_channels), np.arange(n_channels)] += 1
     typical = np.median(squares, axis=0) / stats.chi2.median(1)
-    expected = np.maximum(np.broadcast_to(typical, squares.shape), smallest)
+    smallest = np.maximum(smallest, SMALLEST_SHARE * typical)
+    expected = np.maximum(typical + extra_variances, smallest)
     scale = np.sqrt(np.maximum(typical, smallest))
     variances = None
     for _ in range(50):
