@@ -41,7 +41,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         State channels that were not measured. Their columns in X hold first guesses only; whole episodes are then
         compared in open loop, each from an initial state of its own that is fitted.
     n_jobs : int or None, default=None
-        Threads of the simulation are shared by all candidates; more jobs give the same answer.
+        Has no effect yet: the simulation's own threads take all cores, and the answer does not depend on them.
     random_state : int, RandomState or None, default=None
         Which episodes are held out.
 
