@@ -12,6 +12,7 @@ import numpy as np
 from scipy.linalg import bandwidth, lapack, solve_triangular
 
 from skat.moments import Moments, row_moments, triangle
+from skat.threads import shared
 
 __all__ = [
     "AffineMap",
@@ -89,19 +90,23 @@ class AffineMap:
         rows = np.asarray(rows)
         carried = np.empty(rows.shape, dtype=rows.dtype if rows.dtype == np.float32 else np.float64)
         size = max(BLOCK_ELEMENTS // rows.shape[1], 256)
-        buffer = np.empty((min(size, len(rows)), rows.shape[1]))
         transposed = np.ascontiguousarray(self.coef.T)
-        for start in range(0, len(rows), size):
-            block, image = rows[start : start + size], carried[start : start + size]
-            centred = buffer[: len(block)]
-            np.subtract(block, self.source_mean, out=centred)
-            if image.dtype == np.float64:
-                np.matmul(centred, transposed, out=image)
-                image += self.target_mean
-            else:
-                image[...] = centred @ transposed + self.target_mean
-            if self.untouched is not None:
-                image[:, self.untouched] = block[:, self.untouched]
+
+        def carry(starts):
+            buffer = np.empty((min(size, len(rows)), rows.shape[1]))
+            for start in starts:
+                block, image = rows[start : start + size], carried[start : start + size]
+                centred = buffer[: len(block)]
+                np.subtract(block, self.source_mean, out=centred)
+                if image.dtype == np.float64:
+                    np.matmul(centred, transposed, out=image)
+                    image += self.target_mean
+                else:
+                    image[...] = centred @ transposed + self.target_mean
+                if self.untouched is not None:
+                    image[:, self.untouched] = block[:, self.untouched]
+
+        shared(carry, range(0, len(rows), size))
         return carried
 
 

@@ -12,8 +12,9 @@ PACKAGE = Path(__file__).parent.parent / "skat"
 # Part -> the parts of skat it may import. What is not listed is not allowed.
 ALLOWED = {
     "_compat": set(),
+    "threads": set(),
     "moments": set(),
-    "gaussian": {"moments"},
+    "gaussian": {"moments", "threads"},
     "alignment": {"gaussian"},
     "conditional": {"moments", "gaussian"},
     "shrinkage": {"moments", "gaussian"},
