@@ -163,7 +163,7 @@ def _is_earned(alias, cause, others, simulator, log, fresh):
 def _tasks(arguments):
     """Return every run that is asked for, seed after seed, so that an interrupted table is an even one."""
     tasks = []
-    n_seeds = 3 if arguments.cut else arguments.seeds
+    n_seeds = arguments.seeds if arguments.seeds is not None else (3 if arguments.cut else 10)
 
     def add(table, label, seed):
         if arguments.only in label:
@@ -223,8 +223,8 @@ def _arguments():
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--cut", action="store_true", help="every cause with 3 seeds")
-    parser.add_argument("--seeds", type=int, default=10, help="seeds of the table of causes")
+    parser.add_argument("--cut", action="store_true", help="ten causes of each world instead of all")
+    parser.add_argument("--seeds", type=int, help="seeds of each cause; by default 3 of the cut, else 10")
     parser.add_argument("--small", type=int, default=0, help="seeds of the causes with s in [0.03, 0.1]")
     parser.add_argument("--pairs", type=int, default=0, help="pairs of each world")
     parser.add_argument("--outside", type=int, default=0, help="seeds of the effects that are in no list")

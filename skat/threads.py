@@ -3,6 +3,7 @@
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from itertools import pairwise
 
 from threadpoolctl import ThreadpoolController
 
@@ -34,7 +35,7 @@ def shared(work, blocks):
     if n_threads == 1:
         return [work(blocks)]
     ends = [len(blocks) * part // n_threads for part in range(n_threads + 1)]
-    parts = [blocks[start:end] for start, end in zip(ends, ends[1:])]
+    parts = [blocks[start:end] for start, end in pairwise(ends)]
     with blas.limit(limits=1), ThreadPoolExecutor(n_threads) as executor:
         return list(executor.map(work, parts))
 
