@@ -132,6 +132,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         selected = Selection(
             residuals, names, alpha=self.alpha / 2, max_effects=self.max_effects, progress=progress
         ).run()
+        self.n_simulated_rows_ = residuals.n_simulated_rows
         progress("remainder", 0, 1)
         self.remainder_ = find_remainder(residuals, selected.linearisation, list(selected.values))
         self.noise_ = residuals.deviations
@@ -142,11 +143,11 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         self._values = dict(selected.values)
         if held_out is not None:
             progress("gain", 0, 1)
-            self.gain_ = self._one_step_gain(held_out, random_state)
-        self.excess_p_value_ = self._excess(held_out, residuals)
+            residuals = self._settled(held_out)
+            self.gain_ = one_step_gain(residuals, self._values, random_state)
+        self.excess_p_value_ = self._excess(residuals)
         self.verdict_ = self._verdict()
         self.report_ = Report(self, fitted, held_out)
-        self.n_simulated_rows_ = residuals.n_simulated_rows
         progress("done", 1, 1)
         return self
 
@@ -184,7 +185,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         log = check_log(self.simulator, X, y, groups, fewest_rows=1, hidden=hidden)
         random_state = check_random_state(self.random_state)
         if horizon == 1 and not hidden:
-            return self._one_step_gain(log, random_state)
+            return one_step_gain(self._settled(log), self._values, random_state)
         if not log.consecutive:
             raise ValueError(
                 "horizon='episode' needs a simulation with a state, and groups=, the episode of each row."
@@ -298,18 +299,15 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         kind = TransitionResiduals if self.simulator.state_names else Residuals
         return kind(self.simulator, log, effects, deviations)
 
-    def _one_step_gain(self, log, random_state):
+    def _settled(self, log):
         residuals = self._residuals(log, self._chosen_effects(), self.noise_)
         residuals.settle(self._values)
-        return one_step_gain(residuals, self._values, random_state)
+        return residuals
 
-    def _excess(self, held_out, residuals):
+    def _excess(self, residuals):
         """Return the chance of errors so far above the noise, over the blocks of the log, if nothing is left."""
         if self.hidden:
             return 1.0
-        if held_out is not None:
-            residuals = self._residuals(held_out, self._chosen_effects(), self.noise_)
-            residuals.settle(self._values)
         (errors,) = residuals.noise_errors([self._values])
         blocks = np.unique(residuals.blocks[residuals.present], return_inverse=True)[1]
         means = np.bincount(blocks, errors) / np.bincount(blocks)

@@ -24,6 +24,7 @@ FARTHEST_SMOOTHED = 3.0
 # A model that misses less than this share beyond the noise counts as right where states are smoothed.
 NEGLIGIBLE_MISFIT = 1.3
 ROWS_FOR_FIRST_NOISE = 360
+ROWS_FOR_STEPS = 120
 # Effects regressed out before the noise is estimated: at most one for so many residuals.
 RESIDUALS_PER_REGRESSOR = 10
 
@@ -90,8 +91,15 @@ class Residuals:
 
     # -- linearisation ---------------------------------------------------------------------------------------
 
-    def settle(self, values):
-        """Bring noise, whitening and the points of linearisation up to date with a model."""
+    def settle(self, values, *, roughly=False):
+        """Bring noise, whitening and the points of linearisation up to date with a model.
+
+        Parameters
+        ----------
+        values : dict of str to float
+        roughly : bool, default=False
+            Leave as they are what is costly and changes little from one model to one close to it.
+        """
         if self.variances is None:
             self.variances = self._first_variances(values)
 
@@ -178,7 +186,7 @@ class Residuals:
 
     def _choose_steps(self, values, names):
         """Scale each effect's step until the predictions change by little against the noise but well above rounding."""
-        rows = slice(0, min(len(self.log), 240))
+        rows = slice(0, min(len(self.log), ROWS_FOR_STEPS))
         steps = {name: FIRST_STEP * np.ptp(self.effects[name].bounds) for name in names}
         largest = {name: LARGEST_STEP * np.ptp(self.effects[name].bounds) for name in names}
         open_names = list(names)
@@ -312,7 +320,7 @@ class TransitionResiduals(Residuals):
         self.noise = np.zeros((len(log), self.n_channels))
         self.whitener: Any = None
 
-    def settle(self, values):
+    def settle(self, values, *, roughly=False):
         """Smooth the measured states with the model, and differentiate the next state by the state there."""
         if self.variances is None:
             self.variances = self._first_variances(values)
@@ -330,7 +338,8 @@ class TransitionResiduals(Residuals):
         noise = np.clip(noise[self.chain, self.step], -FARTHEST_SMOOTHED, FARTHEST_SMOOTHED)
         self.noise = noise * scale
         self.points = self.simulator.displace(self.log.X, -self.noise)
-        self._differentiate(values)
+        if not roughly:
+            self._differentiate(values)
 
     def raw_residuals(self, candidates):
         """Return residuals at the smoothed states, carried to the measured ones to first order."""

@@ -1,19 +1,34 @@
 """Which effects explain the residuals: screen all, refit the best, add one, prune, and find aliases."""
 
 from dataclasses import dataclass, field
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 from scipy import stats
 
-from skat.diagnosis.evidence import family_p_value, grams, screen, wald
+from skat.diagnosis.evidence import family_p_value, grams, screen, solve_scaled, wald
 
 SHORTLIST = 8
+# Exchanges refitted, exchanges made, and the fall of the loss in noise units that makes one worth it.
+EXCHANGES = 4
+MOST_EXCHANGES = 4
+WORTH_AN_EXCHANGE = 1.0
+# Misfit of the typical row, in noise units, beyond which a derivative says little of what is far away.
+FAR_OFF = 2.0
+# Family-wise p-value of the most telling effect, and each one's own, that make refits worth their time.
+WORTH_A_LOOK = 0.5
+WORTH_A_STEP = 0.05
+CONTENDERS = 6
+SHARES_OF_STEP = (1.0, 0.3, 0.1)
 REFIT_STEPS = 8
 # A refit ends when its step is below this share of the standard error.
 CONVERGED = 0.05
 # Effects within this loss quantile of the named one (paired over blocks, one-sided) cannot be told from it.
 ALIAS_LEVEL = 0.05
+# A rival is refitted where, to first order, it leaves less than this loss in noise units, or this share of it.
+FAR_APART = 100.0
+SIMILAR = 0.1
 # Numbers in the information of all pieces of time together.
 LARGEST_GRAM = 50_000_000
 FEWEST_BLOCKS_TO_WIDEN = 10
@@ -35,10 +50,7 @@ WORTH_A_REFIT = 0.3
 ROWS_OF_GRID = 120
 POLISH_STEPS = 5
 # Of the models refitted side by side, so many go on after so many steps.
-FINALISTS = {2: 5, 4: 3}
-# Loss in noise units beyond which, to first order, a rival is not refitted to see whether it is an alias.
-FAR_APART = 100.0
-NEARLY_PARALLEL = 0.98
+FINALISTS = {2: 4, 4: 2}
 
 
 @dataclass(frozen=True)
@@ -122,9 +134,18 @@ class Selection:
             if added is None:
                 break
             history.append(added)
-            values, line = self._polished(added)
+            values, line = self._simplified(*self._polished(added))
         values, line = self._prune(values, line)
         return self._result(values, line, history)
+
+    def _simplified(self, values, line):
+        """Return a model that no exchange of effects makes better, or smaller and as good."""
+        for _ in range(MOST_EXCHANGES if len(values) > 1 else 0):
+            exchanged = self._exchanged(values, line)
+            if exchanged is None:
+                break
+            values, line = self._polished(exchanged)
+        return values, line
 
     def _linearised(self, values):
         """Return the linearisation by all effects at a model that noise and smoothed states are adapted to."""
@@ -135,8 +156,8 @@ class Selection:
 
     def _polished(self, values):
         """Return a model at the optimum of its own smoothed states and noise, and its linearisation."""
-        for _ in range(POLISH_STEPS):
-            self.residuals.settle(values)
+        for step in range(POLISH_STEPS):
+            self.residuals.settle(values, roughly=step > 0)
             before = values
             self._set_scale(self.residuals.whitened([values])[0])
             fit = self.refit([values])[0]
@@ -153,20 +174,61 @@ class Selection:
         gram = grams(line.residuals, line.derivatives, self._clusters(len(line.names)))
         first = screen(gram, line.names, values, self.effects, list(values))
         misfit = np.median(np.sum(line.residuals**2, axis=-1)) / line.residuals.shape[1]
-        best_p = family_p_value(first.p_values.min(), len(self.names))
-        starts = [] if best_p > 0.5 and misfit < 2 else self._starts(values, first)
-        if misfit > 2 or not values:
+        far_off = misfit > FAR_OFF
+        starts = []
+        if far_off or family_p_value(first.p_values.min(), len(self.names)) < WORTH_A_LOOK:
+            starts += self._steps(values, first, 1.0 if far_off else WORTH_A_STEP)
+        if far_off or not values:
             starts += self._grid(values, [first.names[k] for k in np.flatnonzero(first.p_values < 1)])
         if not starts:
             return None
-        fits = self.refit([{**values, **start} for start in starts], race=True)
+        fits = self.refit(self._contenders([{**values, **start} for start in starts], values), race=True)
         order = np.argsort([fit.loss for fit in fits])
         for index in order[:3]:
             fit = fits[index]
             new = [name for name in fit.values if name not in values]
             p_value = self._p_values(fit.values)[new[0]]
+            p_value = min(p_value, self._fall_p_value(self._block_losses(line.residuals), fit.losses))
             if family_p_value(p_value, len(self.names)) < self.alpha and self._improves(fit, line):
                 return fit.values
+        return None
+
+    def _exchanged(self, values, line):
+        """Return a model with one named effect, or two, exchanged for another one, None if the present one is best.
+
+        What was found first was found without what came later, and may stand for two causes where a later one left
+        only one of them. To first order every exchange is a matter of the Grams; the best are refitted.
+        """
+        names = list(line.names)
+        weighted = line.derivatives * self._weights(line.residuals)[:, None, None]
+        information = np.einsum("ndk,ndl->kl", weighted, line.derivatives, optimize=True)
+        distances = np.zeros(len(names))
+        inside = [names.index(name) for name in values]
+        distances[inside] = [value - self.effects[name].neutral for name, value in values.items()]
+        score = np.einsum("ndk,nd->k", weighted, line.residuals) + information @ distances
+        fresh = [k for k in range(len(names)) if names[k] not in values and information[k, k] > 0]
+        present = Fit(values, self._block_losses(line.residuals))
+        for n_dropped in (2, 1):
+            found = []
+            for kept in combinations(inside, len(inside) - n_dropped):
+                for k in fresh:
+                    chosen = [*kept, k]
+                    solution = solve_scaled(information[np.ix_(chosen, chosen)], score[chosen][:, None])[:, 0]
+                    found.append((-float(score[chosen] @ solution), chosen, solution[-1]))
+            found.sort(key=lambda one: one[0])
+            models = []
+            for _, chosen, distance in found[:EXCHANGES]:
+                effect = self.effects[names[chosen[-1]]]
+                start = {names[k]: values[names[k]] for k in chosen[:-1]}
+                models.append(
+                    start | {effect.name: float(np.clip(effect.neutral + distance, *effect.bounds))}
+                )
+            if not models:
+                continue
+            best = min(self.refit(models, race=True), key=lambda fit: fit.loss)
+            smaller_and_as_good = n_dropped == 2 and self._as_good(best.losses, present.losses)
+            if smaller_and_as_good or best.loss < present.loss - WORTH_AN_EXCHANGE:
+                return best.values
         return None
 
     def _apart(self, values, line):
@@ -202,23 +264,28 @@ class Selection:
                 return fit.values
         return None
 
-    def _starts(self, values, first):
-        """Return starting values {name: value} of effects worth refitting."""
-        order = [
-            k for k in np.argsort(first.gains)[::-1] if first.gains[k] > 0 and first.names[k] not in values
+    def _steps(self, values, first, least_p_value):
+        """Return linear steps {name: value} of the effects worth a refit, whole and shortened.
+
+        Where an effect bends, as at impacts, the whole of a linear step may overshoot.
+        """
+        worth = (first.gains > 0) & (first.p_values < least_p_value)
+        order = [k for k in np.argsort(first.gains)[::-1] if worth[k] and first.names[k] not in values]
+        telling = [k for k in np.argsort(first.p_values) if worth[k] and first.names[k] not in values]
+        return [
+            {first.names[k]: float(self.effects[first.names[k]].neutral + share * first.moves[k])}
+            for k in dict.fromkeys(order[:SHORTLIST] + telling[:3])
+            for share in SHARES_OF_STEP
         ]
-        telling = [
-            k for k in np.argsort(first.p_values) if first.gains[k] > 0 and first.names[k] not in values
-        ]
-        chosen = list(dict.fromkeys(order[:SHORTLIST] + telling[:3]))
-        starts = [
-            {
-                first.names[k]: values.get(first.names[k], self.effects[first.names[k]].neutral)
-                + first.moves[k]
-            }
-            for k in chosen
-        ]
-        return starts
+
+    def _contenders(self, models, values):
+        """Return the best model of each effect that is new, and of those the best few."""
+        losses = [self._block_losses(one).sum() for one in self._whitened(models)]
+        best: dict[str, dict] = {}
+        for index in np.argsort(losses):
+            (new,) = set(models[index]) - set(values)
+            best.setdefault(new, models[index])
+        return list(best.values())[:CONTENDERS]
 
     def _grid(self, values, names):
         """Return the best starting values over the whole range of every effect: far off, a derivative misleads."""
@@ -387,20 +454,40 @@ class Selection:
             )
         return p_values
 
+    def _fall_p_value(self, without, losses):
+        """Return the p-value of the fall of the loss by an effect, over blocks.
+
+        With noise alone t is half the Wald statistic, so this test rarely counts; where a simulation has kinks, which
+        widen the errors of the effect but do not keep it from explaining the log, it does.
+        """
+        fall = without - losses
+        error = np.sqrt(len(fall) * fall.var(ddof=1)) if len(fall) > 1 else np.inf
+        return float(stats.t.sf(fall.sum() / max(error, 1e-300), len(fall) - 1))
+
     def _prune(self, values, line):
         """Drop effects that are no longer significant beside the others."""
+        self.fall_p_values: dict[str, float] = {}
         while values:
             self._set_scale(line.residuals)
+            losses = self._block_losses(line.residuals)
             p_values = {
-                name: family_p_value(p, len(self.names)) for name, p in self._p_values(values).items()
+                name: family_p_value(p, len(self.names))
+                for name, p in self._p_values(values).items()
+                if name not in self.fall_p_values
             }
-            worst = max(p_values, key=lambda name: p_values[name])
-            if p_values[worst] < self.alpha:
+            worst = max(p_values, key=lambda name: p_values[name], default=None)
+            if worst is None or p_values[worst] < self.alpha:
                 break
             kept = {name: value for name, value in values.items() if name != worst}
+            without = self.refit([kept])[0] if kept else Fit({}, self._block_losses(self._whitened([{}])[0]))
+            p_value = self._fall_p_value(without.losses, losses)
+            if family_p_value(p_value, len(self.names)) < self.alpha:
+                self.fall_p_values[worst] = p_value
+                continue
             values, line = (
-                self._polished(self.refit([kept])[0].values) if kept else ({}, self._linearised({}))
+                self._simplified(*self._polished(without.values)) if kept else ({}, self._linearised({}))
             )
+            self.fall_p_values = {}
         return values, line
 
     def _result(self, values, line, history):
@@ -413,7 +500,8 @@ class Selection:
             error = np.sqrt(covariance[k, k])
             distance = values[name] - self.effects[name].neutral
             telling[name] = abs(distance) / error
-            p_values[name] = family_p_value(2 * stats.t.sf(telling[name], freedom[k]), len(self.names))
+            p_value = min(2 * stats.t.sf(telling[name], freedom[k]), self.fall_p_values.get(name, 1.0))
+            p_values[name] = family_p_value(p_value, len(self.names))
             reach = stats.t.ppf(0.975, freedom[k]) * error
             low, high = self.effects[name].bounds
             intervals[name] = (max(values[name] - reach, low), min(values[name] + reach, high))
@@ -443,14 +531,15 @@ class Selection:
             own = columns[:, line.names.index(name)]
             usable = norms > 1e-6 * np.maximum(np.linalg.norm(derivatives, axis=0), 1e-300)
             cosines = np.where(usable, own @ columns / np.maximum(norms * np.linalg.norm(own), 1e-300), 0.0)
-            rivals = [
-                k
-                for k in np.argsort(-np.abs(cosines))
-                if line.names[k] not in values and abs(cosines[k]) > 0.5
-            ][:SHORTLIST]
-            starts = []
             rest = {other: value for other, value in values.items() if other != name}
             distance = values[name] - self.effects[name].neutral
+            # To first order a rival leaves this share of what the cause explains.
+            share = 1 - cosines**2
+            near = (share * np.sum((own * distance) ** 2) < FAR_APART) | (share < SIMILAR)
+            rivals = [
+                k for k in np.argsort(share) if line.names[k] not in values and share[k] < 0.75 and near[k]
+            ][:SHORTLIST]
+            starts = []
             for k in rivals:
                 effect = self.effects[line.names[k]]
                 move = distance * cosines[k] * np.linalg.norm(own) / norms[k]

@@ -37,7 +37,7 @@ class TrajectoryResiduals(Residuals):
         """Number of channels measured."""
         return int(self.episodes.measured.sum())
 
-    def settle(self, values):
+    def settle(self, values, *, roughly=False):
         """Fit the initial states to the model."""
         if self.variances is None:
             raw = self.episodes.residuals([values])[0]
