@@ -29,6 +29,9 @@ ALIAS_LEVEL = 0.05
 # A rival is refitted where, to first order, it leaves less than this loss in noise units, or this share of it.
 FAR_APART = 100.0
 SIMILAR = 0.1
+# Level of either end of an interval by profile, which is narrowed to a fourth so many times.
+INTERVAL_LEVEL = 0.025
+PROFILE_STEPS = 3
 # Numbers in the information of all pieces of time together.
 LARGEST_GRAM = 50_000_000
 FEWEST_BLOCKS_TO_WIDEN = 10
@@ -314,14 +317,15 @@ class Selection:
 
     # -- refits ----------------------------------------------------------------------------------------------------
 
-    def refit(self, models, *, race=False):
+    def refit(self, models, *, race=False, hold=None):
         """Fit the values of several models by damped Gauss-Newton, all side by side, and return their Fits.
 
-        With `race`, only the best go on to the end.
+        With `race`, only the best go on to the end. The effect named by `hold` keeps its value.
         """
         damping = np.full(len(models), 1e-4)
         best: list[Any] = [None] * len(models)
-        proposals = [dict(model) for model in models]
+        held = [{name: value for name, value in model.items() if name == hold} for model in models]
+        proposals = [{name: value for name, value in model.items() if name != hold} for model in models]
         active = list(range(len(models)))
         for step in range(REFIT_STEPS):
             if race and step in FINALISTS:
@@ -333,21 +337,18 @@ class Selection:
             places = []
             for m in active:
                 places.append(len(candidates))
-                candidates.append(proposals[m])
-                candidates += [self._moved(proposals[m], name) for name in proposals[m]]
+                candidates.append(proposals[m] | held[m])
+                candidates += [self._moved(proposals[m], name) | held[m] for name in proposals[m]]
             white = self._whitened(candidates)
             still = []
             for m, place in zip(active, places):
                 residuals = white[place]
                 losses = self._block_losses(residuals)
                 if best[m] is None or losses.sum() < best[m][0].sum():
-                    moves = [
-                        (self._moved(proposals[m], name)[name] - proposals[m][name]) or 1.0
-                        for name in proposals[m]
-                    ]
-                    derivatives = np.stack(
-                        [(residuals - white[place + 1 + i]) / move for i, move in enumerate(moves)], axis=-1
-                    )
+                    derivatives = np.empty((*residuals.shape, len(proposals[m])))
+                    for i, (name, value) in enumerate(proposals[m].items()):
+                        move = (self._moved(proposals[m], name)[name] - value) or 1.0
+                        derivatives[..., i] = (residuals - white[place + 1 + i]) / move
                     weights = self._weights(residuals)
                     flat = derivatives * weights[:, None, None]
                     information = np.einsum("ndk,ndl->kl", flat, derivatives)
@@ -361,7 +362,7 @@ class Selection:
                 if size > CONVERGED and damping[m] < 1e4:
                     still.append(m)
             active = still
-        return [Fit(one[1], one[0]) for one in best]
+        return [Fit(one[1] | fixed, one[0]) for one, fixed in zip(best, held)]
 
     def _step(self, at, information, score, damping):
         """Return the values after a damped step within the bounds, and the step's length in standard errors."""
@@ -505,11 +506,37 @@ class Selection:
             reach = stats.t.ppf(0.975, freedom[k]) * error
             low, high = self.effects[name].bounds
             intervals[name] = (max(values[name] - reach, low), min(values[name] + reach, high))
+            if name in self.fall_p_values:
+                intervals[name] = self._profile_interval(name, values, line)
         order = sorted(names, key=lambda name: telling[name], reverse=True)
         aliases = self._aliases({name: values[name] for name in order}, line)
         return Selected(
             {name: values[name] for name in order}, p_values, intervals, aliases, line, gram, history
         )
+
+    def _profile_interval(self, name, values, line):
+        """Return the values of an effect, the others refitted, that fit the log not significantly worse.
+
+        Where a derivative says little, because the simulation has kinks or the effect is at a bound.
+        """
+        neutral, (low, high) = self.effects[name].neutral, self.effects[name].bounds
+        best, reference = values[name], self._block_losses(line.residuals)
+        ends = []
+        for end in (low, high):
+            inside, outside = best, end
+            if neutral != best and (neutral - best) * (end - best) > 0:
+                outside = neutral
+            for _ in range(PROFILE_STEPS if outside != inside else 0):
+                points = inside + (outside - inside) * np.arange(1, 5) / 4
+                fits = self.refit([values | {name: float(point)} for point in points], hold=name)
+                good = [self._as_good(fit.losses, reference, INTERVAL_LEVEL) for fit in fits]
+                first_bad = good.index(False) if False in good else len(good)
+                if first_bad == len(good):
+                    inside = outside
+                    break
+                inside, outside = points[first_bad - 1] if first_bad else inside, points[first_bad]
+            ends.append(float(inside))
+        return ends[0], ends[1]
 
     # -- what cannot be told apart -----------------------------------------------------------------------------------
 
@@ -571,9 +598,10 @@ class Selection:
         error = np.sqrt(len(fall) * fall.var(ddof=1))
         return bool(fall.sum() > stats.t.isf(IMPROVEMENT_LEVEL, len(fall) - 1) * error)
 
-    def _as_good(self, losses, reference):
+    @staticmethod
+    def _as_good(losses, reference, level=ALIAS_LEVEL):
         """Whether the losses are not significantly higher, paired by block (Vuong)."""
         worse = losses - reference
         total, count = worse.sum(), len(worse)
         error = np.sqrt(count * worse.var(ddof=1))
-        return bool(total <= stats.t.isf(ALIAS_LEVEL, count - 1) * error + 1e-9 * reference.sum())
+        return bool(total <= stats.t.isf(level, count - 1) * error + 1e-9 * reference.sum())
