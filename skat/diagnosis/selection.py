@@ -159,15 +159,17 @@ class Selection:
 
     def _polished(self, values):
         """Return a model at the optimum of its own smoothed states and noise, and its linearisation."""
-        for step in range(POLISH_STEPS):
-            self.residuals.settle(values, roughly=step > 0)
+        nearly_there = False
+        for _ in range(POLISH_STEPS):
+            self.residuals.settle(values, roughly=nearly_there)
             before = values
             self._set_scale(self.residuals.whitened([values])[0])
-            fit = self.refit([values])[0]
-            values = fit.values
+            values = self.refit([values])[0].values
             errors = np.sqrt(np.diag(self._covariance(values)[1]))
-            if all(abs(values[name] - before[name]) < 0.2 * error for name, error in zip(values, errors)):
+            moves = [abs(values[name] - before[name]) / error for name, error in zip(values, errors)]
+            if max(moves) < 0.2:
                 break
+            nearly_there = max(moves) < 2
         return values, self._linearised(values)
 
     # -- one effect more -------------------------------------------------------------------------------------------
