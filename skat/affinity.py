@@ -299,7 +299,7 @@ def debiased_affinity_score(
     squares = Parallel(n_jobs=n_jobs, prefer="threads")(
         delayed(_debiased_square)(X_transported[source], y[target], in_sample) for source, target in splits
     )
-    return _signed_score(np.mean(squares), y)
+    return _signed_score(np.mean(squares), _twice_the_spread(y))
 
 
 def affinity_upper_bound(X_transported, y, *, random_state=None):
@@ -362,7 +362,7 @@ def affinity_upper_bound(X_transported, y, *, random_state=None):
     """
     X_transported, y = two_samples(X_transported, y)
     squares = marginal_squares(X_transported, y, check_random_state(random_state))
-    return _score(np.mean(squares), y)
+    return _score(np.mean(squares), _twice_the_spread(y))
 
 
 @dataclass(frozen=True)
@@ -484,6 +484,7 @@ def affinity_estimate(
             "at least two pairs of blocks of two rows are compared; there are "
             f"{len(X_transported)} source and {len(y)} target rows. Give at least eight of each."
         )
+    spread = _twice_the_spread(y)
     rng = check_random_state(random_state)
     n_block_rows = min(n_block_rows, n_rows // 4)
     n_blocks = min(n_blocks, n_rows // (2 * n_block_rows))
@@ -493,12 +494,12 @@ def affinity_estimate(
     plain, debiased = np.transpose(
         parallel(delayed(square)(X_transported[source], y[target]) for source, target in splits)
     )
-    marginal = np.mean(marginal_squares(X_transported, y, rng))
+    marginal = np.mean(marginal_squares(X_transported, y, rng, n_jobs))
     return AffinityEstimate(
-        score=_score(max(debiased.mean(), marginal), y),
-        lower=_score(plain.mean(), y),
-        upper=_score(marginal, y),
-        standard_error=float(debiased.std(ddof=1) / np.sqrt(n_blocks) / _twice_the_spread(y)),
+        score=_score(max(debiased.mean(), marginal), spread),
+        lower=_score(plain.mean(), spread),
+        upper=_score(marginal, spread),
+        standard_error=float(debiased.std(ddof=1) / np.sqrt(n_blocks) / spread),
         n_block_rows=n_block_rows,
         n_blocks=n_blocks,
     )
@@ -584,12 +585,12 @@ def _square(source, target, refit=False):
     return wasserstein_distance(_refitted(source, target) if refit else source, target) ** 2
 
 
-def _score(square, y):
-    return 1.0 - float(np.sqrt(max(square, 0.0) / _twice_the_spread(y)))
+def _score(square, spread):
+    return 1.0 - float(np.sqrt(max(square, 0.0) / spread))
 
 
-def _signed_score(square, y):
-    return 1.0 - float(np.sign(square) * np.sqrt(abs(square) / _twice_the_spread(y)))
+def _signed_score(square, spread):
+    return 1.0 - float(np.sign(square) * np.sqrt(abs(square) / spread))
 
 
 def _twice_the_spread(y):
