@@ -16,8 +16,8 @@ __all__ = ["halves", "marginal_squares", "orders"]
 ROWS_THAT_FIND_A_BASIS = 10_000
 # More cuts of the same rows take a third off the noise of the bound, which matters where there are few.
 MOST_CUTS, ROWS_OF_ALL_CUTS = 4, 10_000
-# Where there are components to be found, ten iterations find them.
-MOST_ITERATIONS = 30
+# With few rows components are found slowly. With many ten iterations find them, or there are none.
+FEWEST_ITERATIONS, MOST_ITERATIONS, ROWS_OF_ALL_ITERATIONS = 20, 60, 200_000
 
 
 def marginal_squares(X, y, rng, n_jobs=None):
@@ -114,7 +114,8 @@ def _independent_basis(rows, rng):
     if len(spread) < 2:
         return axes.T
     white = (rows - rows.mean(axis=0)) @ (axes / spread)
-    analysis = FastICA(whiten=False, max_iter=MOST_ITERATIONS, tol=1e-3, random_state=rng)
+    n_iterations = min(max(ROWS_OF_ALL_ITERATIONS // len(rows), FEWEST_ITERATIONS), MOST_ITERATIONS)
+    analysis = FastICA(whiten=False, max_iter=n_iterations, tol=1e-3, random_state=rng)
     # Seven digits will do: the basis that comes of it is made orthonormal in full precision.
     components = analysis.fit(white.astype(np.float32)).components_.astype(np.float64)
     left, _, right = np.linalg.svd(components @ (axes / spread).T, full_matrices=False)
