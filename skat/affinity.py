@@ -38,8 +38,6 @@ __all__ = [
     "debiased_affinity_score",
 ]
 
-LARGEST_COST_MATRIX_BYTES = 8e9
-
 
 def affinity_score(X_transported, y, *, sample_weight=None):
     r"""Return the paper's affinity score of transported rows and target rows.
@@ -99,13 +97,6 @@ def affinity_score(X_transported, y, *, sample_weight=None):
     0.292893
     """
     X_transported, y = two_samples(X_transported, y)
-    cost_bytes = 8.0 * len(X_transported) * len(y)
-    if cost_bytes > LARGEST_COST_MATRIX_BYTES:
-        raise ValueError(
-            f"the exact score of {len(X_transported)} and {len(y)} rows needs a cost matrix of "
-            f"{cost_bytes / 1e9:.0f} GB; it is computed up to {LARGEST_COST_MATRIX_BYTES / 1e9:.0f} GB. "
-            "Use affinity_estimate, whose memory is linear in the number of rows, or a part of the rows."
-        )
     x_weight, y_weight = two_weights(sample_weight, len(X_transported), len(y))
     return affinity(X_transported, y, x_weight=x_weight, y_weight=y_weight)
 

@@ -4,7 +4,9 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-__all__ = ["affinity", "wasserstein_distance"]
+__all__ = ["affinity", "refuse_large_cost", "wasserstein_distance"]
+
+LARGEST_COST_MATRIX_BYTES = 8e9
 
 
 def wasserstein_distance(X, y, *, x_weight=None, y_weight=None):
@@ -33,8 +35,8 @@ def wasserstein_distance(X, y, *, x_weight=None, y_weight=None):
     Raises
     ------
     ValueError
-        If the samples are empty, not finite or differ in their number of columns, or if weights are negative,
-        all zero or of another number than the rows.
+        If the samples are empty, not finite or differ in their number of columns; if weights are negative,
+        all zero or of another number than the rows; or if the cost matrix would be larger than 8 GB.
     RuntimeError
         If POT's solver does not reach the optimum.
 
@@ -51,6 +53,7 @@ def wasserstein_distance(X, y, *, x_weight=None, y_weight=None):
             f"X and y must have the same columns; X has {X.shape[1]}, y has {y.shape[1]}. "
             "Give both the same features."
         )
+    refuse_large_cost(len(X), len(y))
     cost = cdist(X, y, "sqeuclidean")
     x_weight, y_weight = _weights(x_weight, len(X), "x_weight"), _weights(y_weight, len(y), "y_weight")
     if len(X) == len(y) and _is_uniform(x_weight) and _is_uniform(y_weight):
@@ -109,6 +112,29 @@ def affinity(X_transported, y, *, x_weight=None, y_weight=None):
             "Give target rows that vary."
         )
     return float(1.0 - distance / spread)
+
+
+def refuse_large_cost(n_x, n_y):
+    """Raise where the exact transport would need a cost matrix that few machines can hold.
+
+    Parameters
+    ----------
+    n_x, n_y : int
+        Numbers of rows.
+
+    Raises
+    ------
+    ValueError
+        Naming the size and what needs less.
+    """
+    cost_bytes = 8.0 * n_x * n_y
+    if cost_bytes > LARGEST_COST_MATRIX_BYTES:
+        raise ValueError(
+            f"the exact transport between {n_x} and {n_y} rows needs a cost matrix of "
+            f"{cost_bytes / 1e9:.0f} GB; it is computed up to {LARGEST_COST_MATRIX_BYTES / 1e9:.0f} GB. Use "
+            "a part of the rows or, for a score, skat.metrics.affinity_estimate, whose memory is linear in "
+            "their number."
+        )
 
 
 def _sample(rows, name):
