@@ -38,8 +38,6 @@ __all__ = [
     "debiased_affinity_score",
 ]
 
-LARGEST_COST_MATRIX_BYTES = 8e9
-
 
 def affinity_score(X_transported, y, *, sample_weight=None):
     r"""Return the paper's affinity score of transported rows and target rows.
@@ -99,13 +97,6 @@ def affinity_score(X_transported, y, *, sample_weight=None):
     0.292893
     """
     X_transported, y = two_samples(X_transported, y)
-    cost_bytes = 8.0 * len(X_transported) * len(y)
-    if cost_bytes > LARGEST_COST_MATRIX_BYTES:
-        raise ValueError(
-            f"the exact score of {len(X_transported)} and {len(y)} rows needs a cost matrix of "
-            f"{cost_bytes / 1e9:.0f} GB; it is computed up to {LARGEST_COST_MATRIX_BYTES / 1e9:.0f} GB. "
-            "Use affinity_estimate, whose memory is linear in the number of rows, or a part of the rows."
-        )
     x_weight, y_weight = two_weights(sample_weight, len(X_transported), len(y))
     return affinity(X_transported, y, x_weight=x_weight, y_weight=y_weight)
 
@@ -299,7 +290,7 @@ def debiased_affinity_score(
     squares = Parallel(n_jobs=n_jobs, prefer="threads")(
         delayed(_debiased_square)(X_transported[source], y[target], in_sample) for source, target in splits
     )
-    return _signed_score(np.mean(squares), y)
+    return _signed_score(np.mean(squares), _twice_the_spread(y))
 
 
 def affinity_upper_bound(X_transported, y, *, random_state=None):
@@ -362,7 +353,7 @@ def affinity_upper_bound(X_transported, y, *, random_state=None):
     """
     X_transported, y = two_samples(X_transported, y)
     squares = marginal_squares(X_transported, y, check_random_state(random_state))
-    return _score(np.mean(squares), y)
+    return _score(np.mean(squares), _twice_the_spread(y))
 
 
 @dataclass(frozen=True)
@@ -484,6 +475,7 @@ def affinity_estimate(
             "at least two pairs of blocks of two rows are compared; there are "
             f"{len(X_transported)} source and {len(y)} target rows. Give at least eight of each."
         )
+    spread = _twice_the_spread(y)
     rng = check_random_state(random_state)
     n_block_rows = min(n_block_rows, n_rows // 4)
     n_blocks = min(n_blocks, n_rows // (2 * n_block_rows))
@@ -493,12 +485,12 @@ def affinity_estimate(
     plain, debiased = np.transpose(
         parallel(delayed(square)(X_transported[source], y[target]) for source, target in splits)
     )
-    marginal = np.mean(marginal_squares(X_transported, y, rng))
+    marginal = np.mean(marginal_squares(X_transported, y, rng, n_jobs))
     return AffinityEstimate(
-        score=_score(max(debiased.mean(), marginal), y),
-        lower=_score(plain.mean(), y),
-        upper=_score(marginal, y),
-        standard_error=float(debiased.std(ddof=1) / np.sqrt(n_blocks) / _twice_the_spread(y)),
+        score=_score(max(debiased.mean(), marginal), spread),
+        lower=_score(plain.mean(), spread),
+        upper=_score(marginal, spread),
+        standard_error=float(debiased.std(ddof=1) / np.sqrt(n_blocks) / spread),
         n_block_rows=n_block_rows,
         n_blocks=n_blocks,
     )
@@ -584,12 +576,12 @@ def _square(source, target, refit=False):
     return wasserstein_distance(_refitted(source, target) if refit else source, target) ** 2
 
 
-def _score(square, y):
-    return 1.0 - float(np.sqrt(max(square, 0.0) / _twice_the_spread(y)))
+def _score(square, spread):
+    return 1.0 - float(np.sqrt(max(square, 0.0) / spread))
 
 
-def _signed_score(square, y):
-    return 1.0 - float(np.sign(square) * np.sqrt(abs(square) / _twice_the_spread(y)))
+def _signed_score(square, spread):
+    return 1.0 - float(np.sign(square) * np.sqrt(abs(square) / spread))
 
 
 def _twice_the_spread(y):

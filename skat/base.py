@@ -178,7 +178,8 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         .. math:: \rho = 1 - \frac{W_2(T X, Y)}{\sqrt{2 \operatorname{tr} \Sigma(Y)}}
 
         It is not clipped: on rows that were not fitted it may be negative. Time grows with the cube of the
-        number of rows; see `skat.metrics` for estimates at scale and for what the score does not tell.
+        number of rows and memory with its square, up to 8 GB; see `skat.metrics` for estimates at scale and
+        for what the score does not tell.
 
         Parameters
         ----------

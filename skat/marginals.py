@@ -4,6 +4,7 @@ import warnings
 from functools import partial
 
 import numpy as np
+from joblib import Parallel, delayed
 from sklearn.decomposition import FastICA
 from sklearn.exceptions import ConvergenceWarning
 from threadpoolctl import threadpool_limits
@@ -15,9 +16,11 @@ __all__ = ["halves", "marginal_squares", "orders"]
 ROWS_THAT_FIND_A_BASIS = 10_000
 # More cuts of the same rows take a third off the noise of the bound, which matters where there are few.
 MOST_CUTS, ROWS_OF_ALL_CUTS = 4, 10_000
+# With few rows components are found slowly. With many ten iterations find them, or there are none.
+FEWEST_ITERATIONS, MOST_ITERATIONS, ROWS_OF_ALL_ITERATIONS = 20, 60, 200_000
 
 
-def marginal_squares(X, y, rng):
+def marginal_squares(X, y, rng, n_jobs=None):
     """Return the sum of squared marginal distances for either half of the rows, in a basis from the other.
 
     The mathematics is in the docstring of `skat.affinity.affinity_upper_bound`.
@@ -30,6 +33,8 @@ def marginal_squares(X, y, rng):
         The other one, in the same units.
     rng : numpy.random.RandomState
         Deals out the rows.
+    n_jobs : int, default=None
+        Number of threads; two can be of use.
 
     Returns
     -------
@@ -48,39 +53,56 @@ def marginal_squares(X, y, rng):
         )
     source, target = orders(len(X), len(y), rng)
     folds = list(zip(halves(source), halves(target)))
-    squares = []
-    for (find_source, find_target), (test_source, test_target) in (folds, folds[::-1]):
-        basis = _telling_basis(X[find_source], y[find_target], rng)
-        squares.append(_marginal_square(X[test_source], y[test_target], basis, rng))
-    return squares
+    seeds = rng.randint(np.iinfo(np.int32).max, size=2)
+    # The products of the search are too small for more threads to pay.
+    with warnings.catch_warnings(), threadpool_limits(limits=1, user_api="blas"):
+        # Components of a normal law do not exist, so the search need not end; any basis gives a valid bound.
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        return Parallel(n_jobs=n_jobs, prefer="threads")(
+            delayed(_square_of_fold)(X, y, find, test, seed)
+            for find, test, seed in zip(folds, folds[::-1], seeds)
+        )
+
+
+def _square_of_fold(X, y, find, test, seed):
+    rng = np.random.RandomState(seed)
+    find_source, find_target = (order[:ROWS_THAT_FIND_A_BASIS] for order in find)
+    test_source, test_target = test
+    basis = _telling_basis(X[find_source], y[find_target], rng)
+    return _marginal_square(X[test_source], y[test_target], basis, rng)
 
 
 def _marginal_square(X, y, basis, rng):
-    """Return the sum of squared marginal distances, by products of independent differences."""
-    X, y = X @ basis.T, y @ basis.T
-    n_rows = min(len(X), len(y))
+    """Return the sum of squared marginal distances, by products of independent differences.
+
+    The rows come in random order.
+    """
+    X, y = basis @ X.T, basis @ y.T
+    n_rows = min(X.shape[1], y.shape[1])
     n_part = n_rows // 2
     n_cuts = min(max(ROWS_OF_ALL_CUTS // n_rows, 1), MOST_CUTS)
     square = 0.0
-    for _ in range(n_cuts):
-        source, target = orders(len(X), len(y), rng)
+    for cut in range(n_cuts):
+        if cut > 0:
+            source, target = orders(X.shape[1], y.shape[1], rng)
+            X, y = X[:, source], y[:, target]
         first, second = (
             _mean_sorted(part_of_X, n_part) - _mean_sorted(part_of_y, n_part)
-            for part_of_X, part_of_y in zip(halves(X[source]), halves(y[target]))
+            for part_of_X, part_of_y in zip(halves(X.T), halves(y.T))
         )
-        square += float((first * second).mean(axis=0).sum())
+        square += float(np.vdot(first, second)) / n_part
     return square / n_cuts
 
 
 def _mean_sorted(rows, n_part):
-    """Return sorted columns of that many rows, averaged where there are rows for several."""
+    """Return that many sorted values of each column, in rows, averaged where there are values for several."""
     n_parts = len(rows) // n_part
-    return np.sort(rows[: n_parts * n_part].reshape(n_parts, n_part, -1), axis=1).mean(axis=0)
+    parts = rows[: n_parts * n_part].T.reshape(-1, n_parts, n_part)
+    return np.sort(parts, axis=2).mean(axis=1)
 
 
 def _telling_basis(X, y, rng):
     """Return the orthonormal basis, in rows, of the largest marginal distance among a few."""
-    X, y = X[:ROWS_THAT_FIND_A_BASIS], y[:ROWS_THAT_FIND_A_BASIS]
     axes, _ = _principal(y)
     candidates = [np.eye(y.shape[1]), axes.T, _independent_basis(y, rng), _independent_basis(X, rng)]
     return max(candidates, key=partial(_marginal_square, X, y, rng=rng))
@@ -92,13 +114,11 @@ def _independent_basis(rows, rng):
     if len(spread) < 2:
         return axes.T
     white = (rows - rows.mean(axis=0)) @ (axes / spread)
-    analysis = FastICA(whiten=False, max_iter=60, tol=1e-3, random_state=rng)
-    # The products are too small for more threads to pay.
-    with warnings.catch_warnings(), threadpool_limits(limits=1, user_api="blas"):
-        # Components of a normal law do not exist, so the search need not end; any basis gives a valid bound.
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        analysis.fit(white)
-    left, _, right = np.linalg.svd(analysis.components_ @ (axes / spread).T, full_matrices=False)
+    n_iterations = min(max(ROWS_OF_ALL_ITERATIONS // len(rows), FEWEST_ITERATIONS), MOST_ITERATIONS)
+    analysis = FastICA(whiten=False, max_iter=n_iterations, tol=1e-3, random_state=rng)
+    # Seven digits will do: the basis that comes of it is made orthonormal in full precision.
+    components = analysis.fit(white.astype(np.float32)).components_.astype(np.float64)
+    left, _, right = np.linalg.svd(components @ (axes / spread).T, full_matrices=False)
     return left @ right
 
 

@@ -131,6 +131,10 @@ class MomentTransport(BaseTransport):
         """Return the moments of source and target."""
         return self._moments
 
+    def _pairs(self):
+        """Return the moments of rows in pairs, the source's columns first, or None without pairs."""
+        return None
+
     def _learn_if_possible(self, like):
         """Learn the map from what partial_fit has collected, or note why there is none yet."""
         self._forget()
@@ -189,7 +193,7 @@ class MomentTransport(BaseTransport):
         """Set the fitted attributes, as arrays of the library that `like` is of."""
         source, target = sides
         if isinstance(self.covariance, str) and self.covariance == "shrunk":
-            target, self.shrinkage_ = shrunk_towards(target, source)
+            target, self.shrinkage_ = shrunk_towards(target, source, self._pairs())
         scale = self._scale_of(target)
         self._learned, self._back = (source, target, scale), None
         scaled = self._scaled()

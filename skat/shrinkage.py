@@ -8,7 +8,7 @@ from skat.moments import Moments
 __all__ = ["shrinkage_intensity", "shrunk_towards"]
 
 
-def shrunk_towards(target, source):
+def shrunk_towards(target, source, pairs=None):
     r"""Return target moments with the covariance shrunk towards the source's, and by how much.
 
     In coordinates that whiten the source, so that nothing depends on units, the root of the target's
@@ -18,12 +18,16 @@ def shrunk_towards(target, source):
               C_t^* = C_s^{1/2} R^{*2} C_s^{1/2},
 
     that is, along the shortest path between the two normal distributions in the Wasserstein metric. It is the
-    root and not the covariance that is averaged because the error of the map is linear in the root.
+    root and not the covariance that is averaged because the error of the map is linear in the root. Of rows
+    in pairs the target's share the sampling error of the source's, which does the map no harm: only the rest
+    of it is a reason to shrink.
 
     Parameters
     ----------
     target, source : Moments
         Moments of the rows of each domain.
+    pairs : Moments, default=None
+        Moments of the same rows side by side, the source's columns first, where they are pairs.
 
     Returns
     -------
@@ -40,10 +44,17 @@ def shrunk_towards(target, source):
     directions, spread = spectrum(root_of_moments(source))
     if len(spread) < source.n_features:
         check_that_source_reaches_target((directions.T @ spectrum(root_of_moments(target))[0]).T)
-    whitened = target.covariance_factor() @ directions / spread
-    _, values, axes = np.linalg.svd(whitened, full_matrices=True)
-    values = np.pad(values, (0, len(spread) - len(values)))
-    intensity = shrinkage_intensity(values, target.effective_n_rows)
+    factor = (target if pairs is None else pairs).covariance_factor()
+    whitened = factor[:, -source.n_features :] @ directions / spread
+    scores, values, axes = np.linalg.svd(whitened, full_matrices=True)
+    missing = len(spread) - len(values)
+    explained = None
+    if pairs is not None:
+        source_scores = factor[:, : source.n_features] @ directions / spread
+        explained = _explained(source_scores.T @ scores[:, : len(values)], pairs.effective_n_rows)
+        explained = np.pad(explained, (0, missing))
+    values = np.pad(values, (0, missing))
+    intensity = shrinkage_intensity(values, target.effective_n_rows, explained)
     shrunk = (1 - intensity) * values + intensity
     factor = (shrunk[:, np.newaxis] * axes * spread) @ directions.T
     moments = Moments(
@@ -57,16 +68,16 @@ def shrunk_towards(target, source):
     return moments, intensity
 
 
-def shrinkage_intensity(values, n_rows):
+def shrinkage_intensity(values, n_rows, explained=None):
     r"""Return the weight of the identity that makes the expected squared error of a root least.
 
     .. math:: \lambda = \frac{\operatorname{E} \|\hat R - R\|^2}{\operatorname{E} \|\hat R - I\|^2}, \quad
               \operatorname{E} \|\hat R - R\|^2 \approx
-              \frac{1}{n} \sum_{ij} \frac{r_i^2 r_j^2 (1 + \delta_{ij})}{(r_i + r_j)^2}
+              \frac{1}{n} \sum_{ij} \frac{r_i^2 r_j^2 (1 + \delta_{ij} - P_{ii} P_{jj} - P_{ij}^2)}{(r_i + r_j)^2}
 
     as for a covariance in Ledoit and Wolf (2004); the second formula is the first-order error of the root of
-    the covariance of n normal rows. Its own :math:`r` come from a covariance shrunk in the ordinary way,
-    since the sample's are too far apart.
+    the covariance of n normal rows, given the source rows. Its own :math:`r` come from a covariance shrunk in
+    the ordinary way, since the sample's are too far apart.
 
     Parameters
     ----------
@@ -74,6 +85,10 @@ def shrinkage_intensity(values, n_rows):
         Singular values of the root: square roots of the eigenvalues of the whitened covariance.
     n_rows : float
         Number of rows, the effective one for weighted rows.
+    explained : ndarray of shape (n_features, n_features), default=None
+        P, the share of the standardised target's covariance that pairs explain by the source, in the
+        directions of `values`: its eigenvalues are squared canonical correlations. None is zero, without
+        pairs.
 
     Returns
     -------
@@ -83,8 +98,7 @@ def shrinkage_intensity(values, n_rows):
     References
     ----------
     .. [1] Ledoit and Wolf (2004). A well-conditioned estimator for large-dimensional covariance matrices.
-    Journal
-       of Multivariate Analysis 88(2).
+       Journal of Multivariate Analysis 88(2).
     """
     freedom = n_rows - 1
     distance = np.square(values - 1).sum()
@@ -92,13 +106,28 @@ def shrinkage_intensity(values, n_rows):
         return 1.0
     if distance == 0:
         return 0.0
+    shared = 0.0
+    if explained is not None:
+        shared = np.outer(explained.diagonal(), explained.diagonal()) + np.square(explained)
     eigenvalues = np.square(values)
     trace, squares = eigenvalues.sum(), np.square(eigenvalues).sum()
     # Unbiased for the trace of the squared covariance of normal rows.
     unbiased = freedom**2 / ((freedom - 1) * (freedom + 2)) * (squares - trace**2 / freedom)
+    variance = trace**2 + max(unbiased, 0.0) - (np.outer(eigenvalues, eigenvalues) * shared).sum()
     apart = np.square(eigenvalues - 1).sum()
-    ordinary = min(1.0, (trace**2 + max(unbiased, 0.0)) / freedom / apart)
+    ordinary = min(1.0, max(variance, 0.0) / freedom / apart)
     roots = np.sqrt((1 - ordinary) * eigenvalues + ordinary)
-    products = np.square(np.outer(roots, roots) / np.add.outer(roots, roots))
-    error = (products.sum() + np.trace(products)) / freedom
-    return float(min(1.0, error / distance))
+    sums = np.add.outer(roots, roots)
+    products = np.square(np.outer(roots, roots) / np.where(sums > 0, sums, 1.0))
+    error = (products * (1 + np.eye(len(values)) - shared)).sum() / freedom
+    return float(min(1.0, max(error, 0.0) / distance))
+
+
+def _explained(cosines, n_rows):
+    """Return P of `shrinkage_intensity` from products of orthonormal scores, less what chance explains."""
+    freedom, n_source = n_rows - 1, len(cosines)
+    if freedom <= n_source:
+        return np.zeros((cosines.shape[1], cosines.shape[1]))
+    _, correlations, axes = np.linalg.svd(cosines, full_matrices=False)
+    adjusted = 1 - (1 - np.square(correlations)) * freedom / (freedom - n_source)
+    return (axes.T * np.clip(adjusted, 0.0, 1.0)) @ axes

@@ -103,7 +103,8 @@ class ProcrustesAffineTransport(MomentTransport):
         False takes the rotation from rows that are not centred, as the letter of Algorithm 1 has it; only
         with ``alignment="raw"``.
     covariance : {"empirical", "shrunk"} or estimator, default="empirical"
-        As for `AffineTransport`.
+        As for `AffineTransport`; but of the target's sampling error only the part counts that the pairs do
+        not share, so that ``"shrunk"`` leaves pairs without noise as they are.
     metric_scale : None, "target" or array-like of shape (n_features,), default=None
         Lengths in which errors and displacement are measured, as for `AffineTransport`.
 
@@ -171,6 +172,9 @@ class ProcrustesAffineTransport(MomentTransport):
             return None, None
         n_features = pairs.n_features // 2
         return pairs.columns(slice(0, n_features)), pairs.columns(slice(n_features, None))
+
+    def _pairs(self):
+        return self._moments[0]
 
     def _solve(self, source, target, scale):
         (pairs,) = self._moments

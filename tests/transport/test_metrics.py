@@ -1,11 +1,14 @@
 """The exact score, distances and bounds: laws, cases by hand and POT as the reference."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm
 
+from skat import AffineTransport, ExactTransport
 from skat.gaussian import gaussian_wasserstein_distance as distance_of_moments
 from skat.gaussian import transport_map
 from skat.metrics import (
@@ -97,10 +100,25 @@ def test_bias_of_the_score_is_as_the_docstring_says():
         assert affinity_score(X, y) == pytest.approx(documented, abs=0.012)
 
 
-def test_score_of_too_many_rows_names_the_estimate():
+@pytest.mark.parametrize(
+    "exact",
+    [
+        affinity_score,
+        wasserstein_distance,
+        lambda X, y: AffineTransport().fit([[0.0], [1.0]], [[0.0], [2.0]]).score(X, y),
+        lambda X, y: ExactTransport().fit(X, y),
+    ],
+    ids=["affinity_score", "wasserstein_distance", "score", "ExactTransport"],
+)
+def test_exact_transport_of_too_many_rows_names_the_estimate_before_it_allocates(exact):
     rows = np.zeros((40_000, 1))
-    with pytest.raises(ValueError, match=r"cost matrix of 13 GB.*affinity_estimate"):
-        affinity_score(rows, rows)
+    tracemalloc.start()
+    try:
+        with pytest.raises(ValueError, match=r"cost matrix of 13 GB.*affinity_estimate"):
+            exact(rows, rows)
+        assert tracemalloc.get_traced_memory()[1] < 100 * rows.nbytes
+    finally:
+        tracemalloc.stop()
 
 
 @pytest.mark.parametrize(

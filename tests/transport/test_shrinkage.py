@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skat import AffineTransport
+from skat import AffineTransport, ProcrustesAffineTransport
 from skat.gaussian import transport_map
 from skat.moments import row_moments
 from skat.shrinkage import shrinkage_intensity, shrunk_towards
@@ -29,6 +29,44 @@ def error_ratio(change, n_target, n_features, n_repeats=25):
             for covariance in ("shrunk", "empirical")
         ]
     return errors[0] / errors[1]
+
+
+def paired_error_ratio(change, noise, n_pairs, alignment, n_features=27, n_repeats=6):
+    """Return the same for maps from pairs, whose error is measured against the map of the population."""
+    rng = np.random.default_rng(0)
+    errors = np.zeros(2)
+    for _ in range(n_repeats):
+        root = rng.normal(size=(n_features, n_features))
+        source = root @ root.T / n_features + 0.1 * np.eye(n_features)
+        coef = change(rng, n_features)
+        target = coef @ source @ coef.T + noise**2 * np.eye(n_features)
+        true = map_of_pairs(source, target, coef @ source, alignment)
+        X = rng.normal(size=(n_pairs, n_features)) @ np.linalg.cholesky(source).T
+        y = X @ coef.T + noise * rng.normal(size=(n_pairs, n_features))
+        for k, covariance in enumerate(("shrunk", "empirical")):
+            transport = ProcrustesAffineTransport(alignment=alignment, covariance=covariance).fit(X, y)
+            errors[k] += relative_error(transport.coef_, true)
+    return errors[0] / errors[1]
+
+
+def map_of_pairs(source, target, cross, alignment):
+    """Return the map of `ProcrustesAffineTransport` by its definition."""
+    if alignment == "raw":
+        rotation = polar_factor(cross)
+        return transport_map(rotation @ source @ rotation.T, target) @ rotation
+    source_root, target_root = symmetric_root(source), symmetric_root(target)
+    turn = polar_factor(np.linalg.solve(source_root, (target_root @ cross).T).T)
+    return np.linalg.solve(source_root, (target_root @ turn).T).T
+
+
+def symmetric_root(matrix):
+    variance, axes = np.linalg.eigh(matrix)
+    return (axes * np.sqrt(variance)) @ axes.T
+
+
+def polar_factor(matrix):
+    left, _, right = np.linalg.svd(matrix)
+    return left @ right
 
 
 def same(rng, n_features):
@@ -96,3 +134,55 @@ def test_partial_fit_shrinks_as_fit_does():
     np.testing.assert_allclose(
         whole.coef_ @ whole.source_covariance_ @ whole.coef_, whole.target_covariance_, rtol=1e-10, atol=1e-12
     )
+
+
+@pytest.mark.parametrize("alignment", ["whitened", "raw"])
+@pytest.mark.parametrize("noise", [0.02, 0.1, 0.3, 1.0])
+@pytest.mark.parametrize("change", [same, rescaled, perturbed, unrelated])
+def test_shrinkage_never_raises_the_error_of_a_map_from_pairs_by_more_than_2_per_cent(
+    change, noise, alignment
+):
+    assert paired_error_ratio(change, noise, 100, alignment) < 1.02
+
+
+def test_shrinkage_still_lowers_the_error_of_a_map_from_noisy_pairs():
+    assert paired_error_ratio(same, 0.3, 100, "whitened") < 0.93
+    assert paired_error_ratio(rescaled, 0.3, 100, "whitened") < 0.98
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 5))
+@settings(max_examples=30, deadline=None)
+def test_pairs_without_noise_are_not_shrunk(seed, n_features):
+    rng = np.random.default_rng(seed)
+    X = rng.normal(size=(20, n_features))
+    change = np.linalg.qr(rng.normal(size=(n_features, n_features)))[0] * rng.uniform(1.5, 3, size=n_features)
+    transport = ProcrustesAffineTransport(covariance="shrunk").fit(X, X @ change.T)
+    assert transport.shrinkage_ < 1e-9
+    np.testing.assert_allclose(transport.coef_, change, rtol=1e-7, atol=1e-7)
+
+
+def test_intensity_of_pairs_is_that_of_the_variance_given_the_source_rows():
+    """The numerator, against the scatter of roots over samples of the noise, the source rows held."""
+    rng = np.random.default_rng(0)
+    n_pairs, coef, noise = 2000, np.diag([0.4, 1.5, 0.9]), np.array([0.8, 0.5, 0.1])
+    X = rng.normal(size=(n_pairs, 3))
+    X = np.linalg.qr(X - X.mean(axis=0))[0] * np.sqrt(n_pairs)
+    root = np.sqrt(np.diagonal(coef) ** 2 + noise**2)
+    squares, estimates = [], []
+    for _ in range(300):
+        y = X @ coef.T + noise * rng.normal(size=(n_pairs, 3))
+        target, source = row_moments(y), row_moments(X)
+        sample_root = symmetric_root(target.covariance)
+        _, intensity = shrunk_towards(target, source, row_moments(np.hstack([X, y])))
+        squares.append(np.square(sample_root - np.diag(root)).sum())
+        estimates.append(intensity * np.square(sample_root - np.eye(3)).sum())
+    assert np.mean(estimates) == pytest.approx(np.mean(squares), rel=0.15)
+
+
+def test_pairs_that_are_not_are_shrunk_as_unpaired_rows_are():
+    rng = np.random.default_rng(0)
+    X, y = rng.normal(size=(2, 300, 4)) * [[[1.0]], [[1.3]]]
+    target, source = row_moments(y), row_moments(X)
+    _, paired = shrunk_towards(target, source, row_moments(np.hstack([X, y])))
+    _, unpaired = shrunk_towards(target, source)
+    assert paired == pytest.approx(unpaired, rel=0.01)
