@@ -11,6 +11,7 @@ from skat.diagnosis.gains import episode_gain, one_step_gain
 from skat.diagnosis.identifiability import identifiability, preflight
 from skat.diagnosis.log import check_log
 from skat.diagnosis.omnibus import find_remainder
+from skat.diagnosis.plausibility import warn_of_doubts
 from skat.diagnosis.report import Report
 from skat.diagnosis.residuals import Residuals, TransitionResiduals
 from skat.diagnosis.selection import Selection
@@ -41,7 +42,9 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         State channels that were not measured. Their columns in X hold first guesses only; whole episodes are then
         compared in open loop, each from an initial state of its own that is fitted.
     n_jobs : int or None, default=None
-        Has no effect yet: the simulation's own threads take all cores, and the answer does not depend on them.
+        Processes of joblib that share the simulations of a fit; ``joblib.parallel_config(backend="dask")`` takes them
+        to a cluster. None means one, whose own threads take all cores where the simulator is a `MujocoSimulator`. The
+        answer does not depend on it. Logs with `hidden` channels use one.
     random_state : int, RandomState or None, default=None
         Which episodes are held out.
 
@@ -125,6 +128,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         log = check_log(self.simulator, X, y, groups, hidden=hidden)
         if hidden and not log.consecutive:
             raise ValueError("hidden= needs episodes: pass groups=, the episode of each row.")
+        warn_of_doubts(self.simulator, log, hidden)
         self.n_features_in_ = log.X.shape[1]
         fitted, held_out = log.split(self.test_size, random_state)
         residuals = self._residuals(fitted, effects, self._given_deviations())
@@ -297,7 +301,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         if self.hidden:
             return TrajectoryResiduals(self.simulator, log, effects, deviations, hidden=tuple(self.hidden))
         kind = TransitionResiduals if self.simulator.state_names else Residuals
-        return kind(self.simulator, log, effects, deviations)
+        return kind(self.simulator, log, effects, deviations, n_jobs=self.n_jobs)
 
     def _settled(self, log):
         residuals = self._residuals(log, self._chosen_effects(), self.noise_)

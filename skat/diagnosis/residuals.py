@@ -8,6 +8,7 @@ independent of each other (`RowResiduals`), and episodes of which only some chan
 from dataclasses import dataclass
 from typing import Any
 
+import joblib
 import numpy as np
 
 from skat.diagnosis.whitening import block_cholesky, estimate_variances
@@ -25,6 +26,8 @@ FARTHEST_SMOOTHED = 3.0
 NEGLIGIBLE_MISFIT = 1.3
 ROWS_FOR_FIRST_NOISE = 360
 ROWS_FOR_STEPS = 120
+# Fewer simulated rows are not worth sending to other processes.
+FEWEST_ROWS_TO_SHARE = 5000
 # Effects regressed out before the noise is estimated: at most one for so many residuals.
 RESIDUALS_PER_REGRESSOR = 10
 
@@ -62,10 +65,12 @@ class Residuals:
         All that the simulation could take on.
     deviations : ndarray of shape (n_channels,) or None
         Standard deviations of the measurement noise; None: estimated from the residuals.
+    n_jobs : int or None, default=None
+        Processes of joblib that share the candidates of a call.
     """
 
-    def __init__(self, simulator, log, effects, deviations=None):
-        self.simulator, self.log = simulator, log
+    def __init__(self, simulator, log, effects, deviations=None, *, n_jobs=None):
+        self.simulator, self.log, self.n_jobs = simulator, log, n_jobs
         self.effects = {effect.name: effect for effect in effects}
         self.blocks = log.blocks()
         self.given_variances = None if deviations is None else np.asarray(deviations, dtype=float) ** 2
@@ -238,9 +243,20 @@ class Residuals:
 
     def _predict(self, candidates, rows=slice(None)):
         points = self.points[rows]
-        self.n_simulated_rows += len(points) * len(candidates)
+        n_rows = len(points) * len(candidates)
+        self.n_simulated_rows += n_rows
         groups = self.log.episodes[rows] if self.log.consecutive else np.arange(len(self.log))[rows]
-        return self.simulator.predict_many(points, candidates, groups=groups)
+        n_parts = min(joblib.effective_n_jobs(self.n_jobs), len(candidates))
+        if n_parts == 1 or n_rows < FEWEST_ROWS_TO_SHARE:
+            return self.simulator.predict_many(points, candidates, groups=groups)
+        parts = joblib.Parallel(n_jobs=self.n_jobs)(
+            joblib.delayed(self.simulator.predict_many)(points, candidates[part::n_parts], groups=groups)
+            for part in range(n_parts)
+        )
+        predictions = np.empty((len(candidates), *parts[0].shape[1:]))
+        for part, one in enumerate(parts):
+            predictions[part::n_parts] = one
+        return predictions
 
     # -- noise -----------------------------------------------------------------------------------------------------
 
@@ -312,8 +328,8 @@ class Residuals:
 class TransitionResiduals(Residuals):
     """Whitened one-step residuals of measured transitions; the states they start from carry noise, too."""
 
-    def __init__(self, simulator, log, effects, deviations=None):
-        super().__init__(simulator, log, effects, deviations)
+    def __init__(self, simulator, log, effects, deviations=None, *, n_jobs=None):
+        super().__init__(simulator, log, effects, deviations, n_jobs=n_jobs)
         self.chain, self.step = log.chains()
         self.transitions = np.zeros((len(log), self.n_channels, self.n_channels))
         self.curvatures = np.zeros((len(log), self.n_channels, self.n_channels))
@@ -350,7 +366,7 @@ class TransitionResiduals(Residuals):
         spread = np.sqrt(self.smallest) * 1e6
         if len(self.log) > ROWS_FOR_FIRST_NOISE:
             part = self.log.rows(np.arange(ROWS_FOR_FIRST_NOISE))
-            inner = TransitionResiduals(self.simulator, part, self.effects.values())
+            inner = TransitionResiduals(self.simulator, part, self.effects.values(), n_jobs=self.n_jobs)
             variances = inner._first_variances(values)
             self.steps = inner.steps
             self.n_simulated_rows += inner.n_simulated_rows

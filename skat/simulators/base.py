@@ -40,6 +40,16 @@ class Simulator(BaseEstimator, ABC):
         """Names of the columns of a residual."""
         return self.output_names
 
+    @property
+    def angle_names(self) -> tuple[str, ...]:
+        """Names of the inputs that are angles or their rates, in rad or rad/s."""
+        return ()
+
+    @property
+    def command_limits(self) -> dict[str, tuple[float, float]]:
+        """Range that the simulation clips an input to, by name of the input."""
+        return {}
+
     def effects(self) -> tuple[Effect, ...]:
         """Return every effect that this simulator can take on.
 

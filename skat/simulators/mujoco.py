@@ -16,7 +16,7 @@ from skat.effects import Effect
 from skat.simulators.anatomy import EXPLICIT_INTEGRATOR, Anatomy, actuator_name
 from skat.simulators.base import Simulator
 from skat.simulators.catalogue import Listing, effect_listing
-from skat.simulators.channels import StateLayout, state_layout
+from skat.simulators.channels import HINGE, StateLayout, joint_name, state_layout
 from skat.simulators.compiling import checked_model, compile_spec, lean_spec
 from skat.simulators.edits import fix_total_mass
 from skat.simulators.source import ModelSource, broken_model, read_source, write_xml
@@ -113,6 +113,21 @@ class MujocoSimulator(Simulator):
     def residual_names(self) -> tuple[str, ...]:
         """Names of the columns of a residual; a rotation vector ``rx, ry, rz`` stands for a quaternion."""
         return self._layout.tangent_names
+
+    @property
+    def angle_names(self) -> tuple[str, ...]:
+        """Names of the positions and velocities of hinges."""
+        model = self._nominal
+        hinges = [joint_name(model, joint) for joint in range(model.njnt) if model.jnt_type[joint] == HINGE]
+        return tuple(f"{kind}.{hinge}" for kind in ("qpos", "qvel") for hinge in hinges)
+
+    @property
+    def command_limits(self) -> dict[str, tuple[float, float]]:
+        """The ``ctrlrange`` of each actuator that has one."""
+        model = self._nominal
+        names = self._cached("controls", self._control_names)
+        limits = zip(names, model.actuator_ctrllimited, model.actuator_ctrlrange)
+        return {name: (float(low), float(high)) for name, limited, (low, high) in limits if limited}
 
     @property
     def dt(self) -> float:  # type: ignore[override]

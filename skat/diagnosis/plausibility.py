@@ -1,0 +1,95 @@
+"""Signs that a log is not what it seems: channels that never change, clipped commands, degrees for radians."""
+
+import warnings
+
+import numpy as np
+
+# Share of an actuator's commands beyond its range that is worth a warning.
+CLIPPED_SHARE = 0.01
+# The log in degrees is tried where an angle leaves a full turn; it must fit so many times better in radians.
+BETTER_IN_RADIANS = 2.0
+ROWS_TRIED = 200
+
+
+def warn_of_doubts(simulator, log, hidden=()):
+    """Warn of what in a log is well-formed but hardly meant.
+
+    Parameters
+    ----------
+    simulator : Simulator
+    log : Log
+    hidden : sequence of str
+        State channels that were not measured.
+    """
+    for doubt in (
+        *_constant(simulator, log, hidden),
+        *_clipped(simulator, log),
+        *_degrees(simulator, log, hidden),
+    ):
+        warnings.warn(doubt, UserWarning, stacklevel=4)
+
+
+def _constant(simulator, log, hidden):
+    """Name channels that never change although the simulation changes them."""
+    names = [
+        name
+        for column, name in enumerate(simulator.output_names)
+        if name not in hidden and np.ptp(log.y[:, column]) == 0
+    ]
+    moving = []
+    if names:
+        some = log.rows(np.arange(min(len(log), ROWS_TRIED)))
+        predicted = simulator.predict_many(some.X, [{}], groups=_groups(some))[0]
+        for name in names:
+            column = simulator.output_names.index(name)
+            if np.nanmax(np.abs(predicted[:, column] - some.y[:, column])) > 1e-9:
+                moving.append(name)
+    if moving:
+        yield (
+            f"{', '.join(moving)} {'have' if len(moving) > 1 else 'has'} the same value in every row of y, but the "
+            "simulation moves it. A channel that was not measured is no evidence: name it in hidden=; a sensor that "
+            "is stuck must be left out of the log."
+        )
+
+
+def _clipped(simulator, log):
+    """Name commands beyond the range that the simulation clips them to."""
+    for name, (low, high) in simulator.command_limits.items():
+        values = log.X[:, simulator.input_names.index(name)]
+        reach = 1e-9 * (high - low)
+        share = np.mean((values < low - reach) | (values > high + reach))
+        if share > CLIPPED_SHARE:
+            yield (
+                f"{100 * share:.0f} % of {name} lie beyond [{low:g}, {high:g}], where the simulation clips them: the "
+                "log may hold commands where the simulation expects what the actuator does, or another unit. "
+                "Effects of this actuator are seen only in the other rows."
+            )
+
+
+def _degrees(simulator, log, hidden):
+    """Say that angles look like degrees where they leave a full turn and the simulation fits them better as such."""
+    angles = [name for name in simulator.angle_names if name not in hidden]
+    columns = [simulator.input_names.index(name) for name in angles]
+    positions = [column for column, name in zip(columns, angles) if name.startswith("qpos.")]
+    if not positions or np.abs(log.X[:, positions]).max() < 2 * np.pi:
+        return
+    some = log.rows(np.arange(min(len(log), ROWS_TRIED)))
+    misses = []
+    for factor in (1.0, np.pi / 180):
+        X, y = some.X.copy(), some.y.copy()
+        X[:, columns] *= factor
+        y[:, columns] *= factor
+        predicted = simulator.predict_many(X, [{}], groups=_groups(some))[0]
+        spread = y[:, columns].std(axis=0)
+        errors = np.abs(y - predicted)[:, columns] / np.where(spread > 0, spread, 1.0)
+        misses.append(np.median(np.nan_to_num(errors, nan=np.inf)))
+    if misses[1] * BETTER_IN_RADIANS < misses[0]:
+        yield (
+            f"{', '.join(angles)} look like degrees: read as such, the simulation's typical error falls from "
+            f"{misses[0]:.2g} to {misses[1]:.2g} of their spread. The simulator's unit is rad (rad/s): convert with "
+            "numpy.deg2rad."
+        )
+
+
+def _groups(log):
+    return log.episodes if log.consecutive else None

@@ -1,0 +1,79 @@
+"""Logs that are well-formed but hardly meant raise a warning, and sound ones none."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+from skat.diagnosis.log import check_log
+from skat.diagnosis.plausibility import warn_of_doubts
+from skat.simulators import MujocoSimulator
+
+ARM = """
+<mujoco>
+  <option timestep="0.01" gravity="0 0 -9.81"/>
+  <worldbody>
+    <body name="arm">
+      <joint name="shoulder" type="hinge" axis="0 1 0" damping="0.2"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -0.5" size="0.03" mass="1"/>
+    </body>
+  </worldbody>
+  <actuator><motor joint="shoulder" ctrlrange="-1 1" ctrllimited="true"/></actuator>
+</mujoco>
+"""
+
+
+@pytest.fixture
+def simulator():
+    return MujocoSimulator(ARM, frame_skip=2)
+
+
+@pytest.fixture
+def log(simulator):
+    commands = np.random.default_rng(0).uniform(-1, 1, (3, 40, 1))
+    states = simulator.rollout([[1.5, 0], [-1.0, 0], [0.5, 2]], commands, n_steps=40)
+    X = np.concatenate([np.hstack([state[:-1], command]) for state, command in zip(states, commands)])
+    return X, np.concatenate(states[:, 1:]), np.repeat(np.arange(3), 40)
+
+
+def test_sound_log_raises_no_warning(simulator, log):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warn_of_doubts(simulator, check_log(simulator, *log))
+
+
+def test_angles_in_degrees_are_noticed(simulator, log):
+    X, y, groups = log
+    X[:, :2], y[:] = np.rad2deg(X[:, :2]), np.rad2deg(y)
+    with pytest.warns(UserWarning, match=r"qpos\.shoulder, qvel\.shoulder look like degrees"):
+        warn_of_doubts(simulator, check_log(simulator, X, y, groups))
+
+
+def test_angle_of_many_turns_in_radians_is_sound(simulator):
+    states = simulator.rollout([[0.0, 60.0]], n_steps=60, inputs=np.zeros((1, 60, 1)))[0]
+    X = np.hstack([states[:-1], np.zeros((60, 1))])
+    assert X[:, 0].max() > 4 * np.pi
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warn_of_doubts(simulator, check_log(simulator, X, states[1:], np.zeros(60)))
+
+
+def test_commands_that_the_simulation_clips_are_noticed(simulator, log):
+    X, y, groups = log
+    X[::3, 2] = 1.7
+    with pytest.warns(UserWarning, match=r"3\d % of ctrl\.shoulder lie beyond \[-1, 1\]"):
+        warn_of_doubts(simulator, check_log(simulator, X, y, groups))
+
+
+def test_channel_that_never_changes_is_noticed(simulator, log):
+    X, y, groups = log
+    X[:, 1], y[:, 1] = 0.0, 0.0
+    with pytest.warns(UserWarning, match=r"qvel\.shoulder has the same value in every row"):
+        warn_of_doubts(simulator, check_log(simulator, X, y, groups))
+
+
+def test_state_that_rests_in_the_simulation_too_is_sound(simulator):
+    X, y = np.zeros((40, 3)), np.zeros((40, 2))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warn_of_doubts(simulator, check_log(simulator, X, y, np.zeros(40)))
