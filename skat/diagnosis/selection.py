@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass, field
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 from scipy import stats
 
 from skat.diagnosis.evidence import family_p_value, grams, screen, solve_scaled, wald
+from skat.diagnosis.refits import Fit, Refits
 
 SHORTLIST = 8
 # Exchanges refitted, exchanges made, and the fall of the loss in noise units that makes one worth it.
@@ -21,9 +21,6 @@ WORTH_A_LOOK = 0.5
 WORTH_A_STEP = 0.05
 CONTENDERS = 6
 SHARES_OF_STEP = (1.0, 0.3, 0.1)
-REFIT_STEPS = 8
-# A refit ends when its step is below this share of the standard error.
-CONVERGED = 0.05
 # Effects within this loss quantile of the named one (paired over blocks, one-sided) cannot be told from it.
 ALIAS_LEVEL = 0.05
 # A rival is refitted where, to first order, it leaves less than this loss in noise units, or this share of it.
@@ -52,28 +49,6 @@ LONGEST_GRID = 5
 WORTH_A_REFIT = 0.3
 ROWS_OF_GRID = 120
 POLISH_STEPS = 5
-# Of the models refitted side by side, so many go on after so many steps.
-FINALISTS = {2: 4, 4: 2}
-
-
-@dataclass(frozen=True)
-class Fit:
-    """A model fitted to the log.
-
-    Attributes
-    ----------
-    values : dict of str to float
-    losses : ndarray of shape (n_blocks,)
-        Robust loss of each block, in noise units.
-    """
-
-    values: dict
-    losses: np.ndarray
-
-    @property
-    def loss(self):
-        """Sum of the losses."""
-        return float(self.losses.sum())
 
 
 @dataclass(frozen=True)
@@ -123,8 +98,8 @@ class Selection:
         self.residuals, self.names = residuals, list(names)
         self.alpha, self.max_effects, self.progress = alpha, max_effects, progress
         self.blocks = residuals.blocks
-        self.starts = np.flatnonzero(np.r_[True, np.diff(self.blocks) > 0])
         self.effects = residuals.effects
+        self.refits = Refits(residuals)
 
     def run(self):
         """Return the Selected effects."""
@@ -154,7 +129,7 @@ class Selection:
         """Return the linearisation by all effects at a model that noise and smoothed states are adapted to."""
         self.residuals.settle(values)
         line = self.residuals.linearise(values, self.names)
-        self._set_scale(line.residuals)
+        self.refits.set_scale(line.residuals)
         return line
 
     def _polished(self, values):
@@ -163,8 +138,8 @@ class Selection:
         for _ in range(POLISH_STEPS):
             self.residuals.settle(values, roughly=nearly_there)
             before = values
-            self._set_scale(self.residuals.whitened([values])[0])
-            values = self.refit([values])[0].values
+            self.refits.set_scale(self.residuals.whitened([values])[0])
+            values = self.refits.fit([values])[0].values
             errors = np.sqrt(np.diag(self._covariance(values)[1]))
             moves = [abs(values[name] - before[name]) / error for name, error in zip(values, errors)]
             if max(moves) < 0.2:
@@ -187,13 +162,13 @@ class Selection:
             starts += self._grid(values, [first.names[k] for k in np.flatnonzero(first.p_values < 1)])
         if not starts:
             return None
-        fits = self.refit(self._contenders([{**values, **start} for start in starts], values), race=True)
+        fits = self.refits.fit(self._contenders([{**values, **start} for start in starts], values), race=True)
         order = np.argsort([fit.loss for fit in fits])
         for index in order[:3]:
             fit = fits[index]
             new = [name for name in fit.values if name not in values]
             p_value = self._p_values(fit.values)[new[0]]
-            p_value = min(p_value, self._fall_p_value(self._block_losses(line.residuals), fit.losses))
+            p_value = min(p_value, self._fall_p_value(self.refits.losses(line.residuals), fit.losses))
             if family_p_value(p_value, len(self.names)) < self.alpha and self._improves(fit, line):
                 return fit.values
         return None
@@ -205,14 +180,14 @@ class Selection:
         only one of them. To first order every exchange is a matter of the Grams; the best are refitted.
         """
         names = list(line.names)
-        weighted = line.derivatives * self._weights(line.residuals)[:, None, None]
+        weighted = line.derivatives * self.refits.weights(line.residuals)[:, None, None]
         information = np.einsum("ndk,ndl->kl", weighted, line.derivatives, optimize=True)
         distances = np.zeros(len(names))
         inside = [names.index(name) for name in values]
         distances[inside] = [value - self.effects[name].neutral for name, value in values.items()]
         score = np.einsum("ndk,nd->k", weighted, line.residuals) + information @ distances
         fresh = [k for k in range(len(names)) if names[k] not in values and information[k, k] > 0]
-        present = Fit(values, self._block_losses(line.residuals))
+        present = Fit(values, self.refits.losses(line.residuals))
         for n_dropped in (2, 1):
             found = []
             for kept in combinations(inside, len(inside) - n_dropped):
@@ -230,7 +205,7 @@ class Selection:
                 )
             if not models:
                 continue
-            best = min(self.refit(models, race=True), key=lambda fit: fit.loss)
+            best = min(self.refits.fit(models, race=True), key=lambda fit: fit.loss)
             smaller_and_as_good = n_dropped == 2 and self._as_good(best.losses, present.losses)
             if smaller_and_as_good or best.loss < present.loss - WORTH_AN_EXCHANGE:
                 return best.values
@@ -242,7 +217,7 @@ class Selection:
         Where some elements of a family differ and others do not, what is common to all is found first, and no single
         element can then be added to it.
         """
-        loss = self._block_losses(line.residuals).sum()
+        loss = self.refits.losses(line.residuals).sum()
         for name in values:
             effect = self.effects[name]
             elements = [
@@ -253,7 +228,7 @@ class Selection:
             if effect.target != "all" or not 2 <= len(elements) <= MOST_ELEMENTS:
                 continue
             rest = {other: value for other, value in values.items() if other != name}
-            fit = self.refit([{**rest, **dict.fromkeys(elements, values[name])}])[0]
+            fit = self.refits.fit([{**rest, **dict.fromkeys(elements, values[name])}])[0]
             if fit.loss > APART_LOSS * loss:
                 continue
             while True:
@@ -264,7 +239,7 @@ class Selection:
                 kept = {other: value for other, value in fit.values.items() if p_values[other] < self.alpha}
                 if len(kept) == len(fit.values) or not kept:
                     break
-                fit = self.refit([kept])[0]
+                fit = self.refits.fit([kept])[0]
             if kept and len(kept) <= self.max_effects and fit.loss < APART_LOSS * loss:
                 return fit.values
         return None
@@ -285,7 +260,7 @@ class Selection:
 
     def _contenders(self, models, values):
         """Return the best model of each effect that is new, and of those the best few."""
-        losses = [self._block_losses(one).sum() for one in self._whitened(models)]
+        losses = [self.refits.losses(one).sum() for one in self.refits.whitened(models)]
         best: dict[str, dict] = {}
         for index in np.argsort(losses):
             (new,) = set(models[index]) - set(values)
@@ -317,115 +292,6 @@ class Selection:
         ranked = sorted(best.values(), key=lambda pair: pair[0])
         return [candidate for size, candidate in ranked[:LONGEST_GRID] if size < sizes[0] - WORTH_A_REFIT]
 
-    # -- refits ----------------------------------------------------------------------------------------------------
-
-    def refit(self, models, *, race=False, hold=None):
-        """Fit the values of several models by damped Gauss-Newton, all side by side, and return their Fits.
-
-        With `race`, only the best go on to the end. The effect named by `hold` keeps its value.
-        """
-        damping = np.full(len(models), 1e-4)
-        best: list[Any] = [None] * len(models)
-        held = [{name: value for name, value in model.items() if name == hold} for model in models]
-        proposals = [{name: value for name, value in model.items() if name != hold} for model in models]
-        active = list(range(len(models)))
-        for step in range(REFIT_STEPS):
-            if race and step in FINALISTS:
-                leaders = np.argsort([one[0].sum() for one in best])[: FINALISTS[step]]
-                active = [m for m in active if m in leaders]
-            if not active:
-                break
-            candidates: list[dict[str, float]] = []
-            places = []
-            for m in active:
-                places.append(len(candidates))
-                candidates.append(proposals[m] | held[m])
-                candidates += [self._moved(proposals[m], name) | held[m] for name in proposals[m]]
-            white = self._whitened(candidates)
-            still = []
-            for m, place in zip(active, places):
-                residuals = white[place]
-                losses = self._block_losses(residuals)
-                if best[m] is None or losses.sum() < best[m][0].sum():
-                    derivatives = np.empty((*residuals.shape, len(proposals[m])))
-                    for i, (name, value) in enumerate(proposals[m].items()):
-                        move = (self._moved(proposals[m], name)[name] - value) or 1.0
-                        derivatives[..., i] = (residuals - white[place + 1 + i]) / move
-                    weights = self._weights(residuals)
-                    flat = derivatives * weights[:, None, None]
-                    information = np.einsum("ndk,ndl->kl", flat, derivatives)
-                    score = np.einsum("ndk,nd->k", flat, residuals)
-                    best[m] = (losses, dict(proposals[m]), information, score)
-                    damping[m] = max(damping[m] / 10, 1e-9)
-                else:
-                    damping[m] = max(damping[m] * 30, 1e-2)
-                losses, at, information, score = best[m]
-                proposals[m], size = self._step(at, information, score, damping[m])
-                if size > CONVERGED and damping[m] < 1e4:
-                    still.append(m)
-            active = still
-        return [Fit(one[1] | fixed, one[0]) for one, fixed in zip(best, held)]
-
-    def _step(self, at, information, score, damping):
-        """Return the values after a damped step within the bounds, and the step's length in standard errors."""
-        names = list(at)
-        scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
-        free = np.ones(len(names), dtype=bool)
-        move = np.zeros(len(names))
-        for _ in names:
-            inner = information[np.ix_(free, free)] / np.outer(scale[free], scale[free])
-            move[:] = 0
-            move[free] = (
-                np.linalg.lstsq(inner + damping * np.eye(free.sum()), (score / scale)[free], rcond=1e-10)[0]
-                / scale[free]
-            )
-            blocked = np.array(
-                [
-                    (at[name] + step > high and at[name] >= high - 1e-12 * (high - low))
-                    or (at[name] + step < low and at[name] <= low + 1e-12 * (high - low))
-                    for name, step in zip(names, move)
-                    for low, high in [self.effects[name].bounds]
-                ]
-            )
-            if not (blocked & free).any():
-                break
-            free &= ~blocked
-            move[~free] = 0
-        new = {
-            name: float(np.clip(at[name] + step, *self.effects[name].bounds))
-            for name, step in zip(names, move)
-        }
-        size = max((abs(new[name] - at[name]) * scale[i] for i, name in enumerate(names)), default=0.0)
-        return new, size
-
-    def _moved(self, values, name):
-        high = self.effects[name].bounds[1]
-        step = self.residuals.steps[name]
-        at = values[name]
-        return {**values, name: at + step if at + step <= high else at - step}
-
-    def _whitened(self, candidates):
-        """Return whitened residuals of many models, a bounded number at a time."""
-        return np.concatenate(
-            [self.residuals.whitened(candidates[i : i + 32]) for i in range(0, len(candidates), 32)]
-        )
-
-    def _set_scale(self, residuals):
-        """Fix the size beyond which a row's residual counts linearly, for all models compared with each other."""
-        sizes = np.sum(residuals**2, axis=-1)
-        n = residuals.shape[1]
-        typical = np.median(sizes[sizes > 0]) if (sizes > 0).any() else 0.0
-        self.cut = max(n + 3.1 * np.sqrt(2 * n) + 6, 4 * typical)
-
-    def _weights(self, residuals):
-        return np.sqrt(np.minimum(1.0, self.cut / np.maximum(np.sum(residuals**2, axis=-1), 1e-30)))
-
-    def _block_losses(self, residuals):
-        return np.add.reduceat(self._loss(np.sum(residuals**2, axis=-1)), self.starts)
-
-    def _loss(self, sizes):
-        return np.where(sizes <= self.cut, sizes, 2 * np.sqrt(self.cut * sizes) - self.cut)
-
     # -- decisions -------------------------------------------------------------------------------------------------
 
     def _covariance(self, values):
@@ -433,7 +299,7 @@ class Selection:
         names = list(values)
         residuals = self.residuals.whitened([values])[0]
         derivatives = self.residuals.derivatives(values, names)
-        weights = self._weights(residuals)
+        weights = self.refits.weights(residuals)
         covariance, freedom = wald(grams(residuals, derivatives, self._clusters(len(names)), weights))
         by_block, block_freedom = wald(grams(residuals, derivatives, self.blocks, weights))
         # What neighbours in time have in common widens intervals where enough blocks tell.
@@ -471,8 +337,8 @@ class Selection:
         """Drop effects that are no longer significant beside the others."""
         self.fall_p_values: dict[str, float] = {}
         while values:
-            self._set_scale(line.residuals)
-            losses = self._block_losses(line.residuals)
+            self.refits.set_scale(line.residuals)
+            losses = self.refits.losses(line.residuals)
             p_values = {
                 name: family_p_value(p, len(self.names))
                 for name, p in self._p_values(values).items()
@@ -482,7 +348,11 @@ class Selection:
             if worst is None or p_values[worst] < self.alpha:
                 break
             kept = {name: value for name, value in values.items() if name != worst}
-            without = self.refit([kept])[0] if kept else Fit({}, self._block_losses(self._whitened([{}])[0]))
+            without = (
+                self.refits.fit([kept])[0]
+                if kept
+                else Fit({}, self.refits.losses(self.refits.whitened([{}])[0]))
+            )
             p_value = self._fall_p_value(without.losses, losses)
             if family_p_value(p_value, len(self.names)) < self.alpha:
                 self.fall_p_values[worst] = p_value
@@ -522,7 +392,7 @@ class Selection:
         Where a derivative says little, because the simulation has kinks or the effect is at a bound.
         """
         neutral, (low, high) = self.effects[name].neutral, self.effects[name].bounds
-        best, reference = values[name], self._block_losses(line.residuals)
+        best, reference = values[name], self.refits.losses(line.residuals)
         ends = []
         for end in (low, high):
             inside, outside = best, end
@@ -530,7 +400,7 @@ class Selection:
                 outside = neutral
             for _ in range(PROFILE_STEPS if outside != inside else 0):
                 points = inside + (outside - inside) * np.arange(1, 5) / 4
-                fits = self.refit([values | {name: float(point)} for point in points], hold=name)
+                fits = self.refits.fit([values | {name: float(point)} for point in points], hold=name)
                 good = [self._as_good(fit.losses, reference, INTERVAL_LEVEL) for fit in fits]
                 first_bad = good.index(False) if False in good else len(good)
                 if first_bad == len(good):
@@ -546,7 +416,7 @@ class Selection:
         """Return for each named effect those that, put in its place and refitted, explain the log as well."""
         self.progress("aliases", 0, len(values))
         derivatives = line.derivatives.reshape(-1, len(line.names))
-        fit = Fit(values, self._block_losses(self.residuals.whitened([values])[0]))
+        fit = Fit(values, self.refits.losses(self.residuals.whitened([values])[0]))
         aliases = {}
         for done, name in enumerate(values):
             others = [line.names.index(other) for other in values if other != name]
@@ -575,7 +445,7 @@ class Selection:
                 starts.append({**rest, effect.name: float(np.clip(effect.neutral + move, *effect.bounds))})
             aliases[name] = ()
             if starts:
-                swapped = self.refit(starts)
+                swapped = self.refits.fit(starts)
                 aliases[name] = tuple(
                     line.names[k]
                     for k, other in zip(rivals, swapped)
@@ -590,11 +460,11 @@ class Selection:
         An effect that acts in few blocks, such as at impacts, passes where it lowers several of them and raises
         hardly any; what fits one row at the cost of others does not.
         """
-        fall = self._block_losses(line.residuals) - fit.losses
+        fall = self.refits.losses(line.residuals) - fit.losses
         gained, lost = fall[fall > 0].sum(), -fall[fall < 0].sum()
         if lost < LOST_SHARE * gained and fall.max() < LARGEST_BLOCK_SHARE * gained:
             return True
-        episodes = self.residuals.log.episodes[self.starts]
+        episodes = self.residuals.log.episodes[self.refits.starts]
         if self.residuals.log.consecutive and episodes[-1] + 1 >= FEWEST_EPISODES:
             fall = np.bincount(episodes, fall)
         error = np.sqrt(len(fall) * fall.var(ddof=1))
