@@ -12,7 +12,7 @@ from sklearn.utils import check_random_state
 
 from skat.datasets import make_real_puck
 from skat.experiments.methods import METHODS, chosen_methods, fitted_transport, of_repeat
-from skat.experiments.scores import covariance_error, pointwise_errors
+from skat.experiments.scores import covariance_errors, pointwise_errors
 from skat.metrics import affinity_score
 from skat.simulators import make_simulator
 
@@ -166,7 +166,7 @@ def puck_table(
         - rho_rows: the same of whole rows. The strike has no unit and is the same on both sides, so that this
           score is the higher, the wider strikes are scattered;
         - covariance_error: Frobenius distance between the covariances of carried and measured resting places,
-          over the norm of the latter;
+          x and y in standard deviations of the latter, over the norm of the latter's covariance;
         - noise: mean distance of repeated strikes from their mean, m; no prediction does better;
         - error_after_std, rho_std: standard deviation over repeats (NaN for one).
 
@@ -345,7 +345,7 @@ def _measures(rows, before, expected):
         "rho_rows": affinity_score(rows, expected),
         "error_after": after.mean(),
         "error_after_spread": after.std(),
-        "covariance_error": covariance_error(rows, expected, CONTEXT),
+        "covariance_error": covariance_errors(rows, expected, CONTEXT)["covariance_error"],
     }
 
 

@@ -61,43 +61,68 @@ def figure(table):
     Returns
     -------
     matplotlib Figure
-        Learning curves, or for each method a heat map of error after / before.
+        Learning curves; or a heat map of the error before, and for each method but "none" one of error after /
+        before, all on one scale.
     """
+    return _curves(table) if "n_strikes" in table else _matrices(table)
+
+
+def _curves(table):
     from matplotlib.figure import Figure
 
-    from skat.plotting import DomainMatrixDisplay, LearningCurveDisplay
+    from skat.plotting import LearningCurveDisplay
 
-    if "n_strikes" in table:
-        drawing = Figure(figsize=(7, 4.5), layout="constrained")
-        curve = table.groupby(["method", "n_strikes"], sort=False)[["error_after", "error_after_std"]].mean()
-        LearningCurveDisplay.from_frame(
-            curve.reset_index(),
-            size="n_strikes",
-            value="error_after",
-            deviation="error_after_std",
-            ax=drawing.subplots(),
-        )
-        return drawing
+    drawing = Figure(figsize=(7, 4.5), dpi=150, layout="constrained")
+    ax = drawing.subplots()
+    curve = table.groupby(["method", "n_strikes"], sort=False)[["error_after", "error_after_std"]].mean()
+    LearningCurveDisplay.from_frame(
+        curve.reset_index(), size="n_strikes", value="error_after", deviation="error_after_std", ax=ax
+    )
+    ax.set(xlabel="strikes to fit on", ylabel="distance from the measured resting place, m")
+    return drawing
+
+
+def _matrices(table):
+    from matplotlib.figure import Figure
+
+    from skat.plotting import DomainMatrixDisplay
+
     source, target = ("source", "target") if "source" in table else ("simulation", "puck")
     ratios = table.assign(ratio=table["error_after"] / table["error_before"])
-    methods = list(dict.fromkeys(table["method"]))
-    n_columns = min(4, len(methods))
-    n_rows = -(-len(methods) // n_columns)
-    drawing = Figure(figsize=(4.2 * n_columns, 3.8 * n_rows), layout="constrained")
-    axes = np.ravel(drawing.subplots(n_rows, n_columns, squeeze=False))
-    for ax, method in zip(axes, methods):
-        rows = ratios[ratios["method"] == method]
+    # The error before is the same with every method.
+    panels = {"error before": ratios.drop_duplicates([source, target])}
+    panels |= {name: rows for name, rows in ratios.groupby("method", sort=False) if name != "none"}
+    n_columns = min(4, len(panels))
+    n_rows = -(-len(panels) // n_columns)
+    cell_columns, cell_rows = table[target].nunique(), table[source].nunique()
+    size = (
+        1.2 + n_columns * (0.5 + max(0.4 * cell_columns, 1.8)),
+        1.6 + n_rows * (0.4 + 0.32 * cell_rows),
+    )
+    drawing = Figure(figsize=size, dpi=120, layout="constrained")
+    axes = drawing.subplots(n_rows, n_columns, squeeze=False)
+    # Empty places go to the first row, so that the last is full and bears the names of all columns.
+    n_first = len(panels) - (n_rows - 1) * n_columns
+    places = [
+        *np.ndindex(1, n_first),
+        *((1 + row, column) for row, column in np.ndindex(n_rows - 1, n_columns)),
+    ]
+    for ax in axes[0, n_first:]:
+        ax.set_axis_off()
+    for (row, column), (name, rows) in zip(places, panels.items()):
+        ax, is_before = axes[row, column], name == "error before"
         DomainMatrixDisplay.from_frame(
             rows,
-            value="ratio",
+            value="error_before" if is_before else "ratio",
             source=source,
             target=target,
-            label="after / before",
             ax=ax,
-            limits=(0, 1),
+            limits=None if is_before else (0, 1),
             colorbar=False,
         )
-        ax.set_title(method)
-    for ax in axes[len(methods) :]:
-        ax.set_axis_off()
+        ax.set_title(name, fontsize=10)
+        is_left, is_lowest = column == 0, row == n_rows - 1
+        ax.set(xlabel=target if is_lowest else "", ylabel=source if is_left else "")
+        ax.tick_params(labelleft=is_left, labelbottom=is_lowest)
+    drawing.suptitle("Error before; and error after / before by each method, darkest from 1 up", fontsize=11)
     return drawing

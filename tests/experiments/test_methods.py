@@ -11,7 +11,7 @@ from skat.experiments.methods import (
     fitted_transport,
     of_repeat,
 )
-from skat.experiments.scores import covariance_error, pointwise_errors
+from skat.experiments.scores import covariance_errors, pointwise_errors
 
 CONTEXT = 2
 
@@ -98,8 +98,37 @@ def test_errors_are_distances_of_outcomes():
     np.testing.assert_array_equal(pointwise_errors(rows, target, 1), [5.0, 0.0])
 
 
-def test_covariance_error_is_relative_and_of_the_outcome():
+@pytest.mark.parametrize("context", [0, 1])
+def test_covariance_errors_are_zero_for_equal_outcomes_whatever_the_context(context):
     target = np.random.default_rng(0).normal(size=(50, 3))
-    assert covariance_error(target + 5.0, target, 0) < 1e-12
-    np.testing.assert_allclose(covariance_error(2.0 * target, target, 0), 3.0)
-    assert covariance_error(target * [7.0, 1.0, 1.0], target, 1) == 0.0
+    errors = covariance_errors(target * ([1.0] * 3 if not context else [7.0, 1.0, 1.0]), target, context)
+    np.testing.assert_allclose(list(errors.values()), 0.0, atol=1e-12)
+
+
+def test_covariance_errors_of_doubled_columns_by_hand():
+    target = np.random.default_rng(0).normal(size=(50, 3))
+    target -= target.mean(axis=0)
+    errors = covariance_errors(2.0 * target, target, 0)
+    # C = 4 C_t; and the distance between N(0, 4 C) and N(0, C) is (2 - 1)^2 tr C.
+    expected = {"covariance_error": 3.0, "covariance_error_raw": 3.0, "covariance_error_affine": 3.0}
+    expected |= {"normal_distance": 1.0, "normal_distance_raw": 1.0}
+    assert errors == pytest.approx(expected, rel=1e-9)
+
+
+def test_covariance_errors_depend_on_units_only_where_they_say_so():
+    rng = np.random.default_rng(0)
+    rows, target = rng.normal(size=(2, 50, 3))
+    units, mixed = np.array([1e-3, 1.0, 1e3]), rng.normal(size=(3, 3))
+    one, scaled = covariance_errors(rows, target, 0), covariance_errors(rows * units, target * units, 0)
+    turned = covariance_errors(rows @ mixed, target @ mixed, 0)
+    for name in one:
+        same = not name.endswith("_raw")
+        assert (scaled[name] == pytest.approx(one[name], rel=1e-8)) == same, name
+        assert (turned[name] == pytest.approx(one[name], rel=1e-8)) == name.endswith("_affine"), name
+
+
+def test_covariance_errors_leave_out_directions_in_which_the_target_does_not_vary():
+    rows, target = np.random.default_rng(0).normal(size=(2, 50, 3))
+    rows[:, 2] = target[:, 2] = 5.0
+    whole, part = covariance_errors(rows, target, 0), covariance_errors(rows[:, :2], target[:, :2], 0)
+    assert whole == pytest.approx(part, rel=1e-9)

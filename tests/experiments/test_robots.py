@@ -90,6 +90,12 @@ def test_a_seed_repeats_the_table_whatever_other_methods_run(hopper):
     assert not np.allclose(other["error_after"], expected["error_after"], rtol=1e-3)
 
 
+def test_rows_can_be_carried_from_some_worlds_only(hopper):
+    some = domain_matrix("hopper", n_repeats=2, sources=["normal"], **SMALL)
+    expected = hopper[hopper["source"] == "normal"].reset_index(drop=True)
+    pd.testing.assert_frame_equal(some, expected)
+
+
 def test_whole_episodes_can_be_set_aside_for_the_test():
     rows = domain_matrix("hopper", n_repeats=1, split="episodes", **{**SMALL, "methods": ["affine"]})
     assert rows["error_after_std"].isna().all()
@@ -108,7 +114,7 @@ def test_progress_is_reported_to_the_end():
     assert calls[-1] == ("carrying", 6, 6)
 
 
-def test_the_diagnosis_is_one_of_the_methods():
+def test_the_diagnosis_is_one_of_the_methods_and_predicts_by_the_extended_simulator():
     table = domain_matrix(
         "hopper",
         n_transitions=60,
@@ -116,9 +122,10 @@ def test_the_diagnosis_is_one_of_the_methods():
         n_scored=50,
         n_repeats=1,
         conditions=("normal", "heavy"),
-        methods=["diagnosis"],
-    )
-    assert (table["error_after"] <= table["error_before"]).all()
+        sources=["normal"],
+        methods=["diagnosis", "least_squares"],
+    ).set_index("method")
+    assert table.loc["diagnosis", "error_after"] < 0.01 * table.loc["least_squares", "error_after"]
 
 
 @pytest.mark.parametrize(
@@ -128,6 +135,7 @@ def test_the_diagnosis_is_one_of_the_methods():
         ("hopper", {"split": "halves"}, r'split must be "rows" or "episodes"; it is \'halves\''),
         ("hopper", {"conditions": ["normal"]}, "two worlds or more; conditions has 1"),
         ("hopper", {"conditions": ["normal", "lunar"]}, r"unknown condition of hopper 'lunar'"),
+        ("hopper", {"sources": ["lunar"]}, r"sources must be some of the conditions, \['normal', .*lunar"),
         ("hopper", {"methods": ["magic"]}, r"unknown method 'magic'"),
     ],
 )

@@ -65,6 +65,15 @@ def test_verdict_counts_wins_over_cases(matrix, curve):
     assert verdict(curve) == "Smallest error, of 6 cases: fast in 6."
 
 
-def test_figure_has_a_panel_for_each_method(matrix, curve):
-    assert [ax.get_title() for ax in figure(matrix).axes if ax.axison] == ["good", "better", "none"]
+def test_figure_has_the_error_before_and_a_panel_for_each_method_that_does_something(matrix, curve):
+    panels = [ax for ax in figure(matrix).axes if ax.axison]
+    assert [ax.get_title() for ax in panels] == ["error before", "good", "better"]
+    assert [bool(ax.get_ylabel()) for ax in panels] == [True, False, False]
     assert len(figure(curve).axes[0].get_lines()) >= 2
+
+
+def test_every_column_of_panels_names_its_targets_at_the_bottom(matrix):
+    methods = [matrix[matrix["method"] == "good"].assign(method=f"method {k}") for k in range(5)]
+    panels = [ax for ax in figure(pd.concat(methods)).axes if ax.axison]
+    assert len(panels) == 6
+    assert [ax.get_xlabel() for ax in panels] == ["", "", "target", "target", "target", "target"]
