@@ -2,7 +2,7 @@
 
 Run from the root of the repository::
 
-    python benchmarks/experiments.py                      # everything, about half an hour on 2 cores
+    python benchmarks/experiments.py                      # everything, up to an hour on 2 cores
     python benchmarks/experiments.py hopper puck          # some of it
     python benchmarks/experiments.py --small              # a cut of two minutes, for a look
 
