@@ -2,8 +2,8 @@ r"""Whether anything is left that no effect explains, and what shape it has.
 
 What is left is tested against additive errors :math:`B_j \phi(c)` of the prediction: a direction j (a force on a joint
 where the simulator knows forces, otherwise an error of one output) times any piecewise linear function of one input c.
-Each pair (j, c) is a cluster-robust score test with a few degrees of freedom; the smallest p-value counts, corrected
-for their number.
+Each pair (j, c) is a cluster-robust score test with a few degrees of freedom. Whether it outlasts single rows, as what
+changes with time does, is tested for each channel, too. The smallest p-value counts, corrected for their number.
 """
 
 from dataclasses import dataclass
@@ -15,6 +15,10 @@ from skat.diagnosis.evidence import family_p_value, solve_scaled
 from skat.diagnosis.residuals import robust_weights
 
 KNOTS = 4
+# What is left is compared with itself so many rows on, residuals cut at so many standard deviations.
+LAGS = range(4, 16)
+LARGEST_RESIDUAL = 4.0
+TIME = "time"
 # Rows whose scores count as one: whitened rows are uncorrelated where nothing is left.
 ROWS_TOGETHER = 3
 
@@ -43,6 +47,8 @@ class Remainder:
     @property
     def sentence(self):
         """What is left, in words."""
+        if self.coordinate == TIME:
+            return f"something acts on {self.direction} for longer than single rows and is none of the effects known"
         return f"something acts on {self.direction} that depends on {self.coordinate} and is none of the effects known"
 
 
@@ -80,9 +86,28 @@ def find_remainder(residuals, line, fitted):
             found.append((direction, coordinate, _score_test(part)))
     if not found:
         return None
+    found += _persistence(residuals, line.residuals)
     found.sort(key=lambda row: row[2])
     direction, coordinate, p_value = found[0]
     return Remainder(family_p_value(p_value, len(found)), direction, coordinate, tuple(found[:10]))
+
+
+def _persistence(residuals, white):
+    """Return rows (channel, TIME, p-value) that test whether what is left outlasts single rows.
+
+    Whitened residuals some rows apart are uncorrelated even where the noise is a little misjudged, which neighbours are
+    not; an error that is no function of any one input, such as a force that changes with time, is found here.
+    """
+    if not residuals.log.consecutive:
+        return []
+    clipped = np.clip(white, -LARGEST_RESIDUAL, LARGEST_RESIDUAL)
+    statistics = np.zeros(clipped.shape[1])
+    for lag in LAGS:
+        together = residuals.log.episodes[lag:] == residuals.log.episodes[:-lag]
+        products = (clipped[lag:] * clipped[:-lag])[together]
+        statistics += products.sum(axis=0) ** 2 / np.maximum((products**2).sum(axis=0), 1e-300)
+    p_values = stats.chi2.sf(statistics, len(LAGS))
+    return [(name, TIME, float(p)) for name, p in zip(residuals.simulator.residual_names, p_values)]
 
 
 def hat_functions(values):

@@ -356,6 +356,8 @@ class TransitionResiduals(Residuals):
         self.points = self.simulator.displace(self.log.X, -self.noise)
         if not roughly:
             self._differentiate(values)
+        if self.regressors.shape[-1]:
+            self._estimate_noise(self.raw_residuals([values])[0])
 
     def raw_residuals(self, candidates):
         """Return residuals at the smoothed states, carried to the measured ones to first order."""

@@ -26,9 +26,11 @@ ALIAS_LEVEL = 0.05
 # A rival is refitted where, to first order, it leaves less than this loss in noise units, or this share of it.
 FAR_APART = 100.0
 SIMILAR = 0.1
-# Level of either end of an interval by profile, which is narrowed to a fourth so many times.
+# Level of either end of an interval by profile; the end is narrowed to a fourth so many times at most, or until it is
+# known to this share of its distance.
 INTERVAL_LEVEL = 0.025
-PROFILE_STEPS = 3
+PROFILE_STEPS = 8
+PROFILE_ACCURACY = 0.1
 # Numbers in the information of all pieces of time together.
 LARGEST_GRAM = 50_000_000
 FEWEST_BLOCKS_TO_WIDEN = 10
@@ -49,6 +51,12 @@ LONGEST_GRID = 5
 WORTH_A_REFIT = 0.3
 ROWS_OF_GRID = 120
 POLISH_STEPS = 5
+# Standard errors within which derivatives by the state are kept from one step to the next.
+CLOSE = 2.0
+# The named effects are settled and refitted so many times at the end, unless the first moves them by less than this
+# share of their standard errors.
+SETTLINGS = 3
+SETTLED = 0.2
 
 
 @dataclass(frozen=True)
@@ -114,7 +122,30 @@ class Selection:
             history.append(added)
             values, line = self._simplified(*self._polished(added))
         values, line = self._prune(values, line)
-        return self._result(values, line, history)
+        values, line, spread = self._averaged(values, line)
+        return self._result(values, line, spread, history)
+
+    def _averaged(self, values, line):
+        """Return the mean of values settled and refitted again and again, its linearisation, and their spread.
+
+        At contacts smoothed states and derivatives jump from one settling to the next, and with them the optimum:
+        an uncertainty that no statistic at fixed states sees. Where the simulation is smooth there is none.
+        """
+        if not values:
+            return values, line, {}
+        errors = np.sqrt(np.diag(self._covariance(values)[1]))
+        drawn = []
+        at = values
+        for _ in range(SETTLINGS):
+            self.residuals.settle(at)
+            self.refits.set_scale(self.residuals.whitened([at])[0])
+            at = self.refits.fit([at])[0].values
+            drawn.append(list(at.values()))
+            if np.all(np.abs(drawn[-1] - np.array(list(values.values()))) < SETTLED * errors):
+                return values, self._linearised(values), dict.fromkeys(values, 0.0)
+        names = list(values)
+        values = dict(zip(names, map(float, np.mean(drawn, axis=0))))
+        return values, self._linearised(values), dict(zip(names, map(float, np.std(drawn, axis=0, ddof=1))))
 
     def _simplified(self, values, line):
         """Return a model that no exchange of effects makes better, or smaller and as good."""
@@ -144,7 +175,7 @@ class Selection:
             moves = [abs(values[name] - before[name]) / error for name, error in zip(values, errors)]
             if max(moves) < 0.2:
                 break
-            nearly_there = max(moves) < 2
+            nearly_there = max(moves) < CLOSE
         return values, self._linearised(values)
 
     # -- one effect more -------------------------------------------------------------------------------------------
@@ -188,7 +219,7 @@ class Selection:
         score = np.einsum("ndk,nd->k", weighted, line.residuals) + information @ distances
         fresh = [k for k in range(len(names)) if names[k] not in values and information[k, k] > 0]
         present = Fit(values, self.refits.losses(line.residuals))
-        for n_dropped in (2, 1):
+        for n_dropped in (2, 1) if len(inside) > 1 else (1,):
             found = []
             for kept in combinations(inside, len(inside) - n_dropped):
                 for k in fresh:
@@ -363,14 +394,14 @@ class Selection:
             self.fall_p_values = {}
         return values, line
 
-    def _result(self, values, line, history):
+    def _result(self, values, line, spread, history):
         gram = grams(line.residuals, line.derivatives, self._clusters(len(line.names)))
         if not values:
             return Selected({}, {}, {}, {}, line, gram, history)
         names, covariance, freedom = self._covariance(values)
         p_values, intervals, telling = {}, {}, {}
         for k, name in enumerate(names):
-            error = np.sqrt(covariance[k, k])
+            error = np.hypot(np.sqrt(covariance[k, k]), spread[name])
             distance = values[name] - self.effects[name].neutral
             telling[name] = abs(distance) / error
             p_value = min(2 * stats.t.sf(telling[name], freedom[k]), self.fall_p_values.get(name, 1.0))
@@ -398,7 +429,9 @@ class Selection:
             inside, outside = best, end
             if neutral != best and (neutral - best) * (end - best) > 0:
                 outside = neutral
-            for _ in range(PROFILE_STEPS if outside != inside else 0):
+            for _ in range(PROFILE_STEPS):
+                if abs(outside - inside) <= PROFILE_ACCURACY * abs(inside - best):
+                    break
                 points = inside + (outside - inside) * np.arange(1, 5) / 4
                 fits = self.refits.fit([values | {name: float(point)} for point in points], hold=name)
                 good = [self._as_good(fit.losses, reference, INTERVAL_LEVEL) for fit in fits]

@@ -1,0 +1,106 @@
+"""What is named first is exchanged where a later cause makes something else as good or better."""
+
+import numpy as np
+import pytest
+from sklearn.utils import check_random_state
+
+from skat.diagnosis.log import check_log
+from skat.diagnosis.omnibus import TIME, _persistence
+from skat.diagnosis.residuals import TransitionResiduals
+from skat.diagnosis.selection import Selection
+from tests.diagnosis.cart_pole import make_simulator, measure
+
+
+@pytest.fixture
+def simulator():
+    return make_simulator()
+
+
+def selection_of(simulator, hidden, seed=3):
+    X, y, groups, _ = measure(seed, **hidden)
+    log, _ = check_log(simulator, X, y, groups).split(0.3, check_random_state(0))
+    effects = simulator.effects()
+    selection = Selection(
+        TransitionResiduals(simulator, log, effects),
+        [effect.name for effect in effects],
+        alpha=0.005,
+        max_effects=6,
+        progress=lambda *_: None,
+    )
+    selection._linearised({})
+    return selection
+
+
+@pytest.mark.parametrize(
+    ("hidden", "named"),
+    [
+        ({"gain": 0.9, "drag": 0.3}, {"dry_friction": 0.1, "drag": 0.1}),
+        ({"drag": 0.3}, {"gain": 0.8, "hinge": 0.005}),
+        ({"drag": 0.3}, {"gain": 0.8}),
+    ],
+)
+def test_wrong_causes_are_exchanged_for_the_right_ones(simulator, hidden, named):
+    selection = selection_of(simulator, hidden)
+    values, line = selection._polished(named)
+    while exchanged := selection._exchanged(values, line):
+        values, line = selection._polished(exchanged)
+    assert set(values) == set(hidden)
+    for name, value in hidden.items():
+        assert abs(values[name] - value) < 0.05
+
+
+def test_right_pair_is_kept(simulator):
+    hidden = {"gain": 0.9, "drag": 0.3}
+    selection = selection_of(simulator, hidden)
+    values, line = selection._polished(hidden)
+    assert selection._exchanged(values, line) is None
+
+
+def test_values_of_a_smooth_simulation_have_no_spread_from_settling(simulator):
+    selection = selection_of(simulator, {"pole": 0.9})
+    values, line = selection._polished({"pole": 0.9})
+    averaged, _, spread = selection._averaged(values, line)
+    assert averaged == values
+    assert spread == {"pole": 0.0}
+
+
+def test_profile_interval_agrees_with_the_standard_error_where_nothing_bends(simulator):
+    selection = selection_of(simulator, {"pole": 0.9})
+    values, line = selection._polished({"pole": 0.9})
+    low, high = selection._profile_interval("pole", values, line)
+    error = np.sqrt(selection._covariance(values)[1][0, 0])
+    assert low < values["pole"] < high
+    assert 1 * error < (high - low) / 2 < 8 * error
+
+
+# -- what outlasts single rows -----------------------------------------------------------------------------------------
+
+
+class Rows:
+    """As much of residuals as the test of persistence needs: episodes and names."""
+
+    class log:
+        episodes = np.repeat(np.arange(20), 50)
+        consecutive = True
+
+    class simulator:
+        residual_names = ("a", "b")
+
+
+def test_persistence_is_uniform_for_noise_with_heavy_tails():
+    p_values = [
+        p
+        for seed in range(200)
+        for _, _, p in _persistence(Rows, np.random.default_rng(seed).standard_t(4, (1000, 2)))
+    ]
+    # A standard deviation of the share is 0.011 at 5 %.
+    assert 0.02 < np.mean(np.array(p_values) < 0.05) < 0.09
+    assert np.mean(np.array(p_values) < 0.001) < 0.01
+
+
+def test_periodic_remainder_is_found_in_its_channel():
+    white = np.random.default_rng(0).normal(size=(1000, 2))
+    white[:, 1] += 0.5 * np.sin(np.arange(1000) / 3)
+    (_, _, quiet), (name, what, loud) = _persistence(Rows, white)
+    assert (name, what) == ("b", TIME)
+    assert loud < 1e-4 < quiet
