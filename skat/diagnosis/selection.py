@@ -142,7 +142,7 @@ class Selection:
             at = self.refits.fit([at])[0].values
             drawn.append(list(at.values()))
             if np.all(np.abs(drawn[-1] - np.array(list(values.values()))) < SETTLED * errors):
-                return values, self._linearised(values), dict.fromkeys(values, 0.0)
+                return values, line, dict.fromkeys(values, 0.0)
         names = list(values)
         values = dict(zip(names, map(float, np.mean(drawn, axis=0))))
         return values, self._linearised(values), dict(zip(names, map(float, np.std(drawn, axis=0, ddof=1))))
