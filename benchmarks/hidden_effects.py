@@ -237,7 +237,9 @@ def _arguments():
     parser.add_argument("--outside", type=int, default=0, help="seeds of the effects that are in no list")
     parser.add_argument("--clean", type=int, default=0, help="clean data sets over all worlds")
     parser.add_argument("--conditions", type=int, default=0, help="seeds of the paper's eight conditions")
-    parser.add_argument("--episodes", type=int, help="of 50 transitions, in each log; by default 12 of Ant, else 30")
+    parser.add_argument(
+        "--episodes", type=int, help="of 50 transitions, in each log; by default 12 of Ant, else 30"
+    )
     parser.add_argument("--only", default="", help="only labels that contain this text")
     parser.add_argument("--at-most", type=int, default=None, help="stop after so many runs")
     parser.add_argument("--n-jobs", type=int, default=2, help="processes")
