@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from sklearn.utils import check_random_state
 
-from skat.diagnosis.log import check_log
+from skat.diagnosis.log import Log, check_log
 from skat.diagnosis.omnibus import TIME, _persistence
 from skat.diagnosis.residuals import TransitionResiduals
 from skat.diagnosis.selection import Selection
@@ -79,9 +79,7 @@ def test_profile_interval_agrees_with_the_standard_error_where_nothing_bends(sim
 class Rows:
     """As much of residuals as the test of persistence needs: episodes and names."""
 
-    class log:
-        episodes = np.repeat(np.arange(20), 50)
-        consecutive = True
+    log = Log(np.zeros((1000, 1)), np.zeros((1000, 1)), np.repeat(np.arange(20), 50), True)
 
     class simulator:
         residual_names = ("a", "b")
@@ -100,7 +98,13 @@ def test_persistence_is_uniform_for_noise_with_heavy_tails():
 
 def test_periodic_remainder_is_found_in_its_channel():
     white = np.random.default_rng(0).normal(size=(1000, 2))
-    white[:, 1] += 0.5 * np.sin(np.arange(1000) / 3)
+    white[:, 1] += np.sin(np.arange(1000) / 3)
     (_, _, quiet), (name, what, loud) = _persistence(Rows, white)
     assert (name, what) == ("b", TIME)
     assert loud < 1e-4 < quiet
+
+
+def test_one_contact_whose_linearisation_failed_does_not_count_as_lasting():
+    white = np.random.default_rng(0).normal(size=(1000, 2))
+    white[200:230, 1] += 5.0
+    assert all(p > 0.05 for _, _, p in _persistence(Rows, white))
