@@ -161,14 +161,24 @@ class Residuals:
                     )
         return np.array(sizes)
 
-    def derivatives(self, values, names):
-        """Return the whitened derivatives (n_rows, n_channels, n_effects) at a model."""
-        return self.whiten(self._derivatives(values, names))
+    def derivatives(self, values, names, widths=None):
+        """Return the whitened derivatives (n_rows, n_channels, n_effects) at a model.
 
-    def _derivatives(self, values, names):
+        Parameters
+        ----------
+        values : dict of str to float
+        names : sequence of str
+        widths : dict of str to float, optional
+            Slopes of secants so far to both sides, as far as the effects' bounds allow, in place of derivatives.
+        """
+        return self.whiten(self._derivatives(values, names, widths))
+
+    def _derivatives(self, values, names, widths=None):
         names = list(names)
         if not names:
             return np.zeros((len(self.log), self.n_channels, 0))
+        if widths is not None:
+            return self._secants(values, names, widths)
         new = [name for name in names if name not in self.steps]
         if new:
             self._choose_steps(values, new)
@@ -183,6 +193,17 @@ class Residuals:
         felt = np.max(np.abs(changes / self._typical_deviations()), axis=(1, 2))
         changes[felt < LEAST_CHANGE] = 0.0
         return np.moveaxis(changes, 0, -1) / np.where(np.equal(moves, 0), np.inf, moves)
+
+    def _secants(self, values, names, widths):
+        ends = []
+        for name in names:
+            at, (low, high) = values.get(name, self.effects[name].neutral), self.effects[name].bounds
+            ends += [max(at - widths[name], low), min(at + widths[name], high)]
+        changes = self._changes(
+            [values, *({**values, name: end} for name, end in zip(np.repeat(names, 2), ends))]
+        )
+        slopes = (changes[1::2] - changes[::2]) / np.subtract(ends[1::2], ends[::2])[:, None, None]
+        return np.moveaxis(np.nan_to_num(slopes, nan=0.0, posinf=0.0, neginf=0.0), 0, -1)
 
     def _changes(self, candidates, rows=slice(None)):
         """Return by how much the predictions of the candidates after the first exceed the first's."""

@@ -49,14 +49,20 @@ FACTORS = (0.33, 0.5, 0.7, 0.85, 1.2, 1.5, 2.0, 3.0)
 LONGEST_GRID = 5
 # Fall of the log error, summed over channels, that makes a value far off worth a refit.
 WORTH_A_REFIT = 0.3
-ROWS_OF_GRID = 120
+ROWS_OF_GRID = 72
 POLISH_STEPS = 5
 # Standard errors within which derivatives by the state are kept from one step to the next.
 CLOSE = 2.0
-# The named effects are settled and refitted so many times at the end, unless the first moves them by less than this
-# share of their standard errors.
+# The named effects are settled and fitted so many times at the end, once they are within so many standard errors of
+# their place, and so many times in all; not at all where they stay within this share of their standard errors.
 SETTLINGS = 3
+MOST_SETTLINGS = 6
+NEAR = 1.5
 SETTLED = 0.2
+LONGEST_STEP = 10.0
+# Secants reach so many standard errors to both sides, or over this share of the effect's range.
+SECANT_IN_ERRORS = 5.0
+WIDEST_SECANT = 0.1
 
 
 @dataclass(frozen=True)
@@ -108,6 +114,8 @@ class Selection:
         self.blocks = residuals.blocks
         self.effects = residuals.effects
         self.refits = Refits(residuals)
+        # Standard error of each effect when it was last fitted.
+        self.errors: dict[str, float] = {}
 
     def run(self):
         """Return the Selected effects."""
@@ -126,26 +134,45 @@ class Selection:
         return self._result(values, line, spread, history)
 
     def _averaged(self, values, line):
-        """Return the mean of values settled and refitted again and again, its linearisation, and their spread.
+        """Return the mean of values settled and fitted again and again, its linearisation, and their spread.
 
         At contacts smoothed states and derivatives jump from one settling to the next, and with them the optimum:
-        an uncertainty that no statistic at fixed states sees. Where the simulation is smooth there is none.
+        an uncertainty that no statistic at fixed states sees. Where the simulation is smooth there is none. The loss
+        has steps there, too, in which a descent gets stuck; Gauss-Newton steps by secants pass over them.
         """
         if not values:
             return values, line, {}
-        errors = np.sqrt(np.diag(self._covariance(values)[1]))
-        drawn = []
-        at = values
-        for _ in range(SETTLINGS):
-            self.residuals.settle(at)
-            self.refits.set_scale(self.residuals.whitened([at])[0])
-            at = self.refits.fit([at])[0].values
-            drawn.append(list(at.values()))
-            if np.all(np.abs(drawn[-1] - np.array(list(values.values()))) < SETTLED * errors):
+        drawn: list[list[float]] = []
+        for _ in range(MOST_SETTLINGS):
+            moved, moves = self._newton(values)
+            largest = np.max(np.abs(moves))
+            if largest < SETTLED and not drawn:
                 return values, line, dict.fromkeys(values, 0.0)
+            if drawn or largest < NEAR:
+                drawn.append(list(moved.values()))
+            if len(drawn) == SETTLINGS:
+                break
+            values = moved
+            self.residuals.settle(values)
+            self.refits.set_scale(self.residuals.whitened([values])[0])
+        drawn = drawn or [list(values.values())]
         names = list(values)
+        spread = np.std(drawn, axis=0, ddof=1) if len(drawn) > 1 else np.zeros(len(names))
         values = dict(zip(names, map(float, np.mean(drawn, axis=0))))
-        return values, self._linearised(values), dict(zip(names, map(float, np.std(drawn, axis=0, ddof=1))))
+        return values, self._linearised(values, settled=True), dict(zip(names, map(float, spread)))
+
+    def _newton(self, values):
+        """Return values after a Gauss-Newton step by secants, and its length in standard errors."""
+        gram = self._secant_grams(values)[2]
+        information = gram.information.sum(axis=0)
+        move = solve_scaled(information, gram.scores.sum(axis=0)[:, None])[:, 0]
+        errors = np.sqrt(np.diag(wald(gram)[0]))
+        move *= min(1.0, LONGEST_STEP / max(np.max(np.abs(move / errors)), 1e-300))
+        moved = {
+            name: float(np.clip(value + step, *self.effects[name].bounds))
+            for (name, value), step in zip(values.items(), move)
+        }
+        return moved, np.array([moved[name] - values[name] for name in values]) / errors
 
     def _simplified(self, values, line):
         """Return a model that no exchange of effects makes better, or smaller and as good."""
@@ -156,9 +183,10 @@ class Selection:
             values, line = self._polished(exchanged)
         return values, line
 
-    def _linearised(self, values):
+    def _linearised(self, values, *, settled=False):
         """Return the linearisation by all effects at a model that noise and smoothed states are adapted to."""
-        self.residuals.settle(values)
+        if not settled:
+            self.residuals.settle(values)
         line = self.residuals.linearise(values, self.names)
         self.refits.set_scale(line.residuals)
         return line
@@ -173,10 +201,10 @@ class Selection:
             values = self.refits.fit([values])[0].values
             errors = np.sqrt(np.diag(self._covariance(values)[1]))
             moves = [abs(values[name] - before[name]) / error for name, error in zip(values, errors)]
-            if max(moves) < 0.2:
+            if max(moves) < SETTLED:
                 break
             nearly_there = max(moves) < CLOSE
-        return values, self._linearised(values)
+        return values, self._linearised(values, settled=max(moves) < SETTLED and not nearly_there)
 
     # -- one effect more -------------------------------------------------------------------------------------------
 
@@ -186,23 +214,30 @@ class Selection:
         first = screen(gram, line.names, values, self.effects, list(values))
         misfit = np.median(np.sum(line.residuals**2, axis=-1)) / line.residuals.shape[1]
         far_off = misfit > FAR_OFF
-        starts = []
-        if far_off or family_p_value(first.p_values.min(), len(self.names)) < WORTH_A_LOOK:
-            starts += self._steps(values, first, 1.0 if far_off else WORTH_A_STEP)
-        if far_off or not values:
-            starts += self._grid(values, [first.names[k] for k in np.flatnonzero(first.p_values < 1)])
-        if not starts:
-            return None
-        fits = self.refits.fit(self._contenders([{**values, **start} for start in starts], values), race=True)
-        order = np.argsort([fit.loss for fit in fits])
-        for index in order[:3]:
-            fit = fits[index]
-            new = [name for name in fit.values if name not in values]
-            p_value = self._p_values(fit.values)[new[0]]
-            p_value = min(p_value, self._fall_p_value(self.refits.losses(line.residuals), fit.losses))
-            if family_p_value(p_value, len(self.names)) < self.alpha and self._improves(fit, line):
-                return fit.values
+        for starts in self._starts(values, first, far_off):
+            models = self._contenders([{**values, **start} for start in starts], values)
+            fits = self.refits.fit(models, race=True)
+            for index in np.argsort([fit.loss for fit in fits])[:3]:
+                fit = fits[index]
+                (new,) = set(fit.values) - set(values)
+                p_value = self._p_values(fit.values)[new]
+                p_value = min(p_value, self._fall_p_value(self.refits.losses(line.residuals), fit.losses))
+                if family_p_value(p_value, len(self.names)) < self.alpha and self._improves(fit, line):
+                    return fit.values
         return None
+
+    def _starts(self, values, first, far_off):
+        """Yield lists of starting values of a further effect, to be tried in turn until one leads to a better model."""
+        steps, grid = [], []
+        if far_off or family_p_value(first.p_values.min(), len(self.names)) < WORTH_A_LOOK:
+            steps = self._steps(values, first, 1.0 if far_off else WORTH_A_STEP)
+        if steps and not far_off:
+            yield steps
+            steps = []
+        if far_off or not values:
+            grid = self._grid(values, [first.names[k] for k in np.flatnonzero(first.p_values < 1)])
+        if steps or grid:
+            yield steps + grid
 
     def _exchanged(self, values, line):
         """Return a model with one named effect, or two, exchanged for another one, None if the present one is best.
@@ -328,16 +363,41 @@ class Selection:
     def _covariance(self, values):
         """Return (names, covariance, degrees of freedom) of fitted values."""
         names = list(values)
-        residuals = self.residuals.whitened([values])[0]
-        derivatives = self.residuals.derivatives(values, names)
-        weights = self.refits.weights(residuals)
-        covariance, freedom = wald(grams(residuals, derivatives, self._clusters(len(names)), weights))
-        by_block, block_freedom = wald(grams(residuals, derivatives, self.blocks, weights))
+        residuals, derivatives, gram = self._secant_grams(values)
+        covariance, freedom = wald(gram)
+        by_block, block_freedom = wald(
+            grams(residuals, derivatives, self.blocks, self.refits.weights(residuals))
+        )
         # What neighbours in time have in common widens intervals where enough blocks tell.
         enough = np.isfinite(np.diag(covariance)) & (block_freedom > FEWEST_BLOCKS_TO_WIDEN)
         ratio = np.where(enough, np.diag(by_block), np.diag(covariance)) / np.diag(covariance)
         widen = np.sqrt(np.maximum(np.nan_to_num(ratio, nan=1.0), 1.0))
         return names, covariance * np.outer(widen, widen), freedom
+
+    def _secant_grams(self, values):
+        """Return residuals, their slopes by the values (n_rows, n_channels, n_values), and the Grams of both.
+
+        The slopes are those of secants as wide as the values are uncertain: at contacts a derivative tells of steps
+        that are small against that, and promises a precision that is not there.
+        """
+        names = list(values)
+        residuals = self.residuals.whitened([values])[0]
+        weights, clusters = self.refits.weights(residuals), self._clusters(len(names))
+        if not all(name in self.errors for name in names):
+            slopes = self.residuals.derivatives(values, names)
+            self._remember_errors(names, grams(residuals, slopes, clusters, weights))
+        widths = {
+            name: min(SECANT_IN_ERRORS * self.errors[name], WIDEST_SECANT * np.ptp(self.effects[name].bounds))
+            for name in names
+        }
+        slopes = self.residuals.derivatives(values, names, widths)
+        gram = grams(residuals, slopes, clusters, weights)
+        self._remember_errors(names, gram)
+        return residuals, slopes, gram
+
+    def _remember_errors(self, names, gram):
+        errors = np.sqrt(np.diag(wald(gram)[0]))
+        self.errors.update(zip(names, np.where(np.isfinite(errors) & (errors > 0), errors, np.inf)))
 
     def _clusters(self, n_effects):
         """Return the piece of time of each row: a row where memory allows, whitened rows being uncorrelated."""

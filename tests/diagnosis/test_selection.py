@@ -6,8 +6,10 @@ from sklearn.utils import check_random_state
 
 from skat.diagnosis.log import Log, check_log
 from skat.diagnosis.omnibus import TIME, _persistence
-from skat.diagnosis.residuals import TransitionResiduals
+from skat.diagnosis.residuals import Residuals, TransitionResiduals
 from skat.diagnosis.selection import Selection
+from skat.effects import Effect
+from skat.simulators import FunctionSimulator
 from tests.diagnosis.cart_pole import make_simulator, measure
 
 
@@ -74,6 +76,39 @@ def test_profile_interval_agrees_with_the_standard_error_where_nothing_bends(sim
 
 
 # -- what outlasts single rows -----------------------------------------------------------------------------------------
+
+
+def tooth_wheel(X, *, rate=1.0):
+    """Count the teeth of a wheel that pass: a step of one tooth where the rate is enough for one more."""
+    return np.floor(20 * rate + X)
+
+
+def selection_of_steps(seed, n_rows=600):
+    rng = np.random.default_rng(seed)
+    phase = rng.uniform(0, 1, (n_rows, 1))
+    teeth = (np.arange(1, 100) <= 20 * 1.1 + phase).sum(axis=1, keepdims=True)
+    simulator = FunctionSimulator(
+        tooth_wheel,
+        input_names=("phase",),
+        output_names=("teeth",),
+        effects=[Effect("rate", unit="1", neutral=1.0, bounds=(0.5, 2.0))],
+    )
+    log = check_log(simulator, phase, teeth + rng.standard_t(5, size=(n_rows, 1)) * np.sqrt(3 / 5), None)
+    residuals = Residuals(simulator, log, simulator.effects(), np.ones(1))
+    selection = Selection(residuals, ["rate"], alpha=0.005, max_effects=1, progress=lambda *_: None)
+    selection._linearised({"rate": 1.1})
+    return selection
+
+
+def test_steps_of_a_simulation_neither_hold_an_estimate_up_nor_pass_for_precision():
+    covered = []
+    for seed in range(20):
+        selection = selection_of_steps(seed)
+        values, _, spread = selection._averaged({"rate": 1.112}, None)
+        width = np.hypot(np.sqrt(selection._covariance(values)[1][0, 0]), spread["rate"])
+        covered.append(abs(values["rate"] - 1.1) < 1.96 * width)
+    # With the chance of 95 % each, fewer than 16 of 20 come in 0.3 % of runs.
+    assert sum(covered) >= 16
 
 
 class Rows:
