@@ -152,13 +152,16 @@ class Selection:
                 drawn.append(list(moved.values()))
             if len(drawn) == SETTLINGS:
                 break
+            last_step = np.abs([moved[name] - value for name, value in values.items()])
             values = moved
             self.residuals.settle(values)
             self.refits.set_scale(self.residuals.whitened([values])[0])
-        drawn = drawn or [list(values.values())]
         names = list(values)
-        spread = np.std(drawn, axis=0, ddof=1) if len(drawn) > 1 else np.zeros(len(names))
-        values = dict(zip(names, map(float, np.mean(drawn, axis=0))))
+        if len(drawn) == SETTLINGS:
+            spread = np.std(drawn, axis=0, ddof=1)
+            values = dict(zip(names, map(float, np.mean(drawn, axis=0))))
+        else:  # Still on the way: the last step is as far as the truth may be.
+            spread = last_step
         return values, self._linearised(values, settled=True), dict(zip(names, map(float, spread)))
 
     def _newton(self, values):
