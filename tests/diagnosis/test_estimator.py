@@ -127,12 +127,12 @@ def test_clean_logs_raise_no_more_alarms_than_alpha_allows(simulator):
 
 def test_intervals_cover_the_truth_as_often_as_they_say(simulator):
     covered = []
-    for seed in range(30):
+    for seed in range(20):
         diagnosis = fitted(simulator, measure(200 + seed, bob=1.1), effects=["bob", "drag", "gain"])
         intervals = {cause.name: cause.interval for cause in diagnosis.causes_}
         assert "bob" in intervals
         covered.append(intervals["bob"][0] <= 1.1 <= intervals["bob"][1])
-    # With the chance of 95 % each, fewer than 85 % of 30 come in 1.6 % of runs.
+    # With the chance of 95 % each, fewer than 85 % of 20 come in 1.6 % of runs.
     assert np.mean(covered) >= 0.85
 
 
