@@ -1,11 +1,10 @@
-"""What is named first is exchanged where a later cause makes something else as good or better."""
+"""Which causes are kept and exchanged, and how exactly and how surely their values are known."""
 
 import numpy as np
 import pytest
 from sklearn.utils import check_random_state
 
-from skat.diagnosis.log import Log, check_log
-from skat.diagnosis.omnibus import TIME, _persistence
+from skat.diagnosis.log import check_log
 from skat.diagnosis.residuals import Residuals, TransitionResiduals
 from skat.diagnosis.selection import Selection
 from skat.effects import Effect
@@ -75,7 +74,7 @@ def test_profile_interval_agrees_with_the_standard_error_where_nothing_bends(sim
     assert 1 * error < (high - low) / 2 < 8 * error
 
 
-# -- what outlasts single rows -----------------------------------------------------------------------------------------
+# -- a simulation of steps ---------------------------------------------------------------------------------------------
 
 
 def tooth_wheel(X, *, rate=1.0):
@@ -109,37 +108,3 @@ def test_steps_of_a_simulation_neither_hold_an_estimate_up_nor_pass_for_precisio
         covered.append(abs(values["rate"] - 1.1) < 1.96 * width)
     # With the chance of 95 % each, fewer than 16 of 20 come in 0.3 % of runs.
     assert sum(covered) >= 16
-
-
-class Rows:
-    """As much of residuals as the test of persistence needs: episodes and names."""
-
-    log = Log(np.zeros((1000, 1)), np.zeros((1000, 1)), np.repeat(np.arange(20), 50), True)
-
-    class simulator:
-        residual_names = ("a", "b")
-
-
-def test_persistence_is_uniform_for_noise_with_heavy_tails():
-    p_values = [
-        p
-        for seed in range(200)
-        for _, _, p in _persistence(Rows, np.random.default_rng(seed).standard_t(4, (1000, 2)))
-    ]
-    # A standard deviation of the share is 0.011 at 5 %.
-    assert 0.02 < np.mean(np.array(p_values) < 0.05) < 0.09
-    assert np.mean(np.array(p_values) < 0.001) < 0.01
-
-
-def test_periodic_remainder_is_found_in_its_channel():
-    white = np.random.default_rng(0).normal(size=(1000, 2))
-    white[:, 1] += np.sin(np.arange(1000) / 3)
-    (_, _, quiet), (name, what, loud) = _persistence(Rows, white)
-    assert (name, what) == ("b", TIME)
-    assert loud < 1e-4 < quiet
-
-
-def test_one_contact_whose_linearisation_failed_does_not_count_as_lasting():
-    white = np.random.default_rng(0).normal(size=(1000, 2))
-    white[200:230, 1] += 5.0
-    assert all(p > 0.05 for _, _, p in _persistence(Rows, white))
