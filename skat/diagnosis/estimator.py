@@ -147,7 +147,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         self._values = dict(selected.values)
         if held_out is not None:
             progress("gain", 0, 1)
-            residuals = self._settled(held_out)
+            residuals = self._differentiated(held_out)
             self.gain_ = one_step_gain(residuals, self._values, random_state)
         self.excess_p_value_ = self._excess(residuals)
         self.verdict_ = self._verdict()
@@ -189,7 +189,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         log = check_log(self.simulator, X, y, groups, fewest_rows=1, hidden=hidden)
         random_state = check_random_state(self.random_state)
         if horizon == 1 and not hidden:
-            return one_step_gain(self._settled(log), self._values, random_state)
+            return one_step_gain(self._differentiated(log), self._values, random_state)
         if not log.consecutive:
             raise ValueError(
                 "horizon='episode' needs a simulation with a state, and groups=, the episode of each row."
@@ -303,9 +303,9 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         kind = TransitionResiduals if self.simulator.state_names else Residuals
         return kind(self.simulator, log, effects, deviations, n_jobs=self.n_jobs)
 
-    def _settled(self, log):
+    def _differentiated(self, log):
         residuals = self._residuals(log, self._chosen_effects(), self.noise_)
-        residuals.settle(self._values)
+        residuals.differentiate(self._values)
         return residuals
 
     def _excess(self, residuals):

@@ -115,6 +115,15 @@ def screen(gram, names, values, effects, fitted=()):
     return Screen(tuple(names), moves, gains, statistics, p_values)
 
 
+def lone_errors(gram):
+    """Return the standard error of each effect (n_effects,), were it the only one; infinite where it shows nothing."""
+    within = np.einsum("bkk->bk", gram.information)
+    total = within.sum(axis=0)
+    safe = np.where(total > 0, total, 1.0)
+    errors, _ = block_errors(gram.scores - gram.scores.sum(axis=0) / safe * within, within, safe)
+    return np.where(total > 0, errors, np.inf)
+
+
 def block_errors(scores, within, total):
     """Return standard errors and degrees of freedom of changes that maximise a sum over blocks.
 

@@ -24,8 +24,8 @@ LEAST_CHANGE = 1e-5
 FARTHEST_SMOOTHED = 3.0
 # A model that misses less than this share beyond the noise counts as right where states are smoothed.
 NEGLIGIBLE_MISFIT = 1.3
-ROWS_FOR_FIRST_NOISE = 360
-ROWS_FOR_STEPS = 120
+ROWS_FOR_FIRST_NOISE = 200
+ROWS_FOR_STEPS = 60
 # Fewer simulated rows are not worth sending to other processes.
 FEWEST_ROWS_TO_SHARE = 5000
 # Effects regressed out before the noise is estimated: at most one for so many residuals.
@@ -108,6 +108,9 @@ class Residuals:
         if self.variances is None:
             self.variances = self._first_variances(values)
 
+    def differentiate(self, values):
+        """Differentiate predictions by the state they start from, as far as `noise_errors` needs it: not at all."""
+
     def linearise(self, values, names):
         """Return the Linearisation by the named effects, at the points that `settle` found.
 
@@ -118,6 +121,25 @@ class Residuals:
         self.regressors = derivatives
         self._estimate_noise(raw)
         return Linearisation(dict(values), self.whiten(raw), self.whiten(derivatives), tuple(names))
+
+    def widened(self, line, widths):
+        """Return the last Linearisation with secants, so wide to both sides, in place of some effects' derivatives.
+
+        Parameters
+        ----------
+        line : Linearisation
+        widths : dict of str to float
+        """
+        columns = [line.names.index(name) for name in widths]
+        self.regressors = self.regressors.copy()
+        self.regressors[..., columns] = self._derivatives(line.values, widths, widths)
+        return self.shifted(line, line.values)
+
+    def shifted(self, line, values):
+        """Return the last Linearisation carried to a model close to its own: residuals anew, derivatives kept."""
+        raw = self.raw_residuals([values])[0]
+        self._estimate_noise(raw)
+        return Linearisation(dict(values), self.whiten(raw), self.whiten(self.regressors), line.names)
 
     def whitened(self, candidates):
         """Return whitened residuals (n_candidates, n_rows, n_channels) of other models, in the same whitening.
@@ -362,7 +384,7 @@ class TransitionResiduals(Residuals):
         if self.variances is None:
             self.variances = self._first_variances(values)
         if self.whitener is None:
-            self._differentiate(values)
+            self.differentiate(values)
         raw = self.raw_residuals([values])[0]
         expected = np.median(self._residual_variances(), axis=0)
         found = (1.4826 * np.nanmedian(np.abs(raw[self.present]), axis=0)) ** 2
@@ -376,7 +398,7 @@ class TransitionResiduals(Residuals):
         self.noise = noise * scale
         self.points = self.simulator.displace(self.log.X, -self.noise)
         if not roughly:
-            self._differentiate(values)
+            self.differentiate(values)
         if self.regressors.shape[-1]:
             self._estimate_noise(self.raw_residuals([values])[0])
 
@@ -397,12 +419,12 @@ class TransitionResiduals(Residuals):
         raw = self.raw_residuals([values])[0]
         deviation = 1.4826 * np.nanmedian(np.abs(raw[self.present]), axis=0) / np.sqrt(2)
         self.variances = np.maximum(np.minimum(deviation, 0.02 * spread) ** 2, self.smallest)
-        self._differentiate(values)
+        self.differentiate(values)
         self.regressors = self._derivatives(values, self.effects)
         self._estimate_noise(raw)
         return self.variances
 
-    def _differentiate(self, values):
+    def differentiate(self, values):
         """Differentiate the next state by the state over one standard deviation of noise to both sides."""
         deviations = self.deviations
         n, d = len(self.log), self.n_channels

@@ -6,7 +6,7 @@ from itertools import combinations
 import numpy as np
 from scipy import stats
 
-from skat.diagnosis.evidence import family_p_value, grams, screen, solve_scaled, wald
+from skat.diagnosis.evidence import family_p_value, grams, lone_errors, screen, solve_scaled, wald
 from skat.diagnosis.refits import Fit, Refits
 
 SHORTLIST = 8
@@ -63,6 +63,8 @@ LONGEST_STEP = 10.0
 # Secants reach so many standard errors to both sides, or over this share of the effect's range.
 SECANT_IN_ERRORS = 5.0
 WIDEST_SECANT = 0.1
+# A derivative whose step is smaller than a secant by more than this factor may be that of a jag.
+JAGGED = 3.0
 
 
 @dataclass(frozen=True)
@@ -162,7 +164,9 @@ class Selection:
             values = dict(zip(names, map(float, np.mean(drawn, axis=0))))
         else:  # Still on the way: the last step is as far as the truth may be.
             spread = last_step
-        return values, self._linearised(values, settled=True), dict(zip(names, map(float, spread)))
+        line = self.residuals.shifted(line, values)
+        self.refits.set_scale(line.residuals)
+        return values, line, dict(zip(names, map(float, spread)))
 
     def _newton(self, values):
         """Return values after a Gauss-Newton step by secants, and its length in standard errors."""
@@ -191,8 +195,16 @@ class Selection:
         if not settled:
             self.residuals.settle(values)
         line = self.residuals.linearise(values, self.names)
+        errors = lone_errors(grams(line.residuals, line.derivatives, self._clusters(len(line.names))))
+        widths = {name: self._secant_width(name, error) for name, error in zip(self.names, errors)}
+        jagged = {name: width for name, width in widths.items() if width > JAGGED * self.residuals.steps[name]}
+        if jagged:
+            line = self.residuals.widened(line, jagged)
         self.refits.set_scale(line.residuals)
         return line
+
+    def _secant_width(self, name, error):
+        return min(SECANT_IN_ERRORS * error, WIDEST_SECANT * np.ptp(self.effects[name].bounds))
 
     def _polished(self, values):
         """Return a model at the optimum of its own smoothed states and noise, and its linearisation."""
@@ -389,10 +401,7 @@ class Selection:
         if not all(name in self.errors for name in names):
             slopes = self.residuals.derivatives(values, names)
             self._remember_errors(names, grams(residuals, slopes, clusters, weights))
-        widths = {
-            name: min(SECANT_IN_ERRORS * self.errors[name], WIDEST_SECANT * np.ptp(self.effects[name].bounds))
-            for name in names
-        }
+        widths = {name: self._secant_width(name, self.errors[name]) for name in names}
         slopes = self.residuals.derivatives(values, names, widths)
         gram = grams(residuals, slopes, clusters, weights)
         self._remember_errors(names, gram)
