@@ -197,7 +197,9 @@ class Selection:
         line = self.residuals.linearise(values, self.names)
         errors = lone_errors(grams(line.residuals, line.derivatives, self._clusters(len(line.names))))
         widths = {name: self._secant_width(name, error) for name, error in zip(self.names, errors)}
-        jagged = {name: width for name, width in widths.items() if width > JAGGED * self.residuals.steps[name]}
+        jagged = {
+            name: width for name, width in widths.items() if width > JAGGED * self.residuals.steps[name]
+        }
         if jagged:
             line = self.residuals.widened(line, jagged)
         self.refits.set_scale(line.residuals)
