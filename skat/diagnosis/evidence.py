@@ -12,6 +12,9 @@ from scipy import stats
 
 from skat.diagnosis.residuals import robust_weights
 
+# Models within this quantile of each other's loss (paired over blocks, one-sided) cannot be told apart.
+ALIAS_LEVEL = 0.05
+
 
 @dataclass(frozen=True)
 class Screen:
@@ -115,13 +118,22 @@ def screen(gram, names, values, effects, fitted=()):
     return Screen(tuple(names), moves, gains, statistics, p_values)
 
 
-def lone_errors(gram):
-    """Return the standard error of each effect (n_effects,), were it the only one; infinite where it shows nothing."""
+def lone_statistics(gram):
+    """Return the Wald statistic, standard error and degrees of freedom of each effect, were it the only one.
+
+    Arrays of shape (n_effects,); zero, infinite and infinite where an effect shows nothing.
+    """
     within = np.einsum("bkk->bk", gram.information)
     total = within.sum(axis=0)
     safe = np.where(total > 0, total, 1.0)
-    errors, _ = block_errors(gram.scores - gram.scores.sum(axis=0) / safe * within, within, safe)
-    return np.where(total > 0, errors, np.inf)
+    changes = gram.scores.sum(axis=0) / safe
+    errors, freedom = block_errors(gram.scores - changes * within, within, safe)
+    shows = total > 0
+    return (
+        np.where(shows, changes / errors, 0.0),
+        np.where(shows, errors, np.inf),
+        np.where(shows, freedom, np.inf),
+    )
 
 
 def block_errors(scores, within, total):
@@ -183,3 +195,26 @@ def solve_scaled(information, right):
 def family_p_value(p_value, n_effects):
     """Return the chance that the smallest of `n_effects` independent p-values is as small as this one (Sidak)."""
     return float(-np.expm1(n_effects * np.log1p(-min(p_value, 1 - 1e-16))))
+
+
+def fall_p_value(without, losses):
+    """Return the p-value of the fall of the loss by an effect, over blocks.
+
+    With noise alone t is half the Wald statistic, so this test rarely counts; where a simulation has kinks, which widen
+    the errors of the effect but do not keep it from explaining the log, it does.
+
+    Parameters
+    ----------
+    without, losses : ndarray of shape (n_blocks,)
+        Without the effect, and with it.
+    """
+    fall = without - losses
+    error = np.sqrt(len(fall) * fall.var(ddof=1)) if len(fall) > 1 else np.inf
+    return float(stats.t.sf(fall.sum() / max(error, 1e-300), len(fall) - 1))
+
+
+def as_good(losses, reference, level=ALIAS_LEVEL):
+    """Whether a model's losses (n_blocks,) are not significantly higher than another's, paired by block (Vuong)."""
+    worse = losses - reference
+    error = np.sqrt(len(worse) * worse.var(ddof=1))
+    return bool(worse.sum() <= stats.t.isf(level, len(worse) - 1) * error + 1e-9 * reference.sum())

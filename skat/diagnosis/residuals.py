@@ -122,17 +122,10 @@ class Residuals:
         self._estimate_noise(raw)
         return Linearisation(dict(values), self.whiten(raw), self.whiten(derivatives), tuple(names))
 
-    def widened(self, line, widths):
-        """Return the last Linearisation with secants, so wide to both sides, in place of some effects' derivatives.
-
-        Parameters
-        ----------
-        line : Linearisation
-        widths : dict of str to float
-        """
-        columns = [line.names.index(name) for name in widths]
+    def with_slopes(self, line, names, slopes):
+        """Return the last Linearisation with raw slopes (n_rows, n_channels, n_names) in place of some derivatives."""
         self.regressors = self.regressors.copy()
-        self.regressors[..., columns] = self._derivatives(line.values, widths, widths)
+        self.regressors[..., [line.names.index(name) for name in names]] = slopes
         return self.shifted(line, line.values)
 
     def shifted(self, line, values):
@@ -183,24 +176,14 @@ class Residuals:
                     )
         return np.array(sizes)
 
-    def derivatives(self, values, names, widths=None):
-        """Return the whitened derivatives (n_rows, n_channels, n_effects) at a model.
+    def derivatives(self, values, names):
+        """Return the whitened derivatives (n_rows, n_channels, n_effects) at a model."""
+        return self.whiten(self._derivatives(values, names))
 
-        Parameters
-        ----------
-        values : dict of str to float
-        names : sequence of str
-        widths : dict of str to float, optional
-            Slopes of secants so far to both sides, as far as the effects' bounds allow, in place of derivatives.
-        """
-        return self.whiten(self._derivatives(values, names, widths))
-
-    def _derivatives(self, values, names, widths=None):
+    def _derivatives(self, values, names):
         names = list(names)
         if not names:
             return np.zeros((len(self.log), self.n_channels, 0))
-        if widths is not None:
-            return self._secants(values, names, widths)
         new = [name for name in names if name not in self.steps]
         if new:
             self._choose_steps(values, new)
@@ -216,13 +199,21 @@ class Residuals:
         changes[felt < LEAST_CHANGE] = 0.0
         return np.moveaxis(changes, 0, -1) / np.where(np.equal(moves, 0), np.inf, moves)
 
-    def _secants(self, values, names, widths):
+    def secants(self, values, widths):
+        """Return the raw slopes (n_rows, n_channels, n_effects) of secants about a model.
+
+        Parameters
+        ----------
+        values : dict of str to float
+        widths : dict of str to float
+            How far each effect's secant reaches to both sides, as far as the effect's bounds allow.
+        """
         ends = []
-        for name in names:
+        for name, width in widths.items():
             at, (low, high) = values.get(name, self.effects[name].neutral), self.effects[name].bounds
-            ends += [max(at - widths[name], low), min(at + widths[name], high)]
+            ends += [max(at - width, low), min(at + width, high)]
         changes = self._changes(
-            [values, *({**values, name: end} for name, end in zip(np.repeat(names, 2), ends))]
+            [values, *({**values, name: end} for name, end in zip(np.repeat(list(widths), 2), ends))]
         )
         slopes = (changes[1::2] - changes[::2]) / np.subtract(ends[1::2], ends[::2])[:, None, None]
         return np.moveaxis(np.nan_to_num(slopes, nan=0.0, posinf=0.0, neginf=0.0), 0, -1)

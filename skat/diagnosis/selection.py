@@ -6,8 +6,9 @@ from itertools import combinations
 import numpy as np
 from scipy import stats
 
-from skat.diagnosis.evidence import family_p_value, grams, lone_errors, screen, solve_scaled, wald
-from skat.diagnosis.refits import Fit, Refits
+from skat.diagnosis.estimates import Estimates
+from skat.diagnosis.evidence import as_good, fall_p_value, family_p_value, grams, screen, solve_scaled
+from skat.diagnosis.refits import Fit
 
 SHORTLIST = 8
 # Exchanges refitted, exchanges made, and the fall of the loss in noise units that makes one worth it.
@@ -21,19 +22,9 @@ WORTH_A_LOOK = 0.5
 WORTH_A_STEP = 0.05
 CONTENDERS = 6
 SHARES_OF_STEP = (1.0, 0.3, 0.1)
-# Effects within this loss quantile of the named one (paired over blocks, one-sided) cannot be told from it.
-ALIAS_LEVEL = 0.05
 # A rival is refitted where, to first order, it leaves less than this loss in noise units, or this share of it.
 FAR_APART = 100.0
 SIMILAR = 0.1
-# Level of either end of an interval by profile; the end is narrowed to a fourth so many times at most, or until it is
-# known to this share of its distance.
-INTERVAL_LEVEL = 0.025
-PROFILE_STEPS = 8
-PROFILE_ACCURACY = 0.1
-# Numbers in the information of all pieces of time together.
-LARGEST_GRAM = 50_000_000
-FEWEST_BLOCKS_TO_WIDEN = 10
 # An effect on all is taken apart into so many elements at most, where that leaves less than this share of the loss.
 MOST_ELEMENTS = 16
 APART_LOSS = 0.7
@@ -50,21 +41,6 @@ LONGEST_GRID = 5
 # Fall of the log error, summed over channels, that makes a value far off worth a refit.
 WORTH_A_REFIT = 0.3
 ROWS_OF_GRID = 72
-POLISH_STEPS = 5
-# Standard errors within which derivatives by the state are kept from one step to the next.
-CLOSE = 2.0
-# The named effects are settled and fitted so many times at the end, once they are within so many standard errors of
-# their place, and so many times in all; not at all where they stay within this share of their standard errors.
-SETTLINGS = 3
-MOST_SETTLINGS = 6
-NEAR = 1.5
-SETTLED = 0.2
-LONGEST_STEP = 10.0
-# Secants reach so many standard errors to both sides, or over this share of the effect's range.
-SECANT_IN_ERRORS = 5.0
-WIDEST_SECANT = 0.1
-# A derivative whose step is smaller than a secant by more than this factor may be that of a jag.
-JAGGED = 3.0
 
 
 @dataclass(frozen=True)
@@ -113,73 +89,25 @@ class Selection:
     def __init__(self, residuals, names, *, alpha, max_effects, progress):
         self.residuals, self.names = residuals, list(names)
         self.alpha, self.max_effects, self.progress = alpha, max_effects, progress
-        self.blocks = residuals.blocks
         self.effects = residuals.effects
-        self.refits = Refits(residuals)
-        # Standard error of each effect when it was last fitted.
-        self.errors: dict[str, float] = {}
+        self.estimates = Estimates(residuals, names)
+        self.refits = self.estimates.refits
 
     def run(self):
         """Return the Selected effects."""
         values: dict[str, float] = {}
         history: list[dict[str, float]] = []
-        line = self._linearised(values)
+        line = self.estimates.linearised(values)
         while len(values) < self.max_effects:
             self.progress("select", len(values), self.max_effects)
             added = self._add(values, line) or self._apart(values, line)
             if added is None:
                 break
             history.append(added)
-            values, line = self._simplified(*self._polished(added))
+            values, line = self._simplified(*self.estimates.polished(added))
         values, line = self._prune(values, line)
-        values, line, spread = self._averaged(values, line)
+        values, line, spread = self.estimates.averaged(values, line)
         return self._result(values, line, spread, history)
-
-    def _averaged(self, values, line):
-        """Return the mean of values settled and fitted again and again, its linearisation, and their spread.
-
-        At contacts smoothed states and derivatives jump from one settling to the next, and with them the optimum:
-        an uncertainty that no statistic at fixed states sees. Where the simulation is smooth there is none. The loss
-        has steps there, too, in which a descent gets stuck; Gauss-Newton steps by secants pass over them.
-        """
-        if not values:
-            return values, line, {}
-        drawn: list[list[float]] = []
-        for _ in range(MOST_SETTLINGS):
-            moved, moves = self._newton(values)
-            largest = np.max(np.abs(moves))
-            if largest < SETTLED and not drawn:
-                return values, line, dict.fromkeys(values, 0.0)
-            if drawn or largest < NEAR:
-                drawn.append(list(moved.values()))
-            if len(drawn) == SETTLINGS:
-                break
-            last_step = np.abs([moved[name] - value for name, value in values.items()])
-            values = moved
-            self.residuals.settle(values)
-            self.refits.set_scale(self.residuals.whitened([values])[0])
-        names = list(values)
-        if len(drawn) == SETTLINGS:
-            spread = np.std(drawn, axis=0, ddof=1)
-            values = dict(zip(names, map(float, np.mean(drawn, axis=0))))
-        else:  # Still on the way: the last step is as far as the truth may be.
-            spread = last_step
-        line = self.residuals.shifted(line, values)
-        self.refits.set_scale(line.residuals)
-        return values, line, dict(zip(names, map(float, spread)))
-
-    def _newton(self, values):
-        """Return values after a Gauss-Newton step by secants, and its length in standard errors."""
-        gram = self._secant_grams(values)[2]
-        information = gram.information.sum(axis=0)
-        move = solve_scaled(information, gram.scores.sum(axis=0)[:, None])[:, 0]
-        errors = np.sqrt(np.diag(wald(gram)[0]))
-        move *= min(1.0, LONGEST_STEP / max(np.max(np.abs(move / errors)), 1e-300))
-        moved = {
-            name: float(np.clip(value + step, *self.effects[name].bounds))
-            for (name, value), step in zip(values.items(), move)
-        }
-        return moved, np.array([moved[name] - values[name] for name in values]) / errors
 
     def _simplified(self, values, line):
         """Return a model that no exchange of effects makes better, or smaller and as good."""
@@ -187,47 +115,14 @@ class Selection:
             exchanged = self._exchanged(values, line)
             if exchanged is None:
                 break
-            values, line = self._polished(exchanged)
+            values, line = self.estimates.polished(exchanged)
         return values, line
-
-    def _linearised(self, values, *, settled=False):
-        """Return the linearisation by all effects at a model that noise and smoothed states are adapted to."""
-        if not settled:
-            self.residuals.settle(values)
-        line = self.residuals.linearise(values, self.names)
-        errors = lone_errors(grams(line.residuals, line.derivatives, self._clusters(len(line.names))))
-        widths = {name: self._secant_width(name, error) for name, error in zip(self.names, errors)}
-        jagged = {
-            name: width for name, width in widths.items() if width > JAGGED * self.residuals.steps[name]
-        }
-        if jagged:
-            line = self.residuals.widened(line, jagged)
-        self.refits.set_scale(line.residuals)
-        return line
-
-    def _secant_width(self, name, error):
-        return min(SECANT_IN_ERRORS * error, WIDEST_SECANT * np.ptp(self.effects[name].bounds))
-
-    def _polished(self, values):
-        """Return a model at the optimum of its own smoothed states and noise, and its linearisation."""
-        nearly_there = False
-        for _ in range(POLISH_STEPS):
-            self.residuals.settle(values, roughly=nearly_there)
-            before = values
-            self.refits.set_scale(self.residuals.whitened([values])[0])
-            values = self.refits.fit([values])[0].values
-            errors = np.sqrt(np.diag(self._covariance(values)[1]))
-            moves = [abs(values[name] - before[name]) / error for name, error in zip(values, errors)]
-            if max(moves) < SETTLED:
-                break
-            nearly_there = max(moves) < CLOSE
-        return values, self._linearised(values, settled=max(moves) < SETTLED and not nearly_there)
 
     # -- one effect more -------------------------------------------------------------------------------------------
 
     def _add(self, values, line):
         """Return the values of the model with the best further effect, None if no effect is significant."""
-        gram = grams(line.residuals, line.derivatives, self._clusters(len(line.names)))
+        gram = grams(line.residuals, line.derivatives, self.estimates.clusters(len(line.names)))
         first = screen(gram, line.names, values, self.effects, list(values))
         misfit = np.median(np.sum(line.residuals**2, axis=-1)) / line.residuals.shape[1]
         far_off = misfit > FAR_OFF
@@ -237,8 +132,8 @@ class Selection:
             for index in np.argsort([fit.loss for fit in fits])[:3]:
                 fit = fits[index]
                 (new,) = set(fit.values) - set(values)
-                p_value = self._p_values(fit.values)[new]
-                p_value = min(p_value, self._fall_p_value(self.refits.losses(line.residuals), fit.losses))
+                p_value = self.estimates.p_values(fit.values)[new]
+                p_value = min(p_value, fall_p_value(self.refits.losses(line.residuals), fit.losses))
                 if family_p_value(p_value, len(self.names)) < self.alpha and self._improves(fit, line):
                     return fit.values
         return None
@@ -289,7 +184,7 @@ class Selection:
             if not models:
                 continue
             best = min(self.refits.fit(models, race=True), key=lambda fit: fit.loss)
-            smaller_and_as_good = n_dropped == 2 and self._as_good(best.losses, present.losses)
+            smaller_and_as_good = n_dropped == 2 and as_good(best.losses, present.losses)
             if smaller_and_as_good or best.loss < present.loss - WORTH_AN_EXCHANGE:
                 return best.values
         return None
@@ -317,7 +212,7 @@ class Selection:
             while True:
                 p_values = {
                     other: family_p_value(p, len(self.names))
-                    for other, p in self._p_values(fit.values).items()
+                    for other, p in self.estimates.p_values(fit.values).items()
                 }
                 kept = {other: value for other, value in fit.values.items() if p_values[other] < self.alpha}
                 if len(kept) == len(fit.values) or not kept:
@@ -377,67 +272,6 @@ class Selection:
 
     # -- decisions -------------------------------------------------------------------------------------------------
 
-    def _covariance(self, values):
-        """Return (names, covariance, degrees of freedom) of fitted values."""
-        names = list(values)
-        residuals, derivatives, gram = self._secant_grams(values)
-        covariance, freedom = wald(gram)
-        by_block, block_freedom = wald(
-            grams(residuals, derivatives, self.blocks, self.refits.weights(residuals))
-        )
-        # What neighbours in time have in common widens intervals where enough blocks tell.
-        enough = np.isfinite(np.diag(covariance)) & (block_freedom > FEWEST_BLOCKS_TO_WIDEN)
-        ratio = np.where(enough, np.diag(by_block), np.diag(covariance)) / np.diag(covariance)
-        widen = np.sqrt(np.maximum(np.nan_to_num(ratio, nan=1.0), 1.0))
-        return names, covariance * np.outer(widen, widen), freedom
-
-    def _secant_grams(self, values):
-        """Return residuals, their slopes by the values (n_rows, n_channels, n_values), and the Grams of both.
-
-        The slopes are those of secants as wide as the values are uncertain: at contacts a derivative tells of steps
-        that are small against that, and promises a precision that is not there.
-        """
-        names = list(values)
-        residuals = self.residuals.whitened([values])[0]
-        weights, clusters = self.refits.weights(residuals), self._clusters(len(names))
-        if not all(name in self.errors for name in names):
-            slopes = self.residuals.derivatives(values, names)
-            self._remember_errors(names, grams(residuals, slopes, clusters, weights))
-        widths = {name: self._secant_width(name, self.errors[name]) for name in names}
-        slopes = self.residuals.derivatives(values, names, widths)
-        gram = grams(residuals, slopes, clusters, weights)
-        self._remember_errors(names, gram)
-        return residuals, slopes, gram
-
-    def _remember_errors(self, names, gram):
-        errors = np.sqrt(np.diag(wald(gram)[0]))
-        self.errors.update(zip(names, np.where(np.isfinite(errors) & (errors > 0), errors, np.inf)))
-
-    def _clusters(self, n_effects):
-        """Return the piece of time of each row: a row where memory allows, whitened rows being uncorrelated."""
-        count = len(self.blocks)
-        return np.arange(count) // -(-count * n_effects**2 // LARGEST_GRAM)
-
-    def _p_values(self, values):
-        names, covariance, freedom = self._covariance(values)
-        p_values = {}
-        for k, name in enumerate(names):
-            distance = values[name] - self.effects[name].neutral
-            p_values[name] = float(
-                2 * stats.t.sf(abs(distance) / np.sqrt(max(covariance[k, k], 1e-300)), freedom[k])
-            )
-        return p_values
-
-    def _fall_p_value(self, without, losses):
-        """Return the p-value of the fall of the loss by an effect, over blocks.
-
-        With noise alone t is half the Wald statistic, so this test rarely counts; where a simulation has kinks, which
-        widen the errors of the effect but do not keep it from explaining the log, it does.
-        """
-        fall = without - losses
-        error = np.sqrt(len(fall) * fall.var(ddof=1)) if len(fall) > 1 else np.inf
-        return float(stats.t.sf(fall.sum() / max(error, 1e-300), len(fall) - 1))
-
     def _prune(self, values, line):
         """Drop effects that are no longer significant beside the others."""
         self.fall_p_values: dict[str, float] = {}
@@ -446,7 +280,7 @@ class Selection:
             losses = self.refits.losses(line.residuals)
             p_values = {
                 name: family_p_value(p, len(self.names))
-                for name, p in self._p_values(values).items()
+                for name, p in self.estimates.p_values(values).items()
                 if name not in self.fall_p_values
             }
             worst = max(p_values, key=lambda name: p_values[name], default=None)
@@ -458,21 +292,22 @@ class Selection:
                 if kept
                 else Fit({}, self.refits.losses(self.refits.whitened([{}])[0]))
             )
-            p_value = self._fall_p_value(without.losses, losses)
+            p_value = fall_p_value(without.losses, losses)
             if family_p_value(p_value, len(self.names)) < self.alpha:
                 self.fall_p_values[worst] = p_value
                 continue
-            values, line = (
-                self._simplified(*self._polished(without.values)) if kept else ({}, self._linearised({}))
-            )
+            if kept:
+                values, line = self._simplified(*self.estimates.polished(without.values))
+            else:
+                values, line = {}, self.estimates.linearised({})
             self.fall_p_values = {}
         return values, line
 
     def _result(self, values, line, spread, history):
-        gram = grams(line.residuals, line.derivatives, self._clusters(len(line.names)))
+        gram = grams(line.residuals, line.derivatives, self.estimates.clusters(len(line.names)))
         if not values:
             return Selected({}, {}, {}, {}, line, gram, history)
-        names, covariance, freedom = self._covariance(values)
+        names, covariance, freedom = self.estimates.covariance(values)
         p_values, intervals, telling = {}, {}, {}
         for k, name in enumerate(names):
             error = np.hypot(np.sqrt(covariance[k, k]), spread[name])
@@ -484,38 +319,12 @@ class Selection:
             low, high = self.effects[name].bounds
             intervals[name] = (max(values[name] - reach, low), min(values[name] + reach, high))
             if name in self.fall_p_values:
-                intervals[name] = self._profile_interval(name, values, line)
+                intervals[name] = self.estimates.profile_interval(name, values, line)
         order = sorted(names, key=lambda name: telling[name], reverse=True)
         aliases = self._aliases({name: values[name] for name in order}, line)
         return Selected(
             {name: values[name] for name in order}, p_values, intervals, aliases, line, gram, history
         )
-
-    def _profile_interval(self, name, values, line):
-        """Return the values of an effect, the others refitted, that fit the log not significantly worse.
-
-        Where a derivative says little, because the simulation has kinks or the effect is at a bound.
-        """
-        neutral, (low, high) = self.effects[name].neutral, self.effects[name].bounds
-        best, reference = values[name], self.refits.losses(line.residuals)
-        ends = []
-        for end in (low, high):
-            inside, outside = best, end
-            if neutral != best and (neutral - best) * (end - best) > 0:
-                outside = neutral
-            for _ in range(PROFILE_STEPS):
-                if abs(outside - inside) <= PROFILE_ACCURACY * abs(inside - best):
-                    break
-                points = inside + (outside - inside) * np.arange(1, 5) / 4
-                fits = self.refits.fit([values | {name: float(point)} for point in points], hold=name)
-                good = [self._as_good(fit.losses, reference, INTERVAL_LEVEL) for fit in fits]
-                first_bad = good.index(False) if False in good else len(good)
-                if first_bad == len(good):
-                    inside = outside
-                    break
-                inside, outside = points[first_bad - 1] if first_bad else inside, points[first_bad]
-            ends.append(float(inside))
-        return ends[0], ends[1]
 
     # -- what cannot be told apart -----------------------------------------------------------------------------------
 
@@ -554,9 +363,7 @@ class Selection:
             if starts:
                 swapped = self.refits.fit(starts)
                 aliases[name] = tuple(
-                    line.names[k]
-                    for k, other in zip(rivals, swapped)
-                    if self._as_good(other.losses, fit.losses)
+                    line.names[k] for k, other in zip(rivals, swapped) if as_good(other.losses, fit.losses)
                 )
             self.progress("aliases", done + 1, len(values))
         return aliases
@@ -576,11 +383,3 @@ class Selection:
             fall = np.bincount(episodes, fall)
         error = np.sqrt(len(fall) * fall.var(ddof=1))
         return bool(fall.sum() > stats.t.isf(IMPROVEMENT_LEVEL, len(fall) - 1) * error)
-
-    @staticmethod
-    def _as_good(losses, reference, level=ALIAS_LEVEL):
-        """Whether the losses are not significantly higher, paired by block (Vuong)."""
-        worse = losses - reference
-        total, count = worse.sum(), len(worse)
-        error = np.sqrt(count * worse.var(ddof=1))
-        return bool(total <= stats.t.isf(level, count - 1) * error + 1e-9 * reference.sum())

@@ -49,9 +49,15 @@ class TrajectoryResiduals(Residuals):
         """Return the log root mean square of the whitened trajectories of each candidate."""
         return np.array([np.log(np.sqrt(np.mean(one**2))) for one in self.whitened(candidates)])
 
-    def _derivatives(self, values, names, widths=None):
+    def _derivatives(self, values, names):
         """Return derivatives, zero for effects that an initial state makes up for entirely."""
-        raw = super()._derivatives(values, names, widths)
+        return self._without_made_up(super()._derivatives(values, names))
+
+    def secants(self, values, widths):
+        """Return slopes of secants, zero for effects that an initial state makes up for entirely."""
+        return self._without_made_up(super().secants(values, widths))
+
+    def _without_made_up(self, raw):
         left = self._without_initial_states(raw, self.nuisance)
         norms, kept = np.linalg.norm(raw, axis=(0, 1)), np.linalg.norm(left, axis=(0, 1))
         return raw * (kept > LEAST_SHARE * norms)

@@ -1,0 +1,240 @@
+"""Values of the named effects: fitted, how exactly they are known, and the linearisation there.
+
+At contacts a log's loss is jagged on the scale of an estimate's uncertainty. Descents get stuck in jags, and
+derivatives over steps that are small against the uncertainty take jags for precision, or for evidence. Values are
+therefore fitted and judged by secants that are as wide as they are uncertain.
+"""
+
+import numpy as np
+from scipy import stats
+
+from skat.diagnosis.evidence import as_good, grams, lone_statistics, solve_scaled, wald
+from skat.diagnosis.refits import Refits
+
+POLISH_STEPS = 5
+# Standard errors within which derivatives by the state are kept from one step to the next.
+CLOSE = 2.0
+# The named effects are settled and fitted so many times at the end, once they are within so many standard errors of
+# their place, and so many times in all; not at all where they stay within this share of their standard errors.
+SETTLINGS = 3
+MOST_SETTLINGS = 6
+NEAR = 1.5
+SETTLED = 0.2
+LONGEST_STEP = 10.0
+# Secants reach so many standard errors to both sides, or over this share of the effect's range.
+SECANT_IN_ERRORS = 5.0
+WIDEST_SECANT = 0.1
+# A derivative may be that of a jag if its step is smaller than such a secant by more than this factor, or if it comes
+# from fewer than about so many rows; secants that reach so many steps are tried in its place.
+JAGGED = 3.0
+FEWEST_ROWS = 10
+SECANTS_IN_STEPS = (10.0, 30.0)
+# Level of either end of an interval by profile; the end is narrowed to a fourth so many times at most, or until it is
+# known to this share of its distance.
+INTERVAL_LEVEL = 0.025
+PROFILE_STEPS = 8
+PROFILE_ACCURACY = 0.1
+# Numbers in the information of all pieces of time together.
+LARGEST_GRAM = 50_000_000
+FEWEST_BLOCKS_TO_WIDEN = 10
+
+
+class Estimates:
+    """Estimates of named effects at the optimum of their own smoothed states and noise.
+
+    Parameters
+    ----------
+    residuals : Residuals
+    names : sequence of str
+        Effects that linearisations are by.
+
+    Attributes
+    ----------
+    refits : Refits
+    """
+
+    def __init__(self, residuals, names):
+        self.residuals, self.names = residuals, list(names)
+        self.effects, self.blocks = residuals.effects, residuals.blocks
+        self.refits = Refits(residuals)
+        # Standard error of each effect when it was last fitted.
+        self.errors: dict[str, float] = {}
+
+    def linearised(self, values, *, settled=False):
+        """Return the linearisation by all effects at a model that noise and smoothed states are adapted to."""
+        if not settled:
+            self.residuals.settle(values)
+        line = self.residuals.linearise(values, self.names)
+        line = self._without_jags(line)
+        self.refits.set_scale(line.residuals)
+        return line
+
+    def _without_jags(self, line):
+        """Return the linearisation with secants wherever a derivative may be that of a jag, and they tell more.
+
+        So it may be where few rows make up most of what an effect shows, or where its step is small against its error.
+        """
+        clusters = self.clusters(len(line.names))
+        told, errors, freedom = lone_statistics(grams(line.residuals, line.derivatives, clusters))
+        jagged = {
+            name: k
+            for k, name in enumerate(line.names)
+            if freedom[k] < FEWEST_ROWS
+            or self._secant_width(name, errors[k]) > JAGGED * self.residuals.steps[name]
+        }
+        for factor in SECANTS_IN_STEPS if jagged else ():
+            widths = {
+                name: self._at_most_widest(name, factor * self.residuals.steps[name]) for name in jagged
+            }
+            slopes = self.residuals.secants(line.values, widths)
+            tells = lone_statistics(grams(line.residuals, self.residuals.whiten(slopes), clusters))[0]
+            better = {name: i for i, (name, k) in enumerate(jagged.items()) if abs(tells[i]) > abs(told[k])}
+            for name, i in better.items():
+                told[jagged[name]] = tells[i]
+            line = self.residuals.with_slopes(line, better, slopes[..., list(better.values())])
+        return line
+
+    def polished(self, values):
+        """Return a model at the optimum of its own smoothed states and noise, and its linearisation."""
+        nearly_there = False
+        for _ in range(POLISH_STEPS):
+            self.residuals.settle(values, roughly=nearly_there)
+            before = values
+            self.refits.set_scale(self.residuals.whitened([values])[0])
+            values = self.refits.fit([values])[0].values
+            errors = np.sqrt(np.diag(self.covariance(values)[1]))
+            moves = [abs(values[name] - before[name]) / error for name, error in zip(values, errors)]
+            if max(moves) < SETTLED:
+                break
+            nearly_there = max(moves) < CLOSE
+        return values, self.linearised(values, settled=max(moves) < SETTLED and not nearly_there)
+
+    def averaged(self, values, line):
+        """Return the mean of values settled and fitted again and again, its linearisation, and their spread.
+
+        At contacts smoothed states and derivatives jump from one settling to the next, and with them the optimum:
+        an uncertainty that no statistic at fixed states sees. Where the simulation is smooth there is none. The loss
+        has steps there, too, in which a descent gets stuck; Gauss-Newton steps by secants pass over them.
+        """
+        if not values:
+            return values, line, {}
+        drawn: list[list[float]] = []
+        for _ in range(MOST_SETTLINGS):
+            moved, moves = self._newton(values)
+            largest = np.max(np.abs(moves))
+            if largest < SETTLED and not drawn:
+                return values, line, dict.fromkeys(values, 0.0)
+            if drawn or largest < NEAR:
+                drawn.append(list(moved.values()))
+            if len(drawn) == SETTLINGS:
+                break
+            last_step = np.abs([moved[name] - value for name, value in values.items()])
+            values = moved
+            self.residuals.settle(values)
+            self.refits.set_scale(self.residuals.whitened([values])[0])
+        names = list(values)
+        if len(drawn) == SETTLINGS:
+            spread = np.std(drawn, axis=0, ddof=1)
+            values = dict(zip(names, map(float, np.mean(drawn, axis=0))))
+        else:  # Still on the way: the last step is as far as the truth may be.
+            spread = last_step
+        line = self.residuals.shifted(line, values)
+        self.refits.set_scale(line.residuals)
+        return values, line, dict(zip(names, map(float, spread)))
+
+    def _newton(self, values):
+        """Return values after a Gauss-Newton step by secants, and its length in standard errors."""
+        gram = self._secant_grams(values)[2]
+        information = gram.information.sum(axis=0)
+        move = solve_scaled(information, gram.scores.sum(axis=0)[:, None])[:, 0]
+        errors = np.sqrt(np.diag(wald(gram)[0]))
+        move *= min(1.0, LONGEST_STEP / max(np.max(np.abs(move / errors)), 1e-300))
+        moved = {
+            name: float(np.clip(value + step, *self.effects[name].bounds))
+            for (name, value), step in zip(values.items(), move)
+        }
+        return moved, np.array([moved[name] - values[name] for name in values]) / errors
+
+    def covariance(self, values):
+        """Return (names, covariance, degrees of freedom) of fitted values."""
+        names = list(values)
+        residuals, derivatives, gram = self._secant_grams(values)
+        covariance, freedom = wald(gram)
+        by_block, block_freedom = wald(
+            grams(residuals, derivatives, self.blocks, self.refits.weights(residuals))
+        )
+        # What neighbours in time have in common widens intervals where enough blocks tell.
+        enough = np.isfinite(np.diag(covariance)) & (block_freedom > FEWEST_BLOCKS_TO_WIDEN)
+        ratio = np.where(enough, np.diag(by_block), np.diag(covariance)) / np.diag(covariance)
+        widen = np.sqrt(np.maximum(np.nan_to_num(ratio, nan=1.0), 1.0))
+        return names, covariance * np.outer(widen, widen), freedom
+
+    def _secant_grams(self, values):
+        """Return residuals, their slopes by the values (n_rows, n_channels, n_values), and the Grams of both.
+
+        The slopes are those of secants as wide as the values are uncertain: at contacts a derivative tells of steps
+        that are small against that, and promises a precision that is not there.
+        """
+        names = list(values)
+        residuals = self.residuals.whitened([values])[0]
+        weights, clusters = self.refits.weights(residuals), self.clusters(len(names))
+        if not all(name in self.errors for name in names):
+            slopes = self.residuals.derivatives(values, names)
+            self._remember_errors(names, grams(residuals, slopes, clusters, weights))
+        widths = {name: self._secant_width(name, self.errors[name]) for name in names}
+        slopes = self.residuals.whiten(self.residuals.secants(values, widths))
+        gram = grams(residuals, slopes, clusters, weights)
+        self._remember_errors(names, gram)
+        return residuals, slopes, gram
+
+    def _secant_width(self, name, error):
+        return self._at_most_widest(name, SECANT_IN_ERRORS * error) if np.isfinite(error) else 0.0
+
+    def _at_most_widest(self, name, width):
+        return min(width, WIDEST_SECANT * np.ptp(self.effects[name].bounds))
+
+    def _remember_errors(self, names, gram):
+        errors = np.sqrt(np.diag(wald(gram)[0]))
+        self.errors.update(zip(names, np.where(np.isfinite(errors) & (errors > 0), errors, np.inf)))
+
+    def clusters(self, n_effects):
+        """Return the piece of time of each row: a row where memory allows, whitened rows being uncorrelated."""
+        count = len(self.blocks)
+        return np.arange(count) // -(-count * n_effects**2 // LARGEST_GRAM)
+
+    def p_values(self, values):
+        """Return the p-value of each fitted value by itself."""
+        names, covariance, freedom = self.covariance(values)
+        p_values = {}
+        for k, name in enumerate(names):
+            distance = values[name] - self.effects[name].neutral
+            p_values[name] = float(
+                2 * stats.t.sf(abs(distance) / np.sqrt(max(covariance[k, k], 1e-300)), freedom[k])
+            )
+        return p_values
+
+    def profile_interval(self, name, values, line):
+        """Return the values of an effect, the others refitted, that fit the log not significantly worse.
+
+        Where a derivative says little, because the simulation has kinks or the effect is at a bound.
+        """
+        neutral, (low, high) = self.effects[name].neutral, self.effects[name].bounds
+        best, reference = values[name], self.refits.losses(line.residuals)
+        ends = []
+        for end in (low, high):
+            inside, outside = best, end
+            if neutral != best and (neutral - best) * (end - best) > 0:
+                outside = neutral
+            for _ in range(PROFILE_STEPS):
+                if abs(outside - inside) <= PROFILE_ACCURACY * abs(inside - best):
+                    break
+                points = inside + (outside - inside) * np.arange(1, 5) / 4
+                fits = self.refits.fit([values | {name: float(point)} for point in points], hold=name)
+                good = [as_good(fit.losses, reference, INTERVAL_LEVEL) for fit in fits]
+                first_bad = good.index(False) if False in good else len(good)
+                if first_bad == len(good):
+                    inside = outside
+                    break
+                inside, outside = points[first_bad - 1] if first_bad else inside, points[first_bad]
+            ends.append(float(inside))
+        return ends[0], ends[1]

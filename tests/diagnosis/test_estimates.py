@@ -1,0 +1,78 @@
+"""How exactly and how surely the values of named effects are known."""
+
+import numpy as np
+import pytest
+
+from skat.diagnosis.estimates import Estimates
+from skat.diagnosis.log import check_log
+from skat.diagnosis.residuals import Residuals, TransitionResiduals
+from skat.effects import Effect
+from skat.simulators import FunctionSimulator
+from tests.diagnosis.cart_pole import make_simulator, measure
+
+
+@pytest.fixture
+def estimates():
+    simulator = make_simulator()
+    X, y, groups, _ = measure(3, pole=0.9)
+    effects = simulator.effects()
+    residuals = TransitionResiduals(simulator, check_log(simulator, X, y, groups), effects)
+    estimates = Estimates(residuals, [effect.name for effect in effects])
+    estimates.linearised({})
+    return estimates
+
+
+def test_values_of_a_smooth_simulation_have_no_spread_from_settling(estimates):
+    values, line = estimates.polished({"pole": 0.9})
+    averaged, _, spread = estimates.averaged(values, line)
+    assert averaged == values
+    assert spread == {"pole": 0.0}
+
+
+def test_profile_interval_agrees_with_the_standard_error_where_nothing_bends(estimates):
+    values, line = estimates.polished({"pole": 0.9})
+    low, high = estimates.profile_interval("pole", values, line)
+    error = np.sqrt(estimates.covariance(values)[1][0, 0])
+    assert low < values["pole"] < high
+    assert 1 * error < (high - low) / 2 < 8 * error
+
+
+# -- a simulation of steps ---------------------------------------------------------------------------------------------
+
+
+def tooth_wheel(X, *, rate=1.0):
+    """Count the teeth of a wheel that pass: a step of one tooth where the rate is enough for one more."""
+    return np.floor(20 * rate + X)
+
+
+def measured_wheel(seed, n_rows=600):
+    """Return the Estimates of a wheel with a rate of 1.1, and the linearisation there."""
+    rng = np.random.default_rng(seed)
+    phase = rng.uniform(0, 1, (n_rows, 1))
+    teeth = (np.arange(1, 100) <= 20 * 1.1 + phase).sum(axis=1, keepdims=True)
+    simulator = FunctionSimulator(
+        tooth_wheel,
+        input_names=("phase",),
+        output_names=("teeth",),
+        effects=[Effect("rate", unit="1", neutral=1.0, bounds=(0.5, 2.0))],
+    )
+    log = check_log(simulator, phase, teeth + rng.standard_t(5, size=(n_rows, 1)) * np.sqrt(3 / 5), None)
+    estimates = Estimates(Residuals(simulator, log, simulator.effects(), np.ones(1)), ["rate"])
+    return estimates, estimates.linearised({"rate": 1.1})
+
+
+def test_steps_of_a_simulation_neither_hold_an_estimate_up_nor_pass_for_precision():
+    covered = []
+    for seed in range(20):
+        estimates, line = measured_wheel(seed)
+        values, _, spread = estimates.averaged({"rate": 1.112}, line)
+        width = np.hypot(np.sqrt(estimates.covariance(values)[1][0, 0]), spread["rate"])
+        covered.append(abs(values["rate"] - 1.1) < 1.96 * width)
+    # With the chance of 95 % each, fewer than 16 of 20 come in 0.3 % of runs.
+    assert sum(covered) >= 16
+
+
+def test_derivative_of_a_jag_is_not_taken_for_that_of_the_effect():
+    """Where most rows feel no small step, and some jump, the screening slope is that over the uncertainty."""
+    slopes = [np.mean(measured_wheel(seed)[1].derivatives) for seed in range(5)]
+    np.testing.assert_allclose(slopes, 20.0, rtol=0.2)
