@@ -8,7 +8,8 @@ Run from the root of the repository::
 
 Each experiment writes ``benchmarks/results/experiments_<name>.csv``; the pucks' also
 ``experiments_puck_paper.csv``, in the columns of the paper, and a robot's ``experiments_<robot>_covariance.csv``,
-which compares a transport and regressions by every measure of covariance. Bounds that the medians of a robot are
+which compares a transport and regressions by every measure of covariance. "between" asks whether any map between
+least squares and a transport would keep the covariance better with few rows. Bounds that the medians of a robot are
 to keep are printed with whether they hold. The seed is 0 throughout.
 """
 
@@ -17,8 +18,12 @@ import time
 from pathlib import Path
 
 import pandas as pd
+from sklearn.base import BaseEstimator, TransformerMixin
+from sklearn.linear_model import LinearRegression
 
+from skat import ProcrustesAffineTransport
 from skat.experiments import domain_matrix, in_columns_of_paper, puck_learning_curve, puck_table
+from skat.experiments.methods import RegressionTransport
 from skat.experiments.puck import SIMULATIONS
 from skat.experiments.robots import COVARIANCE_MEASURES
 
@@ -35,11 +40,14 @@ MOST_OF_LEAST_SQUARES = 1.10
 COVARIANCE_METHODS = ("procrustes_whitened", "conditional", "least_squares", "ridge_on_residual")
 # A diagnosis needs few rows, and its time grows with their number.
 DIAGNOSIS_ROWS = 200
+# Columns of state and action in a robot's rows, and shares of the way from least squares to whitened Procrustes.
+CONTEXT = {"hopper": 14, "halfcheetah": 23, "ant": 35}
+SHARES = (0.0, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0)
 DIAGNOSIS_METHODS = ("affine", "procrustes_whitened", "least_squares", "ridge_on_residual", "diagnosis")
 
 
 def main():
-    names = (*ROBOTS, "puck", "learning_curve", "diagnosis")
+    names = (*ROBOTS, "puck", "learning_curve", "diagnosis", "between")
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("names", nargs="*", default=names, help=f"Which: {', '.join(names)}")
     parser.add_argument("--small", action="store_true")
@@ -68,6 +76,8 @@ def tables_of(name, small):
         return pucks(small)
     if name == "learning_curve":
         return {"": curves(small)}
+    if name == "between":
+        return {"": between(small)}
     return {"": diagnoses(small)} if name == "diagnosis" else robots(name, small)
 
 
@@ -79,6 +89,37 @@ def robots(name, small):
         "": pd.concat([robot_medians(table, size) for size, table in tables.items()]),
         "_covariance": pd.concat([covariances(table, size) for size, table in tables.items()]),
     }
+
+
+class Between(TransformerMixin, BaseEstimator):
+    """A share of the way from least squares on pairs to the whitened Procrustes transport."""
+
+    def __init__(self, context, share):
+        self.context = context
+        self.share = share
+
+    def fit(self, X, y):
+        """Fit both to pairs of rows."""
+        self.regression_ = RegressionTransport(LinearRegression(), context=self.context).fit(X, y)
+        self.transport_ = ProcrustesAffineTransport(alignment="whitened").fit(X, y)
+        return self
+
+    def transform(self, X):
+        """Carry rows by the weighted mean of both."""
+        return (1 - self.share) * self.regression_.transform(X) + self.share * self.transport_.transform(X)
+
+
+def between(small):
+    """Return medians over the pairs of worlds with 200 rows, by robot and share of the way."""
+    options = {"conditions": SMALL_WORLDS, "n_repeats": 1, "n_test": 500} if small else {}
+    records = []
+    for robot in ROBOTS:
+        methods = {str(share): Between(CONTEXT[robot], share) for share in SHARES}
+        table = domain_matrix(robot, n_transitions=SIZES[-1], methods=methods, n_scored=50, **options)
+        table = table.assign(ratio=table["error_after"] / table["error_before"])
+        medians = table.groupby("method", sort=False)[["ratio", *COVARIANCE_MEASURES]].median()
+        records.append(medians.reset_index(names="share").assign(robot=robot))
+    return pd.concat(records)[["robot", "share", "ratio", *COVARIANCE_MEASURES]]
 
 
 def diagnoses(small):
