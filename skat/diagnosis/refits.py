@@ -5,6 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from skat.diagnosis.residuals import largest_of_noise
+
 REFIT_STEPS = 8
 # A refit ends when its step is below this share of the standard error.
 CONVERGED = 0.05
@@ -138,9 +140,8 @@ class Refits:
     def set_scale(self, residuals):
         """Fix the size beyond which a row's residual counts linearly, for all models compared with each other."""
         sizes = np.sum(residuals**2, axis=-1)
-        n = residuals.shape[1]
         typical = np.median(sizes[sizes > 0]) if (sizes > 0).any() else 0.0
-        self.cut = max(n + 3.1 * np.sqrt(2 * n) + 6, 4 * typical)
+        self.cut = max(largest_of_noise(residuals.shape[1]), 4 * typical)
 
     def weights(self, residuals):
         """Return the weight of each row, 1 within the scale and less beyond."""

@@ -10,6 +10,7 @@ from typing import Any
 
 import joblib
 import numpy as np
+from scipy import stats
 
 from skat.diagnosis.whitening import block_cholesky, estimate_variances
 
@@ -364,7 +365,7 @@ class TransitionResiduals(Residuals):
 
     def __init__(self, simulator, log, effects, deviations=None, *, n_jobs=None):
         super().__init__(simulator, log, effects, deviations, n_jobs=n_jobs)
-        self.chain, self.step = log.chains()
+        self.places = log.chains()
         self.transitions = np.zeros((len(log), self.n_channels, self.n_channels))
         self.curvatures = np.zeros((len(log), self.n_channels, self.n_channels))
         self.noise = np.zeros((len(log), self.n_channels))
@@ -377,21 +378,35 @@ class TransitionResiduals(Residuals):
         if self.whitener is None:
             self.differentiate(values)
         raw = self.raw_residuals([values])[0]
-        expected = np.median(self._residual_variances(), axis=0)
-        found = (1.4826 * np.nanmedian(np.abs(raw[self.present]), axis=0)) ** 2
-        # What the model misses beyond the noise is no noise of the state: smooth the less, the more it misses.
-        missed = np.where(found > NEGLIGIBLE_MISFIT * expected, found - expected, 0.0)
+        raw[~self.present | ~np.isfinite(raw).all(axis=-1)] = 0.0
         scale = self.deviations
-        noise = self._factorised(missed).smooth(
-            self._padded(np.where(self.present[:, None], raw, 0.0) / scale)
-        )
-        noise = np.clip(noise[self.chain, self.step], -FARTHEST_SMOOTHED, FARTHEST_SMOOTHED)
+        noise = self._factorised(self._missed(raw)).smooth(_padded(raw / scale, self.places))
+        noise = np.clip(noise[self.places], -FARTHEST_SMOOTHED, FARTHEST_SMOOTHED)
         self.noise = noise * scale
         self.points = self.simulator.displace(self.log.X, -self.noise)
         if not roughly:
             self.differentiate(values)
         if self.regressors.shape[-1]:
             self._estimate_noise(self.raw_residuals([values])[0])
+
+    def _missed(self, raw):
+        """Return the variance (n_rows, n_channels) that residuals have beyond the noise, as far as can be seen.
+
+        What a model misses is no noise of the state, so states are smoothed the less, the more it misses: everywhere,
+        where the typical row shows it, and in single rows beyond what noise explains, such as at contacts. A row is
+        judged by itself before it is judged by its chain, where the misses of its neighbours would pass for its own.
+        """
+        expected = self._residual_variances()
+        typical = np.median(expected, axis=0)
+        found = (1.4826 * np.median(np.abs(raw[self.present]), axis=0)) ** 2
+        missed = np.where(found > NEGLIGIBLE_MISFIT * typical, found - typical, 0.0) + 0.0 * expected
+        alone = np.arange(len(self.log)), np.zeros(len(self.log), dtype=int)
+        for places in (alone, self.places):
+            white = self._factorised(missed, places).whiten(_padded(raw / self.deviations, places))[places]
+            sizes = np.sum(white**2, axis=-1)
+            beyond = np.where(sizes > largest_of_noise(self.n_channels), sizes / self.n_channels - 1, 0.0)
+            missed = missed + beyond[:, None] * (expected + missed)
+        return missed
 
     def raw_residuals(self, candidates):
         """Return residuals at the smoothed states, carried to the measured ones to first order."""
@@ -460,29 +475,24 @@ class TransitionResiduals(Residuals):
                 estimate_variances(left, self.transitions[rows], self.extra[rows], smallest=self.smallest)
             )
 
-    def _factorised(self, missed=0.0):
-        scale = self.deviations
+    def _factorised(self, missed=0.0, places=None):
+        places, scale = self.places if places is None else places, self.deviations
         return block_cholesky(
-            self._padded(self.transitions * scale / scale[:, None]),
+            _padded(self.transitions * scale / scale[:, None], places),
             np.ones(self.n_channels),
-            self._padded((self.extra + missed) / self.variances),
-            self._padded(self.present),
+            _padded((self.extra + missed) / self.variances, places),
+            _padded(self.present, places),
         )
-
-    def _padded(self, rows):
-        out = np.zeros((self.chain[-1] + 1, self.step.max() + 1, *rows.shape[1:]), dtype=rows.dtype)
-        out[self.chain, self.step] = rows
-        return out
 
     def whiten(self, columns):
         """Return raw columns (n_rows, n_channels[, k]) uncorrelated and in units of the noise."""
         scale = self.deviations.reshape((-1,) + (1,) * (columns.ndim - 2))
-        return self.whitener.whiten(self._padded(columns / scale))[self.chain, self.step]
+        return self.whitener.whiten(_padded(columns / scale, self.places))[self.places]
 
     def unwhiten_adjoint(self, white):
         """Return the transposed whitening of columns (n_rows, n_channels[, k])."""
         scale = np.sqrt(self.variances).reshape((-1,) + (1,) * (white.ndim - 2))
-        return self.whitener.unwhiten_adjoint(self._padded(white))[self.chain, self.step] / scale
+        return self.whitener.unwhiten_adjoint(_padded(white, self.places))[self.places] / scale
 
     def _residual_variances(self):
         return np.einsum("nij,j->ni", self.transitions**2, self.variances) + self.variances + self.extra
@@ -491,16 +501,29 @@ class TransitionResiduals(Residuals):
         return np.sqrt(np.median(self._residual_variances(), axis=0))
 
 
+def largest_of_noise(n_channels):
+    """Return the size of a row's whitened residual, its squares summed, that noise alone exceeds once in a thousand."""
+    return float(stats.chi2.isf(1e-3, n_channels))
+
+
 def robust_weights(residuals):
     """Return a weight in (0, 1] for each row: small where its residual is far beyond what is typical.
 
-    Rows within what is typical, or within what noise explains (the 99.9 % quantile), weigh 1.
+    Rows within what is typical, or within what noise explains, weigh 1.
     """
     sizes = np.sum(residuals**2, axis=-1)
     n_channels = residuals.shape[-1]
-    noise = n_channels + 3.1 * np.sqrt(2 * n_channels) + 6
+    noise = largest_of_noise(n_channels)
     typical = 4 * np.median(sizes[sizes > 0]) if (sizes > 0).any() else noise
     return np.sqrt(np.minimum(1.0, max(noise, typical) / np.maximum(sizes, 1e-30)))
+
+
+def _padded(rows, places):
+    """Return rows as (n_chains, n_steps, ...), zero where a chain is shorter; `places` are their chains and steps."""
+    chain, step = places
+    out = np.zeros((chain[-1] + 1, step.max() + 1, *rows.shape[1:]), dtype=rows.dtype)
+    out[places] = rows
+    return out
 
 
 def _within(at, step, bounds):

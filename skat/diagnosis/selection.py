@@ -121,20 +121,29 @@ class Selection:
     # -- one effect more -------------------------------------------------------------------------------------------
 
     def _add(self, values, line):
-        """Return the values of the model with the best further effect, None if no effect is significant."""
+        """Return the values of the model with the best further effect, None if no effect is significant.
+
+        A refit starts from states smoothed by the present model, and may end in a jag of the loss, short of the
+        effect's value, where the evidence is weaker than when all effects were screened; so either counts. What is
+        added is judged again at states smoothed by its own model, in the end.
+        """
         gram = grams(line.residuals, line.derivatives, self.estimates.clusters(len(line.names)))
         first = screen(gram, line.names, values, self.effects, list(values))
         misfit = np.median(np.sum(line.residuals**2, axis=-1)) / line.residuals.shape[1]
         far_off = misfit > FAR_OFF
+        present = self.refits.losses(line.residuals)
         for starts in self._starts(values, first, far_off):
             models = self._contenders([{**values, **start} for start in starts], values)
             fits = self.refits.fit(models, race=True)
             for index in np.argsort([fit.loss for fit in fits])[:3]:
                 fit = fits[index]
                 (new,) = set(fit.values) - set(values)
-                p_value = self.estimates.p_values(fit.values)[new]
-                p_value = min(p_value, fall_p_value(self.refits.losses(line.residuals), fit.losses))
-                if family_p_value(p_value, len(self.names)) < self.alpha and self._improves(fit, line):
+                p_value = min(
+                    first.p_values[first.names.index(new)],
+                    self.estimates.p_values(fit.values)[new],
+                    fall_p_value(present, fit.losses),
+                )
+                if family_p_value(p_value, len(self.names)) < self.alpha and self._improves(fit, present):
                     return fit.values
         return None
 
@@ -368,13 +377,13 @@ class Selection:
             self.progress("aliases", done + 1, len(values))
         return aliases
 
-    def _improves(self, fit, line):
+    def _improves(self, fit, losses):
         """Whether the loss falls throughout: in episodes (blocks, where they are few), or wherever it moves at all.
 
         An effect that acts in few blocks, such as at impacts, passes where it lowers several of them and raises
         hardly any; what fits one row at the cost of others does not.
         """
-        fall = self.refits.losses(line.residuals) - fit.losses
+        fall = losses - fit.losses
         gained, lost = fall[fall > 0].sum(), -fall[fall < 0].sum()
         if lost < LOST_SHARE * gained and fall.max() < LARGEST_BLOCK_SHARE * gained:
             return True
