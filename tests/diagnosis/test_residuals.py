@@ -1,0 +1,59 @@
+"""Which states residuals are taken at: smoothed by the model, as far as it is right."""
+
+import numpy as np
+import pytest
+
+from skat.diagnosis.log import check_log
+from skat.diagnosis.residuals import TransitionResiduals
+from skat.simulators import FunctionSimulator
+
+TRANSITION = np.array([[1.0, 0.1], [-0.4, 0.95]])
+NOISE = np.array([0.02, 0.05])
+N_EPISODES, N_STEPS = 30, 30
+
+
+def oscillator(X):
+    """Return the next position and speed of a damped oscillator."""
+    return X[:, :2] @ TRANSITION.T + X[:, 2:] * [0.0, 0.1]
+
+
+def smoothed(kick, seed):
+    """Return errors of the smoothed states, in units of the noise, and which rows end with an unknown kick."""
+    rng = np.random.default_rng(seed)
+    kicked = rng.random((N_EPISODES, N_STEPS)) < 0.05
+    force = rng.normal(size=(N_EPISODES, N_STEPS))
+    states = np.empty((N_EPISODES, N_STEPS + 1, 2))
+    states[:, 0] = rng.normal(size=(N_EPISODES, 2))
+    for t in range(N_STEPS):
+        states[:, t + 1] = states[:, t] @ TRANSITION.T
+        states[:, t + 1, 1] += 0.1 * force[:, t] + kick * NOISE[1] * kicked[:, t]
+    measured = states + rng.normal(size=states.shape) * NOISE
+    X = np.concatenate([measured[:, :-1], force[..., None]], axis=-1).reshape(-1, 3)
+    simulator = FunctionSimulator(
+        oscillator,
+        input_names=("position", "speed", "force"),
+        output_names=("position", "speed"),
+        state_names=("position", "speed"),
+    )
+    log = check_log(simulator, X, measured[:, 1:].reshape(-1, 2), np.repeat(np.arange(N_EPISODES), N_STEPS))
+    residuals = TransitionResiduals(simulator, log, (), NOISE)
+    residuals.settle({})
+    return (residuals.points[:, :2] - states[:, :-1].reshape(-1, 2)) / NOISE, kicked.ravel()
+
+
+def size(errors):
+    return np.sqrt(np.mean(errors**2))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_right_model_smooths_its_states(seed):
+    errors, _ = smoothed(0.0, seed)
+    assert size(errors) < 0.75
+
+
+@pytest.mark.parametrize("kick", [8.0, 20.0, 100.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_what_a_model_misses_in_single_rows_is_not_taken_for_noise_of_the_state(kick, seed):
+    errors, kicked = smoothed(kick, seed)
+    assert size(errors[kicked]) < 1.1
+    assert size(errors[~kicked]) < 0.85
