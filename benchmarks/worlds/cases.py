@@ -71,8 +71,13 @@ class Case:
     sizes: tuple
 
     def log(self, *, fresh=False, n_episodes=30):
-        """Return what is measured in this world; ``fresh``: in other episodes."""
-        return measure(self.kind, self.hidden, seed=2 * self.seed + fresh, n_episodes=n_episodes)
+        """Return what is measured in this world; ``fresh``: in other episodes.
+
+        Each label has actions, starts and noise of its own: cases that shared them would not be independent, and
+        neither would their intervals and alarms.
+        """
+        seed = (2 * self.seed + fresh, _hash(self.label))
+        return measure(self.kind, self.hidden, seed=seed, n_episodes=n_episodes)
 
 
 def name(family, target):

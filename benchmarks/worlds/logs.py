@@ -119,13 +119,13 @@ def measure(kind, hidden=(), *, seed, n_episodes=30, n_steps=50, noise=0.01):
     kind : {"hopper", "halfcheetah", "ant", "puck"}
     hidden : sequence of (family, target, value)
         ``target`` is None for a family without one.
-    seed : int
+    seed : int or sequence of int
     n_episodes, n_steps : int
     noise : float
         Standard deviation of the noise over the spread of each channel.
     """
     hidden = tuple(hidden)
-    rng = np.random.default_rng([seed, 20240607])
+    rng = np.random.default_rng([*np.atleast_1d(seed), 20240607])
     physics = Physics(kind, hidden)
     model = physics.model
     nq, nv, nu = model.nq, model.nv, model.nu
