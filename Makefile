@@ -9,8 +9,9 @@ WORKERS ?= 2
 demo: $(VENV)/.installed
 	$(BIN)/skat demo
 
+# One thread for linear algebra: that of one worker would wait for that of the others.
 test: $(VENV)/.installed-test
-	MPLBACKEND=agg $(BIN)/python -m pytest -n $(WORKERS)
+	OMP_NUM_THREADS=1 MPLBACKEND=agg $(BIN)/python -m pytest -n $(WORKERS)
 
 lint: $(VENV)/.installed-test
 	$(BIN)/ruff check .
