@@ -3,7 +3,9 @@ r"""Whether anything is left that no effect explains, and what shape it has.
 What is left is tested against additive errors :math:`B_j \phi(c)` of the prediction: a direction j (a force on a joint
 where the simulator knows forces, otherwise an error of one output) times any piecewise linear function of one input c.
 Each pair (j, c) is a cluster-robust score test with a few degrees of freedom. Whether it outlasts single rows, as what
-changes with time does, is tested for each channel, too. The smallest p-value counts, corrected for their number.
+changes with time does, is tested for each channel, too. The smallest p-value counts, corrected for their number. Laws
+of friction, springs and motors depend on a joint's own position, speed and command, so the few pairs of that kind have
+half of the level for themselves.
 """
 
 from dataclasses import dataclass
@@ -88,8 +90,16 @@ def find_remainder(residuals, line, fitted):
         return None
     found += _persistence(residuals, line.residuals)
     found.sort(key=lambda row: row[2])
-    direction, coordinate, p_value = found[0]
-    return Remainder(family_p_value(p_value, len(found)), direction, coordinate, tuple(found[:10]))
+    own_laws = [row for row in found if _element(row[0]) == _element(row[1])]
+    others = [row for row in found if row not in own_laws]
+    families = [(family_p_value(rows[0][2], len(rows)), rows[0]) for rows in (own_laws, others) if rows]
+    p_value, (direction, coordinate, _) = min(families)
+    return Remainder(family_p_value(p_value, len(families)), direction, coordinate, tuple(found[:10]))
+
+
+def _element(name):
+    """Return the joint or motor that a channel belongs to, the channel itself where names do not say."""
+    return name.partition(".")[2] or name
 
 
 def _persistence(residuals, white):

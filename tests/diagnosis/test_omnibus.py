@@ -3,7 +3,8 @@
 import numpy as np
 
 from skat.diagnosis.log import Log
-from skat.diagnosis.omnibus import TIME, _persistence
+from skat.diagnosis.omnibus import TIME, _persistence, find_remainder
+from skat.diagnosis.residuals import Linearisation
 
 
 class Rows:
@@ -38,3 +39,51 @@ def test_one_contact_whose_linearisation_failed_does_not_count_as_lasting():
     white = np.random.default_rng(0).normal(size=(1000, 2))
     white[200:230, 1] += 5.0
     assert all(p > 0.05 for _, _, p in _persistence(Rows, white))
+
+
+class Joints(Rows):
+    """White residuals of ten joints, as the test of a remainder needs them."""
+
+    joints = [f"j{k}" for k in range(10)]
+    blocks = np.arange(1000)
+
+    def __init__(self, seed, input_names):
+        self.points = np.random.default_rng(seed).normal(size=(1000, 10))
+        self.simulator = type(
+            "simulator",
+            (),
+            {"residual_names": [f"qvel.{joint}" for joint in self.joints], "input_names": input_names},
+        )
+
+    def directions(self, values):
+        return np.broadcast_to(np.eye(10), (1000, 10, 10)), self.simulator.residual_names
+
+    def whiten(self, columns):
+        return columns
+
+
+def remainder_of(seed, strength, input_names):
+    residuals = Joints(seed, input_names)
+    white = np.random.default_rng(seed + 1_000).normal(size=(1000, 10))
+    speed = residuals.points[:, 3]
+    white[:, 3] += strength * speed * np.abs(speed)
+    line = Linearisation({}, white, np.zeros((1000, 10, 0)), ())
+    return find_remainder(residuals, line, [])
+
+
+OWN = [f"qvel.{joint}" for joint in Joints.joints]
+OTHER = [f"camera.c{k}" for k in range(10)]
+
+
+def test_law_of_a_joint_in_its_own_speed_is_found_where_one_in_anything_would_be_doubted():
+    own = [remainder_of(seed, 0.1, OWN) for seed in range(5)]
+    other = [remainder_of(seed, 0.1, OTHER) for seed in range(5)]
+    assert {(one.direction, one.coordinate) for one in own} == {("qvel.j3", "qvel.j3")}
+    assert all(one.p_value < 0.3 * same.p_value for one, same in zip(own, other))
+
+
+def test_remainder_of_noise_keeps_to_its_level():
+    p_values = np.array([remainder_of(seed, 0.0, OWN).p_value for seed in range(60)])
+    # Binomial: at least nine of sixty below 5 % are seen once in a thousand.
+    assert np.sum(p_values < 0.05) < 9
+    assert 0.3 < np.mean(p_values) < 0.75
