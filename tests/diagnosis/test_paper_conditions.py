@@ -25,7 +25,7 @@ def assert_diagnosed(diagnosis, truth):
 
 @pytest.mark.parametrize("condition", HOPPER)
 def test_condition_of_hopper_is_diagnosed(worlds, cases, condition):
-    assert_diagnosed(*diagnosed(worlds, cases, "hopper", condition, n_episodes=6))
+    assert_diagnosed(*diagnosed(worlds, cases, "hopper", condition, n_episodes=4))
 
 
 def test_some_off_of_halfcheetah_is_the_gains_of_every_second_actuator(worlds, cases):
