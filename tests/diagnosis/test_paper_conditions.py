@@ -29,7 +29,7 @@ def test_condition_of_hopper_is_diagnosed(worlds, cases, condition):
 
 
 def test_some_off_of_halfcheetah_is_the_gains_of_every_second_actuator(worlds, cases):
-    diagnosis, truth = diagnosed(worlds, cases, "halfcheetah", "some_off", n_episodes=6)
+    diagnosis, truth = diagnosed(worlds, cases, "halfcheetah", "some_off", n_episodes=4)
     assert set(truth) == {"gain[bshin]", "gain[fthigh]", "gain[ffoot]"}
     assert_diagnosed(diagnosis, truth)
     assert all(cause.sentence.endswith("is disabled") for cause in diagnosis.causes_)
