@@ -1,7 +1,7 @@
 """What a log and a simulation disagree on, in units of the noise, and how each effect would change it.
 
 Three kinds of log, one interface: transitions whose state was measured (`TransitionResiduals`), rows that are
-independent of each other (`RowResiduals`), and episodes of which only some channels were measured
+independent of each other (`Residuals`), and episodes of which only some channels were measured
 (`TrajectoryResiduals`, in `trajectories.py`). The rest of the diagnosis knows only whitened residuals and derivatives.
 """
 

@@ -1,4 +1,4 @@
-"""What outlasts single rows is found, and only where most episodes show it."""
+"""What no effect explains is found: a law of a joint in its own coordinates, and what outlasts single rows."""
 
 import numpy as np
 
@@ -84,6 +84,6 @@ def test_law_of_a_joint_in_its_own_speed_is_found_where_one_in_anything_would_be
 
 def test_remainder_of_noise_keeps_to_its_level():
     p_values = np.array([remainder_of(seed, 0.0, OWN).p_value for seed in range(60)])
-    # Binomial: at least nine of sixty below 5 % are seen once in a thousand.
+    # At the level, nine of sixty or more are below 5 % in 0.3 % of runs.
     assert np.sum(p_values < 0.05) < 9
     assert 0.3 < np.mean(p_values) < 0.75
