@@ -13,9 +13,10 @@ from skat.diagnosis.log import check_log
 from skat.diagnosis.omnibus import find_remainder
 from skat.diagnosis.plausibility import warn_of_doubts
 from skat.diagnosis.report import Report
-from skat.diagnosis.residuals import Residuals, TransitionResiduals
+from skat.diagnosis.residuals import Residuals
 from skat.diagnosis.selection import Selection
 from skat.diagnosis.trajectories import TrajectoryResiduals
+from skat.diagnosis.transitions import TransitionResiduals
 from skat.effects import Effect, unknown_name_message
 
 # Squared one-step errors in noise units up to which heavy tails and rounding of the noise are taken to be the cause.

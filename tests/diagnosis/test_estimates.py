@@ -6,7 +6,8 @@ import pytest
 from skat.diagnosis.estimates import Estimates
 from skat.diagnosis.evidence import grams, lone_statistics
 from skat.diagnosis.log import check_log
-from skat.diagnosis.residuals import Residuals, TransitionResiduals
+from skat.diagnosis.residuals import Residuals
+from skat.diagnosis.transitions import TransitionResiduals
 from skat.effects import Effect
 from skat.simulators import FunctionSimulator
 from tests.diagnosis.cart_pole import make_simulator, measure

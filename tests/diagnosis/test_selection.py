@@ -4,8 +4,8 @@ import pytest
 from sklearn.utils import check_random_state
 
 from skat.diagnosis.log import check_log
-from skat.diagnosis.residuals import TransitionResiduals
 from skat.diagnosis.selection import Selection
+from skat.diagnosis.transitions import TransitionResiduals
 from tests.diagnosis.cart_pole import make_simulator, measure
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from skat.diagnosis.log import check_log
-from skat.diagnosis.residuals import TransitionResiduals
+from skat.diagnosis.transitions import TransitionResiduals
 from skat.simulators import FunctionSimulator
 
 TRANSITION = np.array([[1.0, 0.1], [-0.4, 0.95]])

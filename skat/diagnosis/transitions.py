@@ -1,0 +1,163 @@
+"""Residuals of transitions whose states were measured, with noise: smoothed states, and whitening along each chain."""
+
+from typing import Any
+
+import numpy as np
+
+from skat.diagnosis.residuals import Residuals, largest_of_noise
+from skat.diagnosis.whitening import block_cholesky, estimate_variances
+
+# Smoothed states stay this close to the measured ones, in standard deviations of the noise.
+FARTHEST_SMOOTHED = 3.0
+# A model that misses less than this share beyond the noise counts as right where states are smoothed.
+NEGLIGIBLE_MISFIT = 1.3
+ROWS_FOR_FIRST_NOISE = 200
+
+
+class TransitionResiduals(Residuals):
+    """Whitened one-step residuals of measured transitions; the states they start from carry noise, too."""
+
+    def __init__(self, simulator, log, effects, deviations=None, *, n_jobs=None):
+        super().__init__(simulator, log, effects, deviations, n_jobs=n_jobs)
+        self.places = log.chains()
+        self.transitions = np.zeros((len(log), self.n_channels, self.n_channels))
+        self.curvatures = np.zeros((len(log), self.n_channels, self.n_channels))
+        self.noise = np.zeros((len(log), self.n_channels))
+        self.whitener: Any = None
+
+    def settle(self, values, *, roughly=False):
+        """Smooth the measured states with the model, and differentiate the next state by the state there."""
+        if self.variances is None:
+            self.variances = self._first_variances(values)
+        if self.whitener is None:
+            self.differentiate(values)
+        raw = self.raw_residuals([values])[0]
+        raw[~self.present | ~np.isfinite(raw).all(axis=-1)] = 0.0
+        scale = self.deviations
+        noise = self._factorised(self._missed(raw)).smooth(_padded(raw / scale, self.places))
+        noise = np.clip(noise[self.places], -FARTHEST_SMOOTHED, FARTHEST_SMOOTHED)
+        self.noise = noise * scale
+        self.points = self.simulator.displace(self.log.X, -self.noise)
+        if not roughly:
+            self.differentiate(values)
+        if self.regressors.shape[-1]:
+            self._estimate_noise(self.raw_residuals([values])[0])
+
+    def _missed(self, raw):
+        """Return the variance (n_rows, n_channels) that residuals have beyond the noise, as far as can be seen.
+
+        What a model misses is no noise of the state, so states are smoothed the less, the more it misses: everywhere,
+        where the typical row shows it, and in single rows beyond what noise explains, such as at contacts. A row is
+        judged by itself before it is judged by its chain, where the misses of its neighbours would pass for its own.
+        """
+        expected = self._residual_variances()
+        typical = np.median(expected, axis=0)
+        found = (1.4826 * np.median(np.abs(raw[self.present]), axis=0)) ** 2
+        missed = np.where(found > NEGLIGIBLE_MISFIT * typical, found - typical, 0.0) + 0.0 * expected
+        alone = np.arange(len(self.log)), np.zeros(len(self.log), dtype=int)
+        for places in (alone, self.places):
+            white = self._factorised(missed, places).whiten(_padded(raw / self.deviations, places))[places]
+            sizes = np.sum(white**2, axis=-1)
+            beyond = np.where(sizes > largest_of_noise(self.n_channels), sizes / self.n_channels - 1, 0.0)
+            missed = missed + beyond[:, None] * (expected + missed)
+        return missed
+
+    def raw_residuals(self, candidates):
+        """Return residuals at the smoothed states, carried to the measured ones to first order."""
+        return super().raw_residuals(candidates) - np.einsum("nij,nj->ni", self.transitions, self.noise)
+
+    def _first_variances(self, values):
+        """Estimate the noise from a part of the log, all effects regressed out, at the measured states."""
+        spread = np.sqrt(self.smallest) * 1e6
+        if len(self.log) > ROWS_FOR_FIRST_NOISE:
+            part = self.log.rows(np.arange(ROWS_FOR_FIRST_NOISE))
+            inner = TransitionResiduals(self.simulator, part, self.effects.values(), n_jobs=self.n_jobs)
+            variances = inner._first_variances(values)
+            self.steps = inner.steps
+            self.n_simulated_rows += inner.n_simulated_rows
+            return variances
+        raw = self.raw_residuals([values])[0]
+        deviation = 1.4826 * np.nanmedian(np.abs(raw[self.present]), axis=0) / np.sqrt(2)
+        self.variances = np.maximum(np.minimum(deviation, 0.02 * spread) ** 2, self.smallest)
+        self.differentiate(values)
+        self.regressors = self._derivatives(values, self.effects)
+        self._estimate_noise(raw)
+        return self.variances
+
+    def differentiate(self, values):
+        """Differentiate the next state by the state over one standard deviation of noise to both sides."""
+        deviations = self.deviations
+        n, d = len(self.log), self.n_channels
+        moved = [self.points]
+        for channel in range(d):
+            for sign in (1, -1):
+                tangent = np.zeros((n, d))
+                tangent[:, channel] = sign * deviations[channel]
+                moved.append(self.simulator.displace(self.points, tangent))
+        stacked = np.concatenate(moved)
+        groups = np.concatenate(
+            [self.log.episodes + copy * self.log.n_episodes for copy in range(len(moved))]
+        )
+        self.n_simulated_rows += len(stacked)
+        next_states = self.simulator.predict_many(stacked, [values], groups=groups)[0].reshape(
+            2 * d + 1, n, -1
+        )
+        base = next_states[0]
+        up = np.stack([self.simulator.residual(one, base) for one in next_states[1::2]], axis=-1)
+        down = np.stack([self.simulator.residual(one, base) for one in next_states[2::2]], axis=-1)
+        self.transitions = np.nan_to_num((up - down) / (2 * deviations))
+        self.curvatures = np.nan_to_num((up + down) / deviations**2)
+        self.present = self.present & np.isfinite(base).all(axis=-1)
+        self.whitener = self._factorised()
+
+    @property
+    def extra(self):
+        """Variance that the curvature of the simulation adds: f'' e^2 / 2 has (f'' s^2)^2 / 2 for normal noise."""
+        return np.sum((self.curvatures * self.variances) ** 2, axis=-1) / 2
+
+    def _set_variances(self, variances):
+        self.variances = variances
+        self.whitener = self._factorised()
+
+    def _estimate_noise(self, raw):
+        if self.given_variances is not None:
+            return
+        rows = self.present
+        for _ in range(2):
+            left = (raw - self._explained(raw, self.regressors))[rows]
+            self._set_variances(
+                estimate_variances(left, self.transitions[rows], self.extra[rows], smallest=self.smallest)
+            )
+
+    def _factorised(self, missed=0.0, places=None):
+        places, scale = self.places if places is None else places, self.deviations
+        return block_cholesky(
+            _padded(self.transitions * scale / scale[:, None], places),
+            np.ones(self.n_channels),
+            _padded((self.extra + missed) / self.variances, places),
+            _padded(self.present, places),
+        )
+
+    def whiten(self, columns):
+        """Return raw columns (n_rows, n_channels[, k]) uncorrelated and in units of the noise."""
+        scale = self.deviations.reshape((-1,) + (1,) * (columns.ndim - 2))
+        return self.whitener.whiten(_padded(columns / scale, self.places))[self.places]
+
+    def unwhiten_adjoint(self, white):
+        """Return the transposed whitening of columns (n_rows, n_channels[, k])."""
+        scale = np.sqrt(self.variances).reshape((-1,) + (1,) * (white.ndim - 2))
+        return self.whitener.unwhiten_adjoint(_padded(white, self.places))[self.places] / scale
+
+    def _residual_variances(self):
+        return np.einsum("nij,j->ni", self.transitions**2, self.variances) + self.variances + self.extra
+
+    def _typical_deviations(self):
+        return np.sqrt(np.median(self._residual_variances(), axis=0))
+
+
+def _padded(rows, places):
+    """Return rows as (n_chains, n_steps, ...), zero where a chain is shorter; `places` are their chains and steps."""
+    chain, step = places
+    out = np.zeros((chain[-1] + 1, step.max() + 1, *rows.shape[1:]), dtype=rows.dtype)
+    out[places] = rows
+    return out
