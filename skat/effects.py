@@ -189,6 +189,7 @@ _PHRASES = {
     "air_drag": ("quadratic air drag along {}", "quadratic air drag"),
     "damping": ("viscous damping of {}", "viscous damping of every joint"),
     "dry_friction": ("dry friction of {}", "dry friction of every joint"),
+    "force": ("a constant force on {}", ""),
     "position_friction": ("dry friction that grows with the position of {}", ""),
     "armature": ("the armature of {}", "the armature of every joint"),
     "stiffness": ("the stiffness of {}", "the stiffness of every joint"),

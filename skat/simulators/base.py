@@ -56,8 +56,12 @@ class Simulator(BaseEstimator, ABC):
         The values of an effect are relative to this simulator: where an effect is built in already, its
         bounds are what is left of the original ones.
         """
-        repeated = self._repeated_effects()
-        return tuple(effect for effect in self._by_name.values() if effect.name not in repeated)
+        unlisted = self._unlisted_effects()
+        return tuple(effect for effect in self._by_name.values() if effect.name not in unlisted)
+
+    def joint_forces(self) -> tuple[tuple[Effect, tuple[str, ...]], ...]:
+        """Return effects that are a force on one joint each, with the inputs of that joint; none unless overridden."""
+        return ()
 
     def predict(
         self, X: ArrayLike, *, effects: Mapping[str, float] | None = None, groups: ArrayLike | None = None
@@ -290,8 +294,8 @@ class Simulator(BaseEstimator, ABC):
             *(Effect(f"scale[{name}]", unit="1", neutral=1.0, bounds=(0.1, 10.0)) for name in channels),
         )
 
-    def _repeated_effects(self) -> frozenset[str]:
-        """Return the names of effects that are accepted, but not listed as they only repeat another."""
+    def _unlisted_effects(self) -> frozenset[str]:
+        """Return the names of effects that are accepted, but are no causes to choose from."""
         return frozenset()
 
     @property

@@ -37,20 +37,21 @@ JOINT_UNITS = {  # of slides, of hinges
 
 @dataclass(frozen=True)
 class Listing:
-    """Effects by name, and the names that only repeat another effect of this model.
+    """Effects by name, and the names of those that are accepted but no causes to choose from.
 
-    ``mass[all]`` of a model with one body repeats ``mass[<body>]``: it is accepted, not listed.
+    ``mass[all]`` of a model with one body repeats ``mass[<body>]``. A constant force on a joint is nobody's cause, but
+    shows how a joint would respond to one.
     """
 
     effects: tuple[Effect, ...]
-    repeated: frozenset[str]
+    unlisted: frozenset[str]
 
 
 def effect_listing(anatomy: Anatomy, frame_skip: int) -> Listing:
     """Return every effect of a compiled model."""
     model = anatomy.model
     effects: list[Effect] = []
-    repeated: list[str] = []
+    unlisted: list[str] = []
     for family in (
         _link_effects,
         _gravity_effects,
@@ -62,7 +63,7 @@ def effect_listing(anatomy: Anatomy, frame_skip: int) -> Listing:
         for effect, listed in family(anatomy):
             effects.append(effect)
             if not listed:
-                repeated.append(effect.name)
+                unlisted.append(effect.name)
     if model.nu:
         dt = frame_skip * model.opt.timestep
         bounds = (0.0, MAX_DELAY_IN_TRANSITIONS * dt)
@@ -71,7 +72,23 @@ def effect_listing(anatomy: Anatomy, frame_skip: int) -> Listing:
         )
     bounds = (0.1, float(max(1, frame_skip)))
     effects.append(Effect("timestep", unit="1", neutral=1.0, bounds=bounds, apply=edits.scale_timestep))
-    return Listing(tuple(effects), frozenset(repeated))
+    forces = joint_forces(anatomy)
+    return Listing((*effects, *forces), frozenset(unlisted) | {force.name for force in forces})
+
+
+def joint_forces(anatomy: Anatomy) -> list[Effect]:
+    """Return the constant generalised force on each degree of freedom, in MuJoCo's order."""
+    model = anatomy.model
+    forces: list[Effect] = []
+    for joint in range(model.njnt):
+        name, kind, dofs = joint_name(model, joint), anatomy.joint_kind(joint), anatomy.dofs_of(joint)
+        ends = {FREE: [".x", ".y", ".z", ".rx", ".ry", ".rz"], BALL: [".rx", ".ry", ".rz"]}.get(kind, [""])
+        for dof, end in zip(dofs, ends):
+            straight = kind == SLIDE or end in (".x", ".y", ".z")
+            limit = 10 * float(anatomy.force[dof])
+            unit = "N" if straight else "N m"
+            forces.append(Effect(f"force[{name}{end}]", unit=unit, neutral=0.0, bounds=(-limit, limit)))
+    return forces
 
 
 Found = Iterator[tuple[Effect, bool]]

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skat.effects import Effect
-from skat.simulators.anatomy import EXPLICIT_INTEGRATOR, Anatomy, actuator_name
+from skat.simulators.anatomy import EXPLICIT_INTEGRATOR, JOINT_TRANSMISSIONS, Anatomy, actuator_name
 from skat.simulators.base import Simulator
-from skat.simulators.catalogue import Listing, effect_listing
+from skat.simulators.catalogue import Listing, effect_listing, joint_forces
 from skat.simulators.channels import HINGE, StateLayout, joint_name, state_layout
 from skat.simulators.compiling import checked_model, compile_spec, lean_spec
 from skat.simulators.edits import fix_total_mass
@@ -249,14 +249,36 @@ class MujocoSimulator(Simulator):
         return self._model(values, self.frame_skip), n_substeps or self.frame_skip, self._forces(values)
 
     def all_effects(self) -> tuple[Effect, ...]:
-        """Return every effect that is accepted, also those not listed as they repeat another."""
+        """Return every effect that is accepted, also those not listed as causes to choose from."""
         return tuple(self._by_name.values())
+
+    def joint_forces(self) -> tuple[tuple[Effect, tuple[str, ...]], ...]:
+        """Return the constant forces on degrees of freedom, and of each the inputs that belong to its joint.
+
+        Returns
+        -------
+        tuple of (Effect, tuple of str)
+            ``force[<joint>]``; position, velocity and, where a motor drives the joint, its control.
+        """
+        return self._cached("joint_forces", self._joint_forces)
+
+    def _joint_forces(self) -> tuple[tuple[Effect, tuple[str, ...]], ...]:
+        model, tangent = self._nominal, self._layout.tangent_names
+        controls: dict[int, list[str]] = {}
+        for actuator, name in enumerate(self._control_names()):
+            if int(model.actuator_trntype[actuator]) in JOINT_TRANSMISSIONS:
+                joint = int(model.actuator_trnid[actuator, 0])
+                controls.setdefault(int(model.jnt_dofadr[joint]), []).append(name)
+        return tuple(
+            (effect, (tangent[dof], tangent[model.nv + dof], *controls.get(dof, ())))
+            for dof, effect in enumerate(joint_forces(self._anatomy))
+        )
 
     def _own_effects(self) -> tuple[Effect, ...]:
         return (*self._listing.effects, *self.extra_effects)
 
-    def _repeated_effects(self) -> frozenset[str]:
-        return self._listing.repeated
+    def _unlisted_effects(self) -> frozenset[str]:
+        return self._listing.unlisted
 
     def _sensor_effects(self) -> tuple[Effect, ...]:
         return self._cached("sensors", lambda: tuple(_sensor_effects(self._layout)))
@@ -306,6 +328,7 @@ class MujocoSimulator(Simulator):
         if not outside:
             return Forces(anatomy.root)
         joints = {self._joint_target(joint): joint for joint in range(model.njnt)}
+        dofs = {force.name: dof for dof, (force, _) in enumerate(self.joint_forces())}
         friction = []
         for name, value in outside.items():
             if name.startswith("position_friction["):
@@ -317,6 +340,7 @@ class MujocoSimulator(Simulator):
             drag=tuple(outside.get(f"air_drag[{axis}]", 0.0) for axis in "xyz"),  # type: ignore[arg-type]
             drag_all=outside.get("air_drag[all]", 0.0),
             position_friction=tuple(friction),
+            joints=tuple((dofs[name], outside[name]) for name in dofs if name in outside),
         )
 
     def _joint_target(self, joint: int) -> str | None:

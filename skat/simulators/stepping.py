@@ -45,6 +45,8 @@ class Forces:
         Drag coefficient c of -c |v| v, kg/m.
     position_friction : tuple of (dof, column of qpos, coefficient)
         Dry friction of coefficient times |q|.
+    joints : tuple of (dof, force)
+        Constant generalised forces, N or N m.
     """
 
     body: int = 0
@@ -52,6 +54,7 @@ class Forces:
     drag: tuple[float, float, float] = (0.0, 0.0, 0.0)
     drag_all: float = 0.0
     position_friction: tuple[tuple[int, int, float], ...] = ()
+    joints: tuple[tuple[int, float], ...] = ()
 
     @property
     def has_drag(self) -> bool:
@@ -149,6 +152,10 @@ class Stepper:
         candidates = np.array([job.candidate for job in jobs])
         destinations = np.array(slots)
         winds = np.array([job.forces.wind for job in jobs])
+        generalised = np.zeros((len(jobs), jobs[0].model.nv))
+        for forces, job in zip(generalised, jobs):
+            for dof, force in job.forces.joints:
+                forces[dof] = force
         for start in range(0, total, CHUNK):
             flat = np.arange(start, min(start + CHUNK, total))
             which, row = np.divmod(flat, n_rows)
@@ -162,6 +169,7 @@ class Stepper:
             if jobs[0].controls is not None:
                 controls = np.stack([jobs[job].controls[index] for job, index in zip(which, row)])
             pool.xfrc[: len(flat), jobs[0].forces.body, :3] = winds[which]
+            pool.qfrc[: len(flat)] = generalised[which]
             if rest is None:
                 pool.step(jobs[0].n_substeps, jobs[0].forces, controls)
                 states[destinations[which], row] = pool.states()
@@ -195,9 +203,8 @@ class _Pool:
         self.model = model if own_model else None
         self.size, self.count = size, 0
         self.qpos, self.qvel, self.ctrl = (self.batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
-        self.time, self.warm, self.xfrc = (
-            self.batch.bind(name) for name in ("time", "qacc_warmstart", "xfrc_applied")
-        )
+        self.time, self.warm = (self.batch.bind(name) for name in ("time", "qacc_warmstart"))
+        self.xfrc, self.qfrc = (self.batch.bind(name) for name in ("xfrc_applied", "qfrc_applied"))
         self.active: np.ndarray | None = None
         self.failed = np.zeros(0, dtype=int)
         self._models: list[mujoco.MjModel] = []

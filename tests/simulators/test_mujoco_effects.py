@@ -48,7 +48,7 @@ def changed(text, *changes):
     return text
 
 
-def plain(text, rows, n_steps, force=None):
+def plain(text, rows, n_steps, force=None, joint_forces=0.0):
     """Step each row in plain MuJoCo, each from a new MjData."""
     model = mujoco.MjModel.from_xml_string(text)
     found = []
@@ -58,6 +58,7 @@ def plain(text, rows, n_steps, force=None):
         for _ in range(n_steps):
             if force is not None:
                 data.xfrc_applied[1, :3] = force
+            data.qfrc_applied[:] = joint_forces
             mujoco.mj_step(model, data)
         found.append(np.r_[data.qpos, data.qvel])
     return np.array(found)
@@ -164,6 +165,29 @@ def test_wind_is_a_constant_force_at_the_centre_of_mass():
     np.testing.assert_allclose(
         found, plain(CUBE, cube_rows(), 5, force=[0.7, 0, -0.2]), rtol=1e-12, atol=1e-12
     )
+
+
+@pytest.mark.parametrize("text", [ARM, CUBE])
+def test_joint_forces_are_generalised_forces(text):
+    simulator = MujocoSimulator(text, frame_skip=5)
+    rows = arm_rows() if text is ARM else cube_rows()
+    names = [force.name for force, _ in simulator.joint_forces()]
+    assert not set(names) & {effect.name for effect in simulator.effects()}
+    candidates = [{}, *({name: 0.01} for name in names), dict(zip(names, (0.02, -0.01)))]
+    forces = np.vstack([np.zeros(len(names)), 0.01 * np.eye(len(names)), np.zeros(len(names))])
+    forces[-1, :2] = 0.02, -0.01
+    found = simulator.predict_many(rows, candidates)
+    wanted = [plain(text, rows, 5, joint_forces=one) for one in forces]
+    np.testing.assert_allclose(found, simulator._layout.aligned(np.array(wanted), found), atol=1e-12)
+    np.testing.assert_array_equal(simulator.predict(rows), found[0])  # nothing stays behind
+
+
+def test_inputs_of_a_joint_force_are_its_position_velocity_and_control():
+    inputs = {force.name: names for force, names in MujocoSimulator(ARM).joint_forces()}
+    assert inputs["force[elbow]"] == ("qpos.elbow", "qvel.elbow", "ctrl.servo")
+    inputs = {force.name: names for force, names in MujocoSimulator(CUBE).joint_forces()}
+    assert inputs["force[toss.x]"] == ("qpos.toss.x", "qvel.toss.vx")
+    assert inputs["force[toss.rz]"] == ("qpos.toss.rz", "qvel.toss.wz")
 
 
 @pytest.mark.parametrize(
