@@ -1,11 +1,12 @@
 r"""Whether anything is left that no effect explains, and what shape it has.
 
 What is left is tested against additive errors :math:`B_j \phi(c)` of the prediction: a direction j (a force on a joint
-where the simulator knows forces, otherwise an error of one output) times any piecewise linear function of one input c.
-Each pair (j, c) is a cluster-robust score test with a few degrees of freedom. Whether it outlasts single rows, as what
-changes with time does, is tested for each channel, too. The smallest p-value counts, corrected for their number. Laws
-of friction, springs and motors depend on a joint's own position, speed and command, so the few pairs of that kind have
-half of the level for themselves.
+where the simulator knows forces, an error of one output) times any piecewise linear function of one input c. Each pair
+(j, c) is a cluster-robust score test with a few degrees of freedom. Whether it outlasts single rows, as what changes
+with time does, is tested for each channel, too. The smallest p-value counts, corrected for their number. Laws of
+friction, springs and motors depend on a joint's own position, speed and command, so the few pairs of that kind have
+half of the level for themselves; and as most such laws are odd, these pairs are tested for odd functions, too, which
+have finer pieces for as many degrees of freedom.
 """
 
 from dataclasses import dataclass
@@ -34,7 +35,7 @@ class Remainder:
     p_value : float
         Family-wise chance of so much structure where nothing is left.
     direction : str
-        Where the most telling error acts: a joint, or an output.
+        Where the most telling error acts: a joint, which a force acts on, or an output.
     coordinate : str
         The input it depends on.
     table : list of tuple (direction, coordinate, p_value)
@@ -64,42 +65,47 @@ def find_remainder(residuals, line, fitted):
     fitted : sequence of str
         Effects of the model, which the test projects out.
     """
-    directions, names = residuals.directions(line.values)
+    columns, directions = residuals.directions(line.values)
     weights = robust_weights(line.residuals)[:, None]
     inside = [line.names.index(name) for name in fitted]
     derivatives = line.derivatives[..., inside]
     weighted = derivatives * weights[..., None]
     information = np.einsum("ndk,ndl->kl", weighted, derivatives)
     starts = np.arange(0, len(residuals.blocks), ROWS_TOGETHER)
-    own = np.add.reduceat(np.einsum("ndk,nd->nk", weighted, line.residuals), starts, axis=0)
-    found = []
-    for index, coordinate in enumerate(residuals.simulator.input_names if names else ()):
-        basis = hat_functions(residuals.points[:, index])
-        n_rows, n_channels, n_directions = directions.shape
+    own_scores = np.add.reduceat(np.einsum("ndk,nd->nk", weighted, line.residuals), starts, axis=0)
+
+    def p_values(chosen, basis):
+        """Return the p-value of each chosen direction times any function that the basis spans."""
         # Whitened, what different rows say is uncorrelated; the errors themselves are not.
-        columns = residuals.whiten(
-            (directions[..., None] * basis[:, None, None, :]).reshape(n_rows, n_channels, -1)
-        )
-        scores = np.add.reduceat(np.einsum("ndm,nd->nm", columns, line.residuals * weights), starts, axis=0)
+        errors = columns[:, :, chosen, None] * basis[:, None, None, :]
+        white = residuals.whiten(errors.reshape(*columns.shape[:2], -1))
+        scores = np.einsum("ndm,nd->nm", white, line.residuals * weights)
+        scores = np.add.reduceat(scores, starts, axis=0)
         if inside:
-            cross = np.einsum("ndm,ndk->km", columns, weighted)
-            scores = scores - own @ solve_scaled(information, cross)
-        for direction, part in zip(names, np.split(scores, n_directions, axis=1)):
-            found.append((direction, coordinate, _score_test(part)))
-    if not found:
+            scores = scores - own_scores @ solve_scaled(
+                information, np.einsum("ndm,ndk->km", white, weighted)
+            )
+        return [_score_test(part) for part in np.split(scores, len(chosen), axis=1)]
+
+    own_laws: list[tuple] = []
+    others: list[tuple] = []
+    for index, coordinate in enumerate(residuals.simulator.input_names if directions else ()):
+        values = residuals.points[:, index]
+        smallest = p_values(range(len(directions)), hat_functions(values))
+        own = [j for j, (_, inputs) in enumerate(directions) if coordinate in inputs]
+        for j, p_value in zip(own, p_values(own, odd_functions(values)) if own else ()):
+            smallest[j] = family_p_value(min(smallest[j], p_value), 2)
+        for j, (direction, _) in enumerate(directions):
+            (own_laws if j in own else others).append((direction, coordinate, smallest[j]))
+    if not directions:
         return None
-    found += _persistence(residuals, line.residuals)
-    found.sort(key=lambda row: row[2])
-    own_laws = [row for row in found if _element(row[0]) == _element(row[1])]
-    others = [row for row in found if row not in own_laws]
-    families = [(family_p_value(rows[0][2], len(rows)), rows[0]) for rows in (own_laws, others) if rows]
-    p_value, (direction, coordinate, _) = min(families)
-    return Remainder(family_p_value(p_value, len(families)), direction, coordinate, tuple(found[:10]))
-
-
-def _element(name):
-    """Return the joint or motor that a channel belongs to, the channel itself where names do not say."""
-    return name.partition(".")[2] or name
+    others += _persistence(residuals, line.residuals)
+    families = [sorted(rows, key=lambda row: row[2]) for rows in (own_laws, others) if rows]
+    p_value, (direction, coordinate, _) = min(
+        (family_p_value(rows[0][2], len(rows)), rows[0]) for rows in families
+    )
+    table = sorted(own_laws + others, key=lambda row: row[2])[:10]
+    return Remainder(family_p_value(p_value, len(families)), direction, coordinate, tuple(table))
 
 
 def _persistence(residuals, white):
@@ -131,6 +137,11 @@ def hat_functions(values):
     if len(knots) < 2:
         return np.ones((len(values), 1))
     return np.stack([np.interp(values, knots, row) for row in np.eye(len(knots))], axis=1)
+
+
+def odd_functions(values):
+    """Return odd functions (n_rows, at most KNOTS) that are piecewise linear on either side of 0 and may jump there."""
+    return np.sign(values)[:, None] * hat_functions(np.abs(values))
 
 
 def _score_test(scores):

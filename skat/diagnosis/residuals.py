@@ -78,6 +78,8 @@ class Residuals:
         self.variances: Any = self.given_variances
         self.regressors = np.zeros((len(log), self.n_channels, 0))
         self.steps = {}
+        self.forces = simulator.joint_forces() if log.consecutive else ()
+        self.movable = {**self.effects, **{force.name: force for force, _ in self.forces}}
         self.n_simulated_rows = 0
 
     @property
@@ -185,8 +187,8 @@ class Residuals:
             self._choose_steps(values, new)
         stepped, moves = [], []
         for name in names:
-            at = values.get(name, self.effects[name].neutral)
-            move = _within(at, self.steps[name], self.effects[name].bounds)
+            at = values.get(name, self.movable[name].neutral)
+            move = _within(at, self.steps[name], self.movable[name].bounds)
             stepped.append({**values, name: at + move})
             moves.append(move)
         changes = np.nan_to_num(self._changes([values, *stepped]), nan=0.0, posinf=0.0, neginf=0.0)
@@ -206,7 +208,7 @@ class Residuals:
         """
         ends = []
         for name, width in widths.items():
-            at, (low, high) = values.get(name, self.effects[name].neutral), self.effects[name].bounds
+            at, (low, high) = values.get(name, self.movable[name].neutral), self.movable[name].bounds
             ends += [max(at - width, low), min(at + width, high)]
         changes = self._changes(
             [values, *({**values, name: end} for name, end in zip(np.repeat(list(widths), 2), ends))]
@@ -222,16 +224,16 @@ class Residuals:
     def _choose_steps(self, values, names):
         """Scale each effect's step until the predictions change by little against the noise but well above rounding."""
         rows = slice(0, min(len(self.log), ROWS_FOR_STEPS))
-        steps = {name: FIRST_STEP * np.ptp(self.effects[name].bounds) for name in names}
-        largest = {name: LARGEST_STEP * np.ptp(self.effects[name].bounds) for name in names}
+        steps = {name: FIRST_STEP * np.ptp(self.movable[name].bounds) for name in names}
+        largest = {name: LARGEST_STEP * np.ptp(self.movable[name].bounds) for name in names}
         open_names = list(names)
         for _ in range(4):
             moves = [
-                _within(values.get(name, self.effects[name].neutral), steps[name], self.effects[name].bounds)
+                _within(values.get(name, self.movable[name].neutral), steps[name], self.movable[name].bounds)
                 for name in open_names
             ]
             candidates = [
-                {**values, name: values.get(name, self.effects[name].neutral) + move}
+                {**values, name: values.get(name, self.movable[name].neutral) + move}
                 for name, move in zip(open_names, moves)
             ]
             still_open = []
@@ -335,10 +337,30 @@ class Residuals:
         Returns
         -------
         columns : ndarray of shape (n_rows, n_channels, n_directions)
-        names : tuple of str
+        directions : tuple of (str, tuple of str)
+            What the error acts on, and the inputs that belong to it: a joint where the simulator knows its forces,
+            which then stand for errors of velocities; otherwise an output.
         """
-        eye = np.diag(self._typical_deviations())
-        return np.broadcast_to(eye, (len(self.log), *eye.shape)), tuple(self.simulator.residual_names)
+        outputs = self.simulator.residual_names
+        moved = {name for _, inputs in self.forces for name in inputs[1:]}
+        kept = [index for index, name in enumerate(outputs) if name not in moved]
+        eye = np.diag(self._typical_deviations())[:, kept]
+        columns = np.broadcast_to(eye, (len(self.log), *eye.shape))
+        names = [(outputs[index], self._inputs_of(outputs[index])) for index in kept]
+        if self.forces:
+            responses = self._derivatives(values, [force.name for force, _ in self.forces])
+            columns = np.concatenate([columns, responses], axis=-1)
+            names += [(force.target, inputs) for force, inputs in self.forces]
+        return columns, tuple(names)
+
+    def _inputs_of(self, output):
+        """Return the inputs that belong to an output: itself, and where forces are not known those of its joint."""
+        joint = "" if self.forces else output.partition(".")[2]
+        return tuple(
+            name
+            for name in self.simulator.input_names
+            if name == output or (joint and name.partition(".")[2] == joint)
+        )
 
     def noise_errors(self, candidates):
         """Return the squared one-step errors (n_candidates, n_rows) in units of what noise alone gives.
