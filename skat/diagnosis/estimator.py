@@ -21,6 +21,8 @@ from skat.effects import Effect, unknown_name_message
 
 # Squared one-step errors in noise units up to which heavy tails and rounding of the noise are taken to be the cause.
 CLEAN_EXCESS = 1.3
+# An estimate within this share of its range from a bound is at it.
+AT_BOUND = 1e-6
 
 
 class SimulationDiagnosis(RegressorMixin, BaseEstimator):
@@ -342,6 +344,9 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             p_value=float(selected.p_values[name]),
             aliases=selected.aliases[name],
             sentence=effect.describe(value),
+            at_bound=bool(
+                np.min(np.abs(np.subtract(effect.bounds, value))) < AT_BOUND * np.ptp(effect.bounds)
+            ),
         )
 
 

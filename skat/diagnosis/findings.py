@@ -21,6 +21,8 @@ class Cause:
     aliases : tuple of str
         Effects that would explain the log as well: these data cannot tell them from this one.
     sentence : str
+    at_bound : bool
+        Whether the estimate is at an end of the effect's bounds, so that something else may be behind it.
     """
 
     name: str
@@ -32,6 +34,7 @@ class Cause:
     p_value: float
     aliases: tuple[str, ...]
     sentence: str
+    at_bound: bool = False
 
 
 @dataclass(frozen=True)

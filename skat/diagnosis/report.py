@@ -357,7 +357,12 @@ def gain_sentence(gain):
 def _cause_sentence(cause):
     low, high = cause.interval
     sentence = cause.sentence if cause.sentence.startswith(cause.name) else _capital(cause.sentence)
-    return f"{sentence.rstrip('.')} (95 %: {_number(low)} to {_number(high)})."
+    end = (
+        "; the estimate is at the end of the range allowed, so something else may be behind it"
+        if cause.at_bound
+        else ""
+    )
+    return f"{sentence.rstrip('.')} (95 %: {_number(low)} to {_number(high)}){end}."
 
 
 def _capital(text):

@@ -94,6 +94,14 @@ def test_two_hidden_effects_are_both_named(simulator):
     assert sizes["pole"][0] < 1.05 < sizes["pole"][1]
 
 
+def test_estimate_at_a_bound_is_said_to_be_one(simulator):
+    diagnosis = fitted(simulator, measure(6, drag=3.0))
+    (cause,) = (cause for cause in diagnosis.causes_ if cause.name == "drag")
+    assert (cause.value, cause.at_bound) == (2.0, True)
+    assert "at the end of the range" in diagnosis.report_.text()
+    assert not any(cause.at_bound for cause in fitted(simulator, measure(6, drag=1.9)).causes_)
+
+
 def test_force_that_no_effect_is_like_is_unexplained(simulator):
     diagnosis = fitted(simulator, measure(5, magnet=4.0, n_episodes=12))
     assert diagnosis.verdict_ == "unexplained"
