@@ -2,11 +2,11 @@ r"""Whether anything is left that no effect explains, and what shape it has.
 
 What is left is tested against additive errors :math:`B_j \phi(c)` of the prediction: a direction j (a force on a joint
 where the simulator knows forces, an error of one output) times any piecewise linear function of one input c. Each pair
-(j, c) is a cluster-robust score test with a few degrees of freedom. Whether it outlasts single rows, as what changes
-with time does, is tested for each channel, too. The smallest p-value counts, corrected for their number. Laws of
-friction, springs and motors depend on a joint's own position, speed and command, so the few pairs of that kind have
-half of the level for themselves; and as most such laws are odd, these pairs are tested for odd functions, too, which
-have finer pieces for as many degrees of freedom.
+(j, c) is a score test with a few degrees of freedom; rows say how much the scores vary. Whether what is left outlasts
+single rows, as what changes with time does, is tested for each channel, too. The smallest p-value counts, corrected
+for their number. Laws of friction, springs and motors depend on a joint's own position, speed and command, so the few
+pairs of that kind have half of the level for themselves; and as most such laws are odd, these pairs are tested for odd
+functions, too, which have finer pieces for as many degrees of freedom.
 """
 
 from dataclasses import dataclass
@@ -22,8 +22,6 @@ KNOTS = 4
 LAGS = range(4, 16)
 LARGEST_RESIDUAL = 4.0
 TIME = "time"
-# Rows whose scores count as one: whitened rows are uncorrelated where nothing is left.
-ROWS_TOGETHER = 3
 
 
 @dataclass(frozen=True)
@@ -71,18 +69,16 @@ def find_remainder(residuals, line, fitted):
     derivatives = line.derivatives[..., inside]
     weighted = derivatives * weights[..., None]
     information = np.einsum("ndk,ndl->kl", weighted, derivatives)
-    starts = np.arange(0, len(residuals.blocks), ROWS_TOGETHER)
-    own_scores = np.add.reduceat(np.einsum("ndk,nd->nk", weighted, line.residuals), starts, axis=0)
+    fitted_scores = np.einsum("ndk,nd->nk", weighted, line.residuals)
 
     def p_values(chosen, basis):
         """Return the p-value of each chosen direction times any function that the basis spans."""
-        # Whitened, what different rows say is uncorrelated; the errors themselves are not.
+        # Whitened, what different rows say is uncorrelated where nothing is left; the errors themselves are not.
         errors = columns[:, :, chosen, None] * basis[:, None, None, :]
         white = residuals.whiten(errors.reshape(*columns.shape[:2], -1))
         scores = np.einsum("ndm,nd->nm", white, line.residuals * weights)
-        scores = np.add.reduceat(scores, starts, axis=0)
         if inside:
-            scores = scores - own_scores @ solve_scaled(
+            scores = scores - fitted_scores @ solve_scaled(
                 information, np.einsum("ndm,ndk->km", white, weighted)
             )
         return [_score_test(part) for part in np.split(scores, len(chosen), axis=1)]
@@ -145,7 +141,7 @@ def odd_functions(values):
 
 
 def _score_test(scores):
-    """Return the p-value of block scores having mean zero (Hotelling)."""
+    """Return the p-value of the scores of rows having mean zero (Hotelling)."""
     scores = scores[np.abs(scores).max(axis=1) > 0]
     count = len(scores)
     scale = np.sqrt(np.mean(scores**2, axis=0))
