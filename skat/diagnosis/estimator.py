@@ -1,5 +1,7 @@
 """SimulationDiagnosis: what a user meets."""
 
+import warnings
+
 import numpy as np
 from scipy import stats
 from sklearn.base import BaseEstimator, RegressorMixin
@@ -139,9 +141,15 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         selected = Selection(
             residuals, names, alpha=self.alpha / 2, max_effects=self.max_effects, progress=progress
         ).run()
-        self.n_simulated_rows_ = residuals.n_simulated_rows
         progress("remainder", 0, 1)
         self.remainder_ = find_remainder(residuals, selected.linearisation, list(selected.values))
+        self.n_simulated_rows_ = residuals.n_simulated_rows
+        if residuals.diverged.any():
+            warnings.warn(
+                f"The simulation diverges in {residuals.diverged.sum()} of {len(fitted)} rows, which were left out; "
+                "check that they are physical.",
+                stacklevel=2,
+            )
         self.noise_ = residuals.deviations
         self.causes_ = [self._cause(residuals.effects[name], selected) for name in selected.values]
         self.extended_simulator_ = self.simulator.extended(selected.values)

@@ -28,7 +28,7 @@ def _one_step_channels(residuals, values):
     groups = residuals.log.episodes if residuals.log.consecutive else None
     names = residuals.simulator.residual_names
     nominal, extended = (
-        np.sqrt(np.mean(residuals.simulator.residual(residuals.log.y, one) ** 2, axis=0))
+        np.sqrt(np.mean(residuals.simulator.residual(residuals.log.y, one)[residuals.present] ** 2, axis=0))
         for one in residuals.simulator.predict_many(residuals.log.X, [{}, values], groups=groups)
     )
     return {name: (float(a), float(b)) for name, a, b in zip(names, nominal, extended)}

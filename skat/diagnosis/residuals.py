@@ -72,13 +72,15 @@ class Residuals:
         self.given_variances = None if deviations is None else np.asarray(deviations, dtype=float) ** 2
         self.points = log.X
         self.present = np.ones(len(log), dtype=bool)
-        if any(effect.family == "delay" for effect in effects) and log.consecutive:
+        delayed = any(effect.family == "delay" for effect in effects) and log.consecutive
+        if delayed and (log.steps > 0).any():
             self.present = log.steps > 0
+        self.diverged = np.zeros(len(log), dtype=bool)
         self.smallest = self._smallest_variances()
         self.variances: Any = self.given_variances
         self.regressors = np.zeros((len(log), self.n_channels, 0))
         self.steps = {}
-        self.forces = simulator.joint_forces() if log.consecutive else ()
+        self.forces = simulator.joint_forces()
         self.movable = {**self.effects, **{force.name: force for force, _ in self.forces}}
         self.n_simulated_rows = 0
 
@@ -114,7 +116,7 @@ class Residuals:
 
         All named effects are regressed out of the residuals before the noise is estimated anew.
         """
-        raw = self.raw_residuals([values])[0]
+        raw = self._model_residuals(values)
         derivatives = self._derivatives(values, names)
         self.regressors = derivatives
         self._estimate_noise(raw)
@@ -128,20 +130,20 @@ class Residuals:
 
     def shifted(self, line, values):
         """Return the last Linearisation carried to a model close to its own: residuals anew, derivatives kept."""
-        raw = self.raw_residuals([values])[0]
+        raw = self._model_residuals(values)
         self._estimate_noise(raw)
         return Linearisation(dict(values), self.whiten(raw), self.whiten(self.regressors), line.names)
 
     def whitened(self, candidates):
         """Return whitened residuals (n_candidates, n_rows, n_channels) of other models, in the same whitening.
 
-        A row in which a candidate diverges counts as far off.
+        A row in which a candidate diverges, and the model of the last linearisation did not, counts as far off.
         """
         raw = self.raw_residuals(candidates)
-        lost = ~np.isfinite(raw).all(axis=-1)
-        raw[lost] = 0
+        diverged = ~np.isfinite(raw).all(axis=-1)
+        raw[diverged] = 0
         white = np.moveaxis(self.whiten(np.moveaxis(raw, 0, -1)), -1, 0)
-        white[lost] = 1e3
+        white[diverged & self.present] = 1e3
         return white
 
     def error_sizes(self, candidates, n_rows):
@@ -269,6 +271,16 @@ class Residuals:
         solution = vectors[:, kept] @ ((vectors[:, kept].T @ right) / values[kept])
         return derivatives[..., usable] @ (solution / scale[usable])
 
+    def _model_residuals(self, values):
+        """Return the raw residuals of a model; rows in which it diverges are no evidence any more."""
+        raw = self.raw_residuals([values])[0]
+        self._leave_out(~np.isfinite(raw).all(axis=-1))
+        return np.where(self.present[:, None], raw, 0.0)
+
+    def _leave_out(self, rows):
+        self.diverged = self.diverged | rows
+        self.present = self.present & ~rows
+
     def raw_residuals(self, candidates):
         """Return measured minus predicted (n_candidates, n_rows, n_channels), NaN where a simulation diverges."""
         return np.stack([self.simulator.residual(self.log.y, one) for one in self._predict(candidates)])
@@ -322,10 +334,6 @@ class Residuals:
         present, deviations = self.present.reshape(-1, 1, *extra), np.sqrt(self.variances).reshape(-1, *extra)
         return np.where(present, columns, 0.0) / deviations
 
-    def unwhiten_adjoint(self, white):
-        """Return the transposed whitening of columns (n_rows, n_channels[, k])."""
-        return self.whiten(white)
-
     def directions(self, values):
         """Return raw additive errors of the prediction that a remainder is sought along, and their names.
 
@@ -365,11 +373,13 @@ class Residuals:
     def noise_errors(self, candidates):
         """Return the squared one-step errors (n_candidates, n_rows) in units of what noise alone gives.
 
-        From the measured states, not the smoothed ones; a right model has 1 on average.
+        From the measured states, not the smoothed ones; a right model has 1 on average. Rows in which a candidate
+        diverges are left out, from then on.
         """
         groups = self.log.episodes if self.log.consecutive else None
         predictions = self.simulator.predict_many(self.log.X, candidates, groups=groups)
         errors = np.stack([self.simulator.residual(self.log.y, one) for one in predictions]) ** 2
+        self._leave_out(~np.isfinite(errors).all(axis=(0, 2)))
         return np.mean(errors / self._residual_variances(), axis=-1)[:, self.present]
 
     def _residual_variances(self):

@@ -107,13 +107,18 @@ class TransitionResiduals(Residuals):
         down = np.stack([self.simulator.residual(one, base) for one in next_states[2::2]], axis=-1)
         self.transitions = np.nan_to_num((up - down) / (2 * deviations))
         self.curvatures = np.nan_to_num((up + down) / deviations**2)
-        self.present = self.present & np.isfinite(base).all(axis=-1)
+        self._leave_out(~np.isfinite(base).all(axis=-1))
         self.whitener = self._factorised()
 
     @property
     def extra(self):
         """Variance that the curvature of the simulation adds: f'' e^2 / 2 has (f'' s^2)^2 / 2 for normal noise."""
         return np.sum((self.curvatures * self.variances) ** 2, axis=-1) / 2
+
+    def _leave_out(self, rows):
+        if (self.present & rows).any():
+            super()._leave_out(rows)
+            self.whitener = self._factorised()
 
     def _set_variances(self, variances):
         self.variances = variances
@@ -142,11 +147,6 @@ class TransitionResiduals(Residuals):
         """Return raw columns (n_rows, n_channels[, k]) uncorrelated and in units of the noise."""
         scale = self.deviations.reshape((-1,) + (1,) * (columns.ndim - 2))
         return self.whitener.whiten(_padded(columns / scale, self.places))[self.places]
-
-    def unwhiten_adjoint(self, white):
-        """Return the transposed whitening of columns (n_rows, n_channels[, k])."""
-        scale = np.sqrt(self.variances).reshape((-1,) + (1,) * (white.ndim - 2))
-        return self.whitener.unwhiten_adjoint(_padded(white, self.places))[self.places] / scale
 
     def _residual_variances(self):
         return np.einsum("nij,j->ni", self.transitions**2, self.variances) + self.variances + self.extra
