@@ -18,6 +18,7 @@ from skat.diagnosis.evidence import family_p_value, solve_scaled
 from skat.diagnosis.residuals import robust_weights
 
 KNOTS = 4
+LONGEST_TABLE = 10
 # What is left is compared with itself so many rows on, residuals cut at so many standard deviations.
 LAGS = range(4, 16)
 LARGEST_RESIDUAL = 4.0
@@ -33,11 +34,11 @@ class Remainder:
     p_value : float
         Family-wise chance of so much structure where nothing is left.
     direction : str
-        Where the most telling error acts: a joint, which a force acts on, or an output.
+        Where the error acts that explains most: a joint, which a force acts on, or an output.
     coordinate : str
         The input it depends on.
-    table : list of tuple (direction, coordinate, p_value)
-        The most telling pairs, each p-value by itself.
+    table : tuple of (direction, coordinate, p_value)
+        The most telling pairs, those first that explain most; p-values are not corrected for the number of pairs.
     """
 
     p_value: float
@@ -53,6 +54,16 @@ class Remainder:
         return f"something acts on {self.direction} that depends on {self.coordinate} and is none of the effects known"
 
 
+@dataclass(frozen=True)
+class _Pair:
+    """An error that acts in a direction as a function of a coordinate: its p-value, and the loss it would explain."""
+
+    direction: str
+    coordinate: str
+    p_value: float
+    explained: float = 0.0
+
+
 def find_remainder(residuals, line, fitted):
     """Return the Remainder of a linearisation at a model, or None where there is no direction to test.
 
@@ -64,48 +75,67 @@ def find_remainder(residuals, line, fitted):
         Effects of the model, which the test projects out.
     """
     columns, directions = residuals.directions(line.values)
-    weights = robust_weights(line.residuals)[:, None]
-    inside = [line.names.index(name) for name in fitted]
-    derivatives = line.derivatives[..., inside]
-    weighted = derivatives * weights[..., None]
-    information = np.einsum("ndk,ndl->kl", weighted, derivatives)
-    fitted_scores = np.einsum("ndk,nd->nk", weighted, line.residuals)
-
-    def p_values(chosen, basis):
-        """Return the p-value of each chosen direction times any function that the basis spans."""
-        # Whitened, what different rows say is uncorrelated where nothing is left; the errors themselves are not.
-        errors = columns[:, :, chosen, None] * basis[:, None, None, :]
-        white = residuals.whiten(errors.reshape(*columns.shape[:2], -1))
-        scores = np.einsum("ndm,nd->nm", white, line.residuals * weights)
-        if inside:
-            scores = scores - fitted_scores @ solve_scaled(
-                information, np.einsum("ndm,ndk->km", white, weighted)
-            )
-        return [_score_test(part) for part in np.split(scores, len(chosen), axis=1)]
-
-    own_laws: list[tuple] = []
-    others: list[tuple] = []
-    for index, coordinate in enumerate(residuals.simulator.input_names if directions else ()):
-        values = residuals.points[:, index]
-        smallest = p_values(range(len(directions)), hat_functions(values))
-        own = [j for j, (_, inputs) in enumerate(directions) if coordinate in inputs]
-        for j, p_value in zip(own, p_values(own, odd_functions(values)) if own else ()):
-            smallest[j] = family_p_value(min(smallest[j], p_value), 2)
-        for j, (direction, _) in enumerate(directions):
-            (own_laws if j in own else others).append((direction, coordinate, smallest[j]))
     if not directions:
         return None
+    tests = _ScoreTests(residuals, line, fitted)
+    own_laws: list[_Pair] = []
+    others: list[_Pair] = []
+    for index, coordinate in enumerate(residuals.simulator.input_names):
+        values = residuals.points[:, index]
+        found = tests.of(columns, hat_functions(values))
+        own = [j for j, (_, inputs) in enumerate(directions) if coordinate in inputs]
+        for j, odd in zip(own, tests.of(columns[..., own], odd_functions(values)) if own else ()):
+            best = min(found[j], odd)
+            found[j] = family_p_value(best[0], 2), best[1]
+        for j, (direction, _) in enumerate(directions):
+            (own_laws if j in own else others).append(_Pair(direction, coordinate, *found[j]))
     others += _persistence(residuals, line.residuals)
-    families = [sorted(rows, key=lambda row: row[2]) for rows in (own_laws, others) if rows]
-    p_value, (direction, coordinate, _) = min(
-        (family_p_value(rows[0][2], len(rows)), rows[0]) for rows in families
-    )
-    table = sorted(own_laws + others, key=lambda row: row[2])[:10]
-    return Remainder(family_p_value(p_value, len(families)), direction, coordinate, tuple(table))
+    families = [family for family in (own_laws, others) if family]
+    smallest = [family_p_value(min(pair.p_value for pair in family), len(family)) for family in families]
+    p_value = family_p_value(min(smallest), len(families))
+    pairs = sorted(own_laws + others, key=lambda pair: pair.p_value)[:LONGEST_TABLE]
+    if pairs[0].coordinate != TIME:
+        # Where p-values are tiny, which one is the tiniest says little of what is left.
+        pairs.sort(key=lambda pair: -pair.explained)
+    table = tuple((pair.direction, pair.coordinate, pair.p_value) for pair in pairs)
+    return Remainder(p_value, *table[0][:2], table)
+
+
+class _ScoreTests:
+    """Score tests of additive errors of the prediction, with the effects of the model projected out."""
+
+    def __init__(self, residuals, line, fitted):
+        self.residuals = residuals
+        weights = robust_weights(line.residuals)[:, None]
+        derivatives = line.derivatives[..., [line.names.index(name) for name in fitted]]
+        self.weighted_residuals = line.residuals * weights
+        self.weighted = derivatives * weights[..., None]
+        self.information = np.einsum("ndk,ndl->kl", self.weighted, derivatives)
+        self.scores = np.einsum("ndk,nd->nk", self.weighted, line.residuals)
+        self.weights = weights
+
+    def of(self, columns, basis):
+        """Return (p-value, loss explained) of each direction of the columns times any function that the basis spans."""
+        # Whitened, what different rows say is uncorrelated where nothing is left; the errors themselves are not.
+        errors = columns[..., None] * basis[:, None, None, :]
+        white = self.residuals.whiten(errors.reshape(*columns.shape[:2], -1))
+        scores = np.einsum("ndm,nd->nm", white, self.weighted_residuals)
+        cross = np.einsum("ndm,ndk->km", white, self.weighted)
+        carry = solve_scaled(self.information, cross) if len(cross) else cross
+        scores = scores - self.scores @ carry
+        found = []
+        for part in np.split(np.arange(white.shape[-1]), columns.shape[-1]):
+            own = white[..., part]
+            information = np.einsum("ndl,ndm->lm", own * self.weights[..., None], own)
+            information -= cross[:, part].T @ carry[:, part]
+            total = scores[:, part].sum(axis=0)
+            explained = float(total @ solve_scaled(information, total[:, None])[:, 0])
+            found.append((_score_test(scores[:, part]), explained))
+        return found
 
 
 def _persistence(residuals, white):
-    """Return rows (channel, TIME, p-value) that test whether what is left outlasts single rows.
+    """Return the pairs of each channel with TIME, which test whether what is left outlasts single rows.
 
     Whitened residuals some rows apart are uncorrelated even where the noise is a little misjudged, which neighbours are
     not; an error that is no function of any one input, such as a force that changes with time, is found here. It must
@@ -124,7 +154,7 @@ def _persistence(residuals, white):
         sums = np.add.reduceat(products, starts)
         statistics += sums.sum(axis=0) ** 2 / np.maximum((sums**2).sum(axis=0), 1e-300)
     p_values = stats.chi2.sf(statistics, len(LAGS))
-    return [(name, TIME, float(p)) for name, p in zip(residuals.simulator.residual_names, p_values)]
+    return [_Pair(name, TIME, float(p)) for name, p in zip(residuals.simulator.residual_names, p_values)]
 
 
 def hat_functions(values):
@@ -144,6 +174,8 @@ def _score_test(scores):
     """Return the p-value of the scores of rows having mean zero (Hotelling)."""
     scores = scores[np.abs(scores).max(axis=1) > 0]
     count = len(scores)
+    if not count:
+        return 1.0
     scale = np.sqrt(np.mean(scores**2, axis=0))
     scores = scores[:, scale > 0] / scale[scale > 0]
     if count <= 2 * scores.shape[1] or not scores.shape[1]:

@@ -37,14 +37,15 @@ JOINT_UNITS = {  # of slides, of hinges
 
 @dataclass(frozen=True)
 class Listing:
-    """Effects by name, and the names of those that are accepted but no causes to choose from.
+    """Effects, the names of those that are accepted but no causes to choose from, and of the forces on joints.
 
     ``mass[all]`` of a model with one body repeats ``mass[<body>]``. A constant force on a joint is nobody's cause, but
-    shows how a joint would respond to one.
+    shows how a joint would respond to one; there is one for each degree of freedom, in MuJoCo's order.
     """
 
     effects: tuple[Effect, ...]
     unlisted: frozenset[str]
+    forces: tuple[str, ...]
 
 
 def effect_listing(anatomy: Anatomy, frame_skip: int) -> Listing:
@@ -72,12 +73,12 @@ def effect_listing(anatomy: Anatomy, frame_skip: int) -> Listing:
         )
     bounds = (0.1, float(max(1, frame_skip)))
     effects.append(Effect("timestep", unit="1", neutral=1.0, bounds=bounds, apply=edits.scale_timestep))
-    forces = joint_forces(anatomy)
-    return Listing((*effects, *forces), frozenset(unlisted) | {force.name for force in forces})
+    forces = _joint_forces(anatomy)
+    names = tuple(force.name for force in forces)
+    return Listing((*effects, *forces), frozenset((*unlisted, *names)), names)
 
 
-def joint_forces(anatomy: Anatomy) -> list[Effect]:
-    """Return the constant generalised force on each degree of freedom, in MuJoCo's order."""
+def _joint_forces(anatomy: Anatomy) -> list[Effect]:
     model = anatomy.model
     forces: list[Effect] = []
     for joint in range(model.njnt):

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from skat.effects import Effect
 from skat.simulators.anatomy import EXPLICIT_INTEGRATOR, JOINT_TRANSMISSIONS, Anatomy, actuator_name
 from skat.simulators.base import Simulator
-from skat.simulators.catalogue import Listing, effect_listing, joint_forces
+from skat.simulators.catalogue import Listing, effect_listing
 from skat.simulators.channels import HINGE, StateLayout, joint_name, state_layout
 from skat.simulators.compiling import checked_model, compile_spec, lean_spec
 from skat.simulators.edits import fix_total_mass
@@ -26,7 +26,6 @@ from skat.simulators.tables import Array
 CACHED_MODELS = 256
 # Edits that need the outcome of others come last.
 LAST = ("centre_of_mass", "contact_friction", "contact_anisotropy", "restitution")
-BESIDE_THE_MODEL = {"wind", "air_drag", "position_friction", "delay", "timestep", "bias", "scale"}
 
 
 class MujocoSimulator(Simulator):
@@ -55,7 +54,7 @@ class MujocoSimulator(Simulator):
         If there is no such file.
     ValueError
         If MuJoCo cannot read the model; if it has actuators with activation states or delays, whose state
-        the rows do not hold.
+        the rows do not hold; if an extra effect has the name of another one.
 
     Examples
     --------
@@ -178,9 +177,9 @@ class MujocoSimulator(Simulator):
         """Write the model, with the effects that are built in, for any user of MuJoCo.
 
         Numbers are written with all digits: plain MuJoCo predicts what this simulator predicts. What MJCF
-        cannot express (wind, drag on bodies that turn, friction that grows with the position, sensors, and a
-        delay under the Runge-Kutta integrator, which reads delayed controls between time steps) is written
-        beside it, into ``<name>.effects.json``.
+        cannot express (wind, drag on bodies that turn, friction that grows with the position, forces on joints,
+        sensors, and a delay under the Runge-Kutta integrator, which reads delayed controls between time steps)
+        is written beside it, into ``<name>.effects.json``.
 
         Parameters
         ----------
@@ -267,12 +266,17 @@ class MujocoSimulator(Simulator):
         controls: dict[int, list[str]] = {}
         for actuator, name in enumerate(self._control_names()):
             if int(model.actuator_trntype[actuator]) in JOINT_TRANSMISSIONS:
-                joint = int(model.actuator_trnid[actuator, 0])
-                controls.setdefault(int(model.jnt_dofadr[joint]), []).append(name)
-        return tuple(
-            (effect, (tangent[dof], tangent[model.nv + dof], *controls.get(dof, ())))
-            for dof, effect in enumerate(joint_forces(self._anatomy))
-        )
+                dofs = self._anatomy.dofs_of(int(model.actuator_trnid[actuator, 0]))
+                for dof, gear in zip(dofs, model.actuator_gear[actuator]):
+                    if gear:
+                        controls.setdefault(dof, []).append(name)
+        found = []
+        for dof, name in enumerate(self._listing.forces):
+            position = tangent[dof]
+            if position not in self.state_names:  # of a rotation vector: the same axis of the quaternion
+                position = position[: -len("rx")] + "q" + position[-1]
+            found.append((self._by_name[name], (position, tangent[model.nv + dof], *controls.get(dof, ()))))
+        return tuple(found)
 
     def _own_effects(self) -> tuple[Effect, ...]:
         return (*self._listing.effects, *self.extra_effects)
@@ -328,7 +332,7 @@ class MujocoSimulator(Simulator):
         if not outside:
             return Forces(anatomy.root)
         joints = {self._joint_target(joint): joint for joint in range(model.njnt)}
-        dofs = {force.name: dof for dof, (force, _) in enumerate(self.joint_forces())}
+        dofs = {name: dof for dof, name in enumerate(self._listing.forces)}
         friction = []
         for name, value in outside.items():
             if name.startswith("position_friction["):
@@ -388,7 +392,7 @@ class MujocoSimulator(Simulator):
         ]
         return {
             "about": "Effects that belong to the model beside this file and that MJCF cannot express.",
-            "acts on body": self._anatomy.body_name(self._anatomy.root),
+            "wind and drag act on body": self._anatomy.body_name(self._anatomy.root),
             "effects": effects,
         }
 
@@ -418,7 +422,16 @@ class MujocoSimulator(Simulator):
 
     @property
     def _listing(self) -> Listing:
-        return self._cached("listing", lambda: effect_listing(self._anatomy, self.frame_skip))
+        return self._cached("listing", self._checked_listing)
+
+    def _checked_listing(self) -> Listing:
+        listing = effect_listing(self._anatomy, self.frame_skip)
+        taken = {effect.name for effect in listing.effects} & {effect.name for effect in self.extra_effects}
+        if taken:
+            raise ValueError(
+                f"extra_effects names {', '.join(sorted(taken))}; the model has effects of these names, choose others"
+            )
+        return listing
 
     @property
     def _own_by_name(self) -> dict[str, Effect]:

@@ -1,10 +1,14 @@
 """What no effect explains is found: a law of a joint in its own coordinates, and what outlasts single rows."""
 
+import mujoco
 import numpy as np
+import pytest
 
+from skat.diagnosis import SimulationDiagnosis
 from skat.diagnosis.log import Log
 from skat.diagnosis.omnibus import TIME, _persistence, find_remainder
 from skat.diagnosis.residuals import Linearisation
+from skat.simulators import MujocoSimulator
 
 
 class Rows:
@@ -18,9 +22,9 @@ class Rows:
 
 def test_persistence_is_uniform_for_noise_with_heavy_tails():
     p_values = [
-        p
+        pair.p_value
         for seed in range(200)
-        for _, _, p in _persistence(Rows, np.random.default_rng(seed).standard_t(4, (1000, 2)))
+        for pair in _persistence(Rows, np.random.default_rng(seed).standard_t(4, (1000, 2)))
     ]
     # A standard deviation of the share is 0.011 at 5 %.
     assert 0.02 < np.mean(np.array(p_values) < 0.05) < 0.09
@@ -30,22 +34,21 @@ def test_persistence_is_uniform_for_noise_with_heavy_tails():
 def test_periodic_remainder_is_found_in_its_channel():
     white = np.random.default_rng(0).normal(size=(1000, 2))
     white[:, 1] += np.sin(np.arange(1000) / 3)
-    (_, _, quiet), (name, what, loud) = _persistence(Rows, white)
-    assert (name, what) == ("b", TIME)
-    assert loud < 1e-4 < quiet
+    quiet, loud = _persistence(Rows, white)
+    assert (loud.direction, loud.coordinate) == ("b", TIME)
+    assert loud.p_value < 1e-4 < quiet.p_value
 
 
 def test_one_contact_whose_linearisation_failed_does_not_count_as_lasting():
     white = np.random.default_rng(0).normal(size=(1000, 2))
     white[200:230, 1] += 5.0
-    assert all(p > 0.05 for _, _, p in _persistence(Rows, white))
+    assert all(pair.p_value > 0.05 for pair in _persistence(Rows, white))
 
 
 class Joints(Rows):
     """White residuals of ten joints, as the test of a remainder needs them."""
 
     joints = [f"j{k}" for k in range(10)]
-    blocks = np.arange(1000)
 
     def __init__(self, seed, input_names):
         self.points = np.random.default_rng(seed).normal(size=(1000, 10))
@@ -101,3 +104,69 @@ def test_remainder_of_noise_keeps_to_its_level():
     # At the level, nine of sixty or more are below 5 % in 0.3 % of runs.
     assert np.sum(p_values < 0.05) < 9
     assert 0.3 < np.mean(p_values) < 0.75
+
+
+def test_input_that_is_always_zero_says_nothing():
+    residuals = Joints(0, OWN)
+    residuals.points[:, 3] = 0.0
+    line = Linearisation({}, np.random.default_rng(1).normal(size=(1000, 10)), np.zeros((1000, 10, 0)), ())
+    assert find_remainder(residuals, line, []).p_value > 0.05
+
+
+ARM = """
+<mujoco>
+  <option timestep="0.005" integrator="implicitfast"/>
+  <worldbody>
+    <body><joint name="shoulder" axis="0 1 0" damping="0.05"/>
+      <geom type="capsule" size=".03" fromto="0 0 0 0 0 -.4"/>
+      <body pos="0 0 -.4"><joint name="elbow" axis="0 1 0" damping="0.05"/>
+        <geom type="capsule" size=".03" fromto="0 0 0 0 0 -.3"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor name="pull" joint="shoulder" gear="3"/></actuator>
+</mujoco>
+"""
+
+
+def measured_arm(seed, spring, n_episodes=8, n_steps=40):
+    """Return X, y, groups of an arm in plain MuJoCo with a cubic spring in its elbow, N m/rad3."""
+    rng, model = np.random.default_rng(seed), mujoco.MjModel.from_xml_string(ARM)
+    data, states, controls = mujoco.MjData(model), [], []
+    for _ in range(n_episodes):
+        mujoco.mj_resetData(model, data)
+        data.qpos[:], data.qvel[:] = rng.normal(size=2), 2 * rng.normal(size=2)
+        episode = [np.r_[data.qpos, data.qvel]]
+        for _ in range(n_steps):
+            data.ctrl[:] = rng.normal()
+            controls.append(data.ctrl.copy())
+            for _ in range(4):
+                data.qfrc_applied[1] = -spring * data.qpos[1] ** 3
+                mujoco.mj_step(model, data)
+            episode.append(np.r_[data.qpos, data.qvel])
+        states.append(episode)
+    states = np.array(states)
+    states += 0.01 * states.std(axis=(0, 1)) * rng.normal(size=states.shape)
+    X = np.hstack([states[:, :-1].reshape(-1, 4), controls])
+    return X, states[:, 1:].reshape(-1, 4), np.repeat(np.arange(n_episodes), n_steps)
+
+
+@pytest.mark.parametrize("spring", [0.0, 2.0])
+def test_force_on_a_joint_is_found_there_with_what_it_depends_on(spring):
+    X, y, groups = measured_arm(0, spring)
+    effects = ["damping[shoulder]", "damping[elbow]", "stiffness[elbow]", "gain[pull]"]
+    diagnosis = SimulationDiagnosis(MujocoSimulator(ARM, frame_skip=4), effects=effects, random_state=0)
+    diagnosis.fit(X, y, groups=groups)
+    if not spring:
+        assert diagnosis.verdict_ == "nothing detected"
+    else:
+        assert diagnosis.verdict_ == "unexplained"
+        assert (diagnosis.remainder_.direction, diagnosis.remainder_.coordinate) == ("elbow", "qpos.elbow")
+
+
+@pytest.mark.filterwarnings("ignore:Every episode has one row")
+def test_rows_of_a_robot_that_do_not_follow_each_other_are_diagnosed():
+    X, y, _ = measured_arm(0, 0.0)
+    smoother = MujocoSimulator(ARM, frame_skip=4, built_in={"damping[elbow]": -0.03})
+    diagnosis = SimulationDiagnosis(smoother, random_state=0).fit(X, y, groups=np.arange(len(X)))
+    assert [cause.name for cause in diagnosis.causes_] == ["damping[elbow]"]

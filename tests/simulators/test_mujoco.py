@@ -292,7 +292,7 @@ def test_what_mjcf_cannot_express_is_written_beside(bot, tmp_path):
     model, beside = bot.extended(values).to_mjcf(tmp_path / "windy.xml")
     notes = json.loads(beside.read_text())
     assert beside.name == "windy.effects.json"
-    assert notes["acts on body"] == "trunk"
+    assert notes["wind and drag act on body"] == "trunk"
     assert {effect["name"]: effect["value"] for effect in notes["effects"]} == {
         name: value for name, value in values.items() if name != "mass[leg]"
     }

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from skat.effects import Effect
 from skat.simulators import MujocoSimulator
 
 ARM = """
@@ -187,7 +188,19 @@ def test_inputs_of_a_joint_force_are_its_position_velocity_and_control():
     assert inputs["force[elbow]"] == ("qpos.elbow", "qvel.elbow", "ctrl.servo")
     inputs = {force.name: names for force, names in MujocoSimulator(CUBE).joint_forces()}
     assert inputs["force[toss.x]"] == ("qpos.toss.x", "qvel.toss.vx")
-    assert inputs["force[toss.rz]"] == ("qpos.toss.rz", "qvel.toss.wz")
+    assert inputs["force[toss.rz]"] == ("qpos.toss.qz", "qvel.toss.wz")
+    thruster = '<actuator><motor name="lift" joint="toss" gear="0 0 1 0 0 0"/></actuator></mujoco>'
+    inputs = {
+        force.name: names
+        for force, names in MujocoSimulator(changed(CUBE, ("</mujoco>", thruster))).joint_forces()
+    }
+    assert [name for name, names in inputs.items() if "ctrl.lift" in names] == ["force[toss.z]"]
+
+
+def test_extra_effect_must_have_a_name_of_its_own():
+    again = Effect("gravity", unit="1", neutral=1.0, bounds=(0.5, 2.0), apply=lambda spec, value: None)
+    with pytest.raises(ValueError, match="extra_effects names gravity"):
+        MujocoSimulator(ARM, extra_effects=(again,)).effects()
 
 
 @pytest.mark.parametrize(
