@@ -41,6 +41,9 @@ LONGEST_GRID = 5
 # Fall of the log error, summed over channels, that makes a value far off worth a refit.
 WORTH_A_REFIT = 0.3
 ROWS_OF_GRID = 72
+# A named effect's value far off, refitted, is taken where the loss falls by this much in noise units; so many times.
+WORTH_A_JUMP = 10.0
+MOST_JUMPS = 3
 
 
 @dataclass(frozen=True)
@@ -98,9 +101,12 @@ class Selection:
         values: dict[str, float] = {}
         history: list[dict[str, float]] = []
         line = self.estimates.linearised(values)
+        jumps = 0
         while len(values) < self.max_effects:
             self.progress("select", len(values), self.max_effects)
             added = self._add(values, line) or self._apart(values, line)
+            if added is None and jumps < MOST_JUMPS:
+                added, jumps = self._elsewhere(values, line), jumps + 1
             if added is None:
                 break
             history.append(added)
@@ -231,6 +237,23 @@ class Selection:
                 return fit.values
         return None
 
+    def _elsewhere(self, values, line):
+        """Return the model with a named effect at quite another value, the others refitted, None if none is better.
+
+        A descent ends in the nearest optimum, and where an effect bends, as the time step does, another one may be
+        deeper.
+        """
+        if not values:
+            return None
+        starts = []
+        for name in values:
+            models = [{**values, name: point} for point in self._points(self.effects[name])]
+            losses = [self.refits.losses(one).sum() for one in self.refits.whitened(models)]
+            starts.append(models[int(np.argmin(losses))])
+        best = min(self.refits.fit(starts), key=lambda fit: fit.loss)
+        worth = best.loss < self.refits.losses(line.residuals).sum() - WORTH_A_JUMP
+        return best.values if worth else None
+
     def _steps(self, values, first, least_p_value):
         """Return linear steps {name: value} of the effects worth a refit, whole and shortened.
 
@@ -258,17 +281,8 @@ class Selection:
         """Return the best starting values over the whole range of every effect: far off, a derivative misleads."""
         candidates = []
         for name in names:
-            effect = self.effects[name]
-            if name in values:
-                continue
-            if effect.neutral == 1:
-                points = [*FACTORS, 0.0, -1.0] if effect.bounds[0] < 0 else FACTORS
-            else:
-                points = [share * bound for share in GRID for bound in effect.bounds]
-            low, high = effect.bounds
-            candidates += [
-                {name: point} for point in points if low <= point <= high and point != effect.neutral
-            ]
+            if name not in values:
+                candidates += [{name: point} for point in self._points(self.effects[name])]
         sizes = self.residuals.error_sizes([values, *({**values, **one} for one in candidates)], ROWS_OF_GRID)
         losses = sizes[1:]
         best: dict[str, tuple] = {}
@@ -278,6 +292,16 @@ class Selection:
                 best[name] = (loss, candidate)
         ranked = sorted(best.values(), key=lambda pair: pair[0])
         return [candidate for size, candidate in ranked[:LONGEST_GRID] if size < sizes[0] - WORTH_A_REFIT]
+
+    @staticmethod
+    def _points(effect):
+        """Return values over the whole range of an effect."""
+        if effect.neutral == 1:
+            points = [*FACTORS, 0.0, -1.0] if effect.bounds[0] < 0 else FACTORS
+        else:
+            points = [share * bound for share in GRID for bound in effect.bounds]
+        low, high = effect.bounds
+        return [point for point in points if low <= point <= high and point != effect.neutral]
 
     # -- decisions -------------------------------------------------------------------------------------------------
 

@@ -1,11 +1,15 @@
 """Which causes are kept and exchanged."""
 
+import numpy as np
 import pytest
 from sklearn.utils import check_random_state
 
 from skat.diagnosis.log import check_log
+from skat.diagnosis.residuals import Residuals
 from skat.diagnosis.selection import Selection
 from skat.diagnosis.transitions import TransitionResiduals
+from skat.effects import Effect
+from skat.simulators import FunctionSimulator
 from tests.diagnosis.cart_pole import make_simulator, measure
 
 
@@ -52,3 +56,29 @@ def test_right_pair_is_kept(simulator):
     selection = selection_of(simulator, hidden)
     values, line = selection.estimates.polished(hidden)
     assert selection._exchanged(values, line) is None
+
+
+def wave(X, frequency=1.0):
+    """Return a wave: of its frequency, the loss has an optimum every few percent."""
+    return np.sin(3 * frequency * X)
+
+
+def test_value_in_the_wrong_optimum_is_left_for_the_right_one():
+    rng = np.random.default_rng(0)
+    X = rng.uniform(0, 10, (300, 1))
+    frequency = Effect("frequency", unit="1", neutral=1.0, bounds=(0.3, 3.0))
+    simulator = FunctionSimulator(wave, input_names=("x",), output_names=("y",), effects=[frequency])
+    log = check_log(simulator, X, wave(X, 1.503) + 0.02 * rng.normal(size=X.shape), None)
+    selection = Selection(
+        Residuals(simulator, log, [frequency], [0.02]),
+        ["frequency"],
+        alpha=0.005,
+        max_effects=6,
+        progress=lambda *_: None,
+    )
+    selection.estimates.linearised({})
+    stuck, line = selection.estimates.polished({"frequency": 1.1})
+    assert abs(stuck["frequency"] - 1.503) > 0.1
+    right, line = selection.estimates.polished(selection._elsewhere(stuck, line))
+    assert abs(right["frequency"] - 1.503) < 0.002
+    assert selection._elsewhere(right, line) is None
