@@ -243,13 +243,14 @@ class Selection:
         A descent ends in the nearest optimum, and where an effect bends, as the time step does, another one may be
         deeper.
         """
-        if not values:
-            return None
         starts = []
         for name in values:
             models = [{**values, name: point} for point in self._points(self.effects[name])]
-            losses = [self.refits.losses(one).sum() for one in self.refits.whitened(models)]
-            starts.append(models[int(np.argmin(losses))])
+            if models:
+                losses = [self.refits.losses(one).sum() for one in self.refits.whitened(models)]
+                starts.append(models[int(np.argmin(losses))])
+        if not starts:
+            return None
         best = min(self.refits.fit(starts), key=lambda fit: fit.loss)
         worth = best.loss < self.refits.losses(line.residuals).sum() - WORTH_A_JUMP
         return best.values if worth else None
