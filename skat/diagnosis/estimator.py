@@ -144,12 +144,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         progress("remainder", 0, 1)
         self.remainder_ = find_remainder(residuals, selected.linearisation, list(selected.values))
         self.n_simulated_rows_ = residuals.n_simulated_rows
-        if residuals.diverged.any():
-            warnings.warn(
-                f"The simulation diverges in {residuals.diverged.sum()} of {len(fitted)} rows, which were left out; "
-                "check that they are physical.",
-                stacklevel=2,
-            )
+        n_diverged = residuals.diverged.sum()
         self.noise_ = residuals.deviations
         self.causes_ = [self._cause(residuals.effects[name], selected) for name in selected.values]
         self.extended_simulator_ = self.simulator.extended(selected.values)
@@ -160,6 +155,13 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             progress("gain", 0, 1)
             residuals = self._differentiated(held_out)
             self.gain_ = one_step_gain(residuals, self._values, random_state)
+            n_diverged += residuals.diverged.sum()
+        if n_diverged:
+            warnings.warn(
+                f"The simulation diverges in {n_diverged} of {len(log)} rows, which were left out; check that they are "
+                "physical.",
+                stacklevel=2,
+            )
         self.excess_p_value_ = self._excess(residuals)
         self.verdict_ = self._verdict()
         self.report_ = Report(self, fitted, held_out)

@@ -1,12 +1,12 @@
 r"""Whether anything is left that no effect explains, and what shape it has.
 
 What is left is tested against additive errors :math:`B_j \phi(c)` of the prediction: a direction j (a force on a joint
-where the simulator knows forces, an error of one output) times any piecewise linear function of one input c. Each pair
-(j, c) is a score test with a few degrees of freedom; rows say how much the scores vary. Whether what is left outlasts
-single rows, as what changes with time does, is tested for each channel, too. The smallest p-value counts, corrected
-for their number. Laws of friction, springs and motors depend on a joint's own position, speed and command, so the few
-pairs of that kind have half of the level for themselves; and as most such laws are odd, these pairs are tested for odd
-functions, too, which have finer pieces for as many degrees of freedom.
+where the simulator knows forces, or an error of one output) times any piecewise linear function of one input c. Each
+pair (j, c) is a score test with a few degrees of freedom; rows say how much the scores vary. Whether what is left
+outlasts single rows, as what changes with time does, is tested for each channel, too. The smallest p-value counts,
+corrected for their number. Laws of friction, springs and motors depend on a joint's own position, speed and command, so
+the few pairs of that kind have half of the level for themselves; and as most such laws are odd, these pairs are tested
+for odd functions, too, which have finer pieces for as many degrees of freedom.
 """
 
 from dataclasses import dataclass

@@ -101,6 +101,19 @@ class Anatomy:
         return {int(joint) for joint in model.actuator_trnid[driven, 0]}
 
     @cached_property
+    def drives(self) -> list[list[int]]:
+        """Actuators that act on each degree of freedom through its joint."""
+        model = self.model
+        drives: list[list[int]] = [[] for _ in range(model.nv)]
+        for actuator in range(model.nu):
+            if int(model.actuator_trntype[actuator]) in JOINT_TRANSMISSIONS:
+                dofs = self.dofs_of(int(model.actuator_trnid[actuator, 0]))
+                for dof, gear in zip(dofs, model.actuator_gear[actuator]):
+                    if gear:
+                        drives[dof].append(actuator)
+        return drives
+
+    @cached_property
     def base_joints(self) -> set[int]:
         """Joints that only say where the robot is: those of a planar floating base, and free joints."""
         found: set[int] = set()

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skat.effects import Effect
-from skat.simulators.anatomy import EXPLICIT_INTEGRATOR, JOINT_TRANSMISSIONS, Anatomy, actuator_name
+from skat.simulators.anatomy import EXPLICIT_INTEGRATOR, Anatomy, actuator_name
 from skat.simulators.base import Simulator
 from skat.simulators.catalogue import Listing, effect_listing
 from skat.simulators.channels import HINGE, StateLayout, joint_name, state_layout
@@ -262,20 +262,15 @@ class MujocoSimulator(Simulator):
         return self._cached("joint_forces", self._joint_forces)
 
     def _joint_forces(self) -> tuple[tuple[Effect, tuple[str, ...]], ...]:
-        model, tangent = self._nominal, self._layout.tangent_names
-        controls: dict[int, list[str]] = {}
-        for actuator, name in enumerate(self._control_names()):
-            if int(model.actuator_trntype[actuator]) in JOINT_TRANSMISSIONS:
-                dofs = self._anatomy.dofs_of(int(model.actuator_trnid[actuator, 0]))
-                for dof, gear in zip(dofs, model.actuator_gear[actuator]):
-                    if gear:
-                        controls.setdefault(dof, []).append(name)
+        tangent, names = self._layout.tangent_names, self._control_names()
         found = []
         for dof, name in enumerate(self._listing.forces):
             position = tangent[dof]
             if position not in self.state_names:  # of a rotation vector: the same axis of the quaternion
                 position = position[: -len("rx")] + "q" + position[-1]
-            found.append((self._by_name[name], (position, tangent[model.nv + dof], *controls.get(dof, ()))))
+            controls = [names[actuator] for actuator in self._anatomy.drives[dof]]
+            velocity = tangent[self._nominal.nv + dof]
+            found.append((self._by_name[name], (position, velocity, *controls)))
         return tuple(found)
 
     def _own_effects(self) -> tuple[Effect, ...]:
@@ -331,12 +326,12 @@ class MujocoSimulator(Simulator):
         outside = {name: values[name] for name in values if self._own_by_name[name].apply is None}
         if not outside:
             return Forces(anatomy.root)
-        joints = {self._joint_target(joint): joint for joint in range(model.njnt)}
+        joints = {joint_name(model, joint): joint for joint in range(model.njnt)}
         dofs = {name: dof for dof, name in enumerate(self._listing.forces)}
         friction = []
         for name, value in outside.items():
             if name.startswith("position_friction["):
-                joint = joints[self._own_by_name[name].target]
+                joint = joints[str(self._own_by_name[name].target)]
                 friction.append((int(model.jnt_dofadr[joint]), int(model.jnt_qposadr[joint]), value))
         return Forces(
             body=anatomy.root,
@@ -346,9 +341,6 @@ class MujocoSimulator(Simulator):
             position_friction=tuple(friction),
             joints=tuple((dofs[name], outside[name]) for name in dofs if name in outside),
         )
-
-    def _joint_target(self, joint: int) -> str | None:
-        return self._nominal.joint(joint).name or f"joint{joint}"
 
     def _model(self, values: Mapping[str, float], n_substeps: int) -> mujoco.MjModel:
         """Return the model with the effects that edit it, compiled."""
