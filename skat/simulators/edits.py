@@ -29,11 +29,17 @@ def scale_mass(bodies: Sequence[int], spec: mujoco.MjSpec, factor: float) -> Non
 
 
 def scale_length(bodies: Sequence[int], spec: mujoco.MjSpec, factor: float) -> None:
-    """Multiply places along links: of child bodies, joints, geoms, sites, and ends of capsules and cylinders.
+    """Stretch links about the hinge or ball joint that carries each, so that no other link changes its length.
 
-    Radii and other sizes stay. So does the mass; the inertia follows from the geoms. Where a body's inertia
-    is given explicitly, it is multiplied by the factor squared, as for a thin rod.
+    Places along a link are multiplied: of child bodies' joints, geoms, sites, and ends of capsules and cylinders;
+    about the body's frame where nothing turns it. Radii and other sizes stay. So does the mass; the inertia follows
+    from the geoms. Where a body's inertia is given explicitly, it is multiplied by the factor squared, as for a thin
+    rod.
     """
+    moves = []
+    for body in _bodies(spec, bodies):
+        moves.append((body, (1 - factor) * _carrier(body, spec)))
+        moves += [(child, (factor - 1) * _carrier(child, spec)) for child in body.bodies]
     for body in _bodies(spec, bodies):
         for part in [*body.bodies, *body.joints, *body.sites, *body.frames]:
             part.pos = part.pos * factor
@@ -45,6 +51,9 @@ def scale_length(bodies: Sequence[int], spec: mujoco.MjSpec, factor: float) -> N
             has_ends = not math.isnan(geom.fromto[0])
             if has_ends or int(geom.type) in (CAPSULE, CYLINDER):
                 _lengthen(geom, factor, has_ends)
+    # A frame that is not at its joint is in the middle of its link, or beside it: what stays is the joint.
+    for body, move in moves:
+        body.pos = body.pos + move
 
 
 def shift_centre_of_mass(body: int, axis: int, spec: mujoco.MjSpec, shift: float) -> None:
@@ -133,6 +142,32 @@ def fix_total_mass(spec: mujoco.MjSpec) -> None:
     spec.compiler.settotalmass = -1
     natural = float(np.sum(spec.copy().compile().body_mass))
     scale_mass(range(len(spec.bodies)), spec, total / natural)
+
+
+def _carrier(body: mujoco.MjsBody, spec: mujoco.MjSpec) -> np.ndarray:
+    """Return the place of the first joint that turns a body, from the body's frame, along the axes of its ``pos``."""
+    for joint in body.joints:
+        if joint.type in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_BALL):
+            place, frame = joint.pos, joint.frame
+            while frame is not None:
+                place, frame = frame.pos + _turned(place, frame, spec), frame.frame
+            return _turned(place, body, spec)
+    return np.zeros(3)
+
+
+def _turned(place: np.ndarray, element: mujoco.MjsBody | mujoco.MjsFrame, spec: mujoco.MjSpec) -> np.ndarray:
+    """Return a place in an element's frame along the axes that the element itself is placed in."""
+    quaternion = element.quat
+    if element.alt.type != mujoco.mjtOrientation.mjORIENTATION_QUAT:
+        compiler = spec.compiler
+        quaternion = np.array(
+            spec.resolve_orientation(
+                degree=compiler.degree, sequence=compiler.eulerseq, orientation=element.alt
+            )
+        )
+    turned = np.zeros(3)
+    mujoco.mju_rotVecQuat(turned, np.asarray(place, dtype=float), quaternion / np.linalg.norm(quaternion))
+    return turned
 
 
 def _lengthen(geom: mujoco.MjsGeom, factor: float, has_ends: bool) -> None:

@@ -90,7 +90,7 @@ ARM_CASES = {
     "length[lower]": (
         {"length[lower]": 1.2},
         [('size=".02 .15" pos=".15 0 0"', 'size=".02 .18" pos=".18 0 0"'), ('pos=".3 0 0"', 'pos=".36 0 0"'),
-         ('pos="0.05 0 0"', 'pos="0.06 0 0"')],
+         ('pos="0.05 0 0"', 'pos="0.06 0 0"'), ('pos=".4 0 0"', 'pos=".39 0 0"')],
     ),
     "damping[elbow]": ({"damping[elbow]": 0.15}, [('damping="0.2"', 'damping="0.35"')]),
     "damping[elbow] less": ({"damping[elbow]": -0.15}, [('damping="0.2"', 'damping="0.05"')]),
@@ -140,7 +140,34 @@ def test_length_keeps_the_mass_and_recomputes_the_inertia():
         )
     )
     np.testing.assert_allclose(longer.body_inertia[1], by_hand.body_inertia[1], rtol=1e-9)
-    np.testing.assert_allclose(longer.body_pos[2], [0.6, 0, 0])
+    # The elbow, 0.05 from the lower link's frame, was at 0.45.
+    np.testing.assert_allclose(longer.body_pos[2] + longer.jnt_pos[1], [0.675, 0, 0])
+
+
+def leg(thigh=1.0, shin=1.0, *, off_joints=False):
+    """Return a leg whose links are so much longer, its bodies' frames at their joints or elsewhere."""
+    x, z, low = (0.1, 0.2, 0.3) if off_joints else (0.0, 0.0, 0.0)
+    thigh_end, foot = f"{-0.5 * thigh - z}", f"{0.1 * shin} 0 {-0.4 * shin - low}"
+    shin_frame = f"{low * math.sin(0.3)} 0 {low * math.cos(0.3)}"
+    knee = f"{-0.7 * math.cos(0.4)} {0.7 * math.sin(0.4)} {-low}"
+    return f"""<mujoco><compiler angle="radian"/><worldbody><geom type="plane" size="5 5 .1" pos="0 0 .2"/>
+    <body name="thigh" pos="{x} 0 {1 + z}"><joint name="hip" axis="0 1 0" pos="{-x} 0 {-z}"/>
+      <geom type="capsule" size=".05" fromto="{-x} 0 {-z} {-x} 0 {thigh_end}" mass="2"/>
+      <frame pos="{-x} {0.1 * thigh} {thigh_end}" euler="0 0 1.2"><body name="shin" pos="{shin_frame}" euler="0 .3 0">
+        <frame pos=".7 0 0" euler="0 0 .4"><joint name="knee" axis="0 1 0" pos="{knee}"/></frame>
+        <geom type="capsule" size=".04" fromto="0 0 {-low} {foot}" mass="1"/>
+        <geom type="sphere" size=".06" pos="{foot}" mass=".3"/>
+      </body></frame>
+    </body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("off_joints", [False, True])
+@pytest.mark.parametrize(("link", "lengths"), [("thigh", (1.4, 1)), ("shin", (1, 1.4)), ("all", (1.4, 1.4))])
+def test_a_longer_link_begins_at_its_joint_and_leaves_the_others_as_they_are(link, lengths, off_joints):
+    rows = np.random.default_rng(0).normal(size=(12, 4))
+    simulator = MujocoSimulator(leg(off_joints=off_joints), frame_skip=4)
+    found = simulator.predict(rows, effects={f"length[{link}]": 1.4})
+    np.testing.assert_allclose(found, plain(leg(*lengths), rows, 4), rtol=1e-9, atol=1e-9)
 
 
 def test_mass_scales_the_inertia_too():
