@@ -11,8 +11,9 @@ from skat.diagnosis.evidence import as_good, fall_p_value, family_p_value, grams
 from skat.diagnosis.refits import Fit
 
 SHORTLIST = 8
-# Exchanges refitted, exchanges made, and the fall of the loss in noise units that makes one worth it.
-EXCHANGES = 4
+# Exchanges refitted for each set of effects that stays, exchanges made, and the fall of the loss in noise units that
+# makes one worth it.
+EXCHANGES = 3
 MOST_EXCHANGES = 4
 WORTH_AN_EXCHANGE = 1.0
 # Misfit of the typical row, in noise units, beyond which a derivative says little of what is far away.
@@ -41,6 +42,8 @@ LONGEST_GRID = 5
 # Fall of the log error, summed over channels, that makes a value far off worth a refit.
 WORTH_A_REFIT = 0.3
 ROWS_OF_GRID = 72
+# A third of the rows says which values deserve all of them: the best of so many.
+GRID_SHARE = 4
 # A named effect's value far off, refitted, is taken where the loss falls by this much in noise units; so many times.
 WORTH_A_JUMP = 10.0
 MOST_JUMPS = 3
@@ -170,32 +173,30 @@ class Selection:
         """Return a model with one named effect, or two, exchanged for another one, None if the present one is best.
 
         What was found first was found without what came later, and may stand for two causes where a later one left
-        only one of them. To first order every exchange is a matter of the Grams; the best are refitted.
+        only one of them. What a model without them misses is simulated, since far from neutral a derivative says little
+        of it; what another effect explains of that is a matter of the Grams, and the best are refitted.
         """
         names = list(line.names)
         weighted = line.derivatives * self.refits.weights(line.residuals)[:, None, None]
         information = np.einsum("ndk,ndl->kl", weighted, line.derivatives, optimize=True)
-        distances = np.zeros(len(names))
-        inside = [names.index(name) for name in values]
-        distances[inside] = [value - self.effects[name].neutral for name, value in values.items()]
-        score = np.einsum("ndk,nd->k", weighted, line.residuals) + information @ distances
         fresh = [k for k in range(len(names)) if names[k] not in values and information[k, k] > 0]
         present = Fit(values, self.refits.losses(line.residuals))
-        for n_dropped in (2, 1) if len(inside) > 1 else (1,):
-            found = []
-            for kept in combinations(inside, len(inside) - n_dropped):
-                for k in fresh:
-                    chosen = [*kept, k]
-                    solution = solve_scaled(information[np.ix_(chosen, chosen)], score[chosen][:, None])[:, 0]
-                    found.append((-float(score[chosen] @ solution), chosen, solution[-1]))
-            found.sort(key=lambda one: one[0])
+        for n_dropped in (2, 1) if len(values) > 1 else (1,):
+            subsets = list(combinations(values, len(values) - n_dropped))
             models = []
-            for _, chosen, distance in found[:EXCHANGES]:
-                effect = self.effects[names[chosen[-1]]]
-                start = {names[k]: values[names[k]] for k in chosen[:-1]}
-                models.append(
-                    start | {effect.name: float(np.clip(effect.neutral + distance, *effect.bounds))}
-                )
+            for kept, missed in zip(subsets, self.refits.whitened([_part(values, kept) for kept in subsets])):
+                score = np.einsum("ndk,nd->k", weighted, missed)
+                inside = [names.index(name) for name in kept]
+                explained = []
+                for k in fresh:
+                    chosen = [*inside, k]
+                    moves = solve_scaled(information[np.ix_(chosen, chosen)], score[chosen][:, None])[:, 0]
+                    explained.append((score[chosen] @ moves, self.effects[names[k]], moves[-1]))
+                explained.sort(key=lambda one: one[0], reverse=True)
+                models += [
+                    _part(values, kept) | {effect.name: float(np.clip(effect.neutral + move, *effect.bounds))}
+                    for _, effect, move in explained[:EXCHANGES]
+                ]
             if not models:
                 continue
             best = min(self.refits.fit(models, race=True), key=lambda fit: fit.loss)
@@ -284,6 +285,8 @@ class Selection:
         for name in names:
             if name not in values:
                 candidates += [{name: point} for point in self._points(self.effects[name])]
+        rough = self.residuals.error_sizes([{**values, **one} for one in candidates], ROWS_OF_GRID // 3)
+        candidates = [candidates[k] for k in np.argsort(rough)[: -(-len(candidates) // GRID_SHARE)]]
         sizes = self.residuals.error_sizes([values, *({**values, **one} for one in candidates)], ROWS_OF_GRID)
         losses = sizes[1:]
         best: dict[str, tuple] = {}
@@ -417,3 +420,8 @@ class Selection:
             fall = np.bincount(episodes, fall)
         error = np.sqrt(len(fall) * fall.var(ddof=1))
         return bool(fall.sum() > stats.t.isf(IMPROVEMENT_LEVEL, len(fall) - 1) * error)
+
+
+def _part(values, names):
+    """Return the named of some values."""
+    return {name: values[name] for name in names}
