@@ -58,6 +58,47 @@ def test_right_pair_is_kept(simulator):
     assert selection._exchanged(values, line) is None
 
 
+def weight(X, shift_x=0.0, shift_y=0.0, turn=0.0, **pulls):
+    """Return the place of a weight off a turning disc's centre, beside a pull that depends on one input."""
+    angle, along = X.T
+    x, y = 0.12 + shift_x, 0.06 + shift_y
+    turned = angle + turn
+    shapes = {"spring": along, "drag": along * np.abs(along), "bend": along**3, "stop": np.tanh(along)}
+    pull = sum(size * shapes[name] for name, size in pulls.items()) + 0.0 * along
+    return np.stack(
+        [x * np.cos(turned) - y * np.sin(turned) - pull, x * np.sin(turned) + y * np.cos(turned)], 1
+    )
+
+
+def test_sensor_turned_far_is_exchanged_for_the_shift_that_it_stands_for():
+    rng = np.random.default_rng(0)
+    X = rng.uniform(-3, 3, (300, 2))
+    ranges = {
+        "shift_x": 0.3,
+        "shift_y": 0.3,
+        "turn": 3.0,
+        "spring": 1.0,
+        "drag": 1.0,
+        "bend": 1.0,
+        "stop": 1.0,
+    }
+    effects = [Effect(name, unit="1", neutral=0.0, bounds=(-reach, reach)) for name, reach in ranges.items()]
+    simulator = FunctionSimulator(weight, input_names="ab", output_names="uv", effects=effects)
+    y = weight(X, shift_y=-0.1, spring=0.02) + 0.001 * rng.normal(size=(300, 2))
+    selection = Selection(
+        Residuals(simulator, check_log(simulator, X, y, None), effects, [0.001, 0.001]),
+        list(ranges),
+        alpha=0.005,
+        max_effects=6,
+        progress=lambda *_: None,
+    )
+    selection.estimates.linearised({})
+    values, line = selection.estimates.polished({"turn": -0.8, "spring": 0.02})
+    exchanged = selection._exchanged(values, line)
+    assert set(exchanged) == {"shift_y", "spring"}
+    assert abs(exchanged["shift_y"] + 0.1) < 0.001
+
+
 def wave(X, frequency=1.0):
     """Return a wave: of its frequency, the loss has an optimum every few percent."""
     return np.sin(3 * frequency * X)
