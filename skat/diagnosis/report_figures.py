@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from skat.diagnosis.open_loop import Episodes
-from skat.plotting import AFTER, BEFORE, MEASURED, CauseDisplay, TrajectoryDisplay
+from skat.plotting import CauseDisplay, TrajectoryDisplay
+from skat.plotting.style import AFTER, BEFORE, MEASURED
 
 MOST_CHANNELS = 3
 MOST_EPISODES = 2

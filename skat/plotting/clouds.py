@@ -1,0 +1,210 @@
+"""Clouds of rows before and after a transport, in two coordinates."""
+
+import numpy as np
+
+from skat.gaussian import row_moments
+from skat.plotting.style import AFTER, BEFORE, MEASURED, column_of, new_axes, trim
+
+
+class TransportDisplay:
+    """Clouds of source, transported and target rows in two coordinates.
+
+    Use `from_estimator` or `from_predictions`.
+
+    Parameters
+    ----------
+    source, transported, target : ndarray of shape (n_rows, 2)
+        Coordinates of the rows; `source` and `transported` have as many.
+    labels : tuple of two str
+        Names of the coordinates.
+
+    Attributes
+    ----------
+    ax_ : matplotlib Axes
+        Where it is drawn.
+    figure_ : matplotlib Figure
+        The figure around it.
+
+    Examples
+    --------
+    >>> from sklearn.preprocessing import FunctionTransformer
+    >>> rng = np.random.default_rng(0)
+    >>> X, y = rng.normal(size=(2, 50, 3))
+    >>> display = TransportDisplay.from_estimator(FunctionTransformer(), X, y)
+    >>> display.ax_.get_xlabel()
+    'principal coordinate 1'
+    """
+
+    def __init__(self, *, source, transported, target, labels):
+        self.source = source
+        self.transported = transported
+        self.target = target
+        self.labels = labels
+
+    @classmethod
+    def from_estimator(
+        cls, estimator, X, y, *, features="principal", feature_names=None, n_points=1000, n_arrows=0, ax=None
+    ):
+        """Draw a fitted transport at work.
+
+        Parameters
+        ----------
+        estimator : fitted transport or pipeline that ends in one
+            Anything with ``transform``.
+        X : array-like of shape (n_source, n_features)
+            Source rows.
+        y : array-like of shape (n_target, n_features)
+            Target rows.
+        features : "principal" or pair of int or str, default="principal"
+            Two columns, by number or name; or the first two principal axes of the target.
+        feature_names : sequence of str, default=None
+            Names of the columns; those of a data frame by default.
+        n_points : int, default=1000
+            Largest number of rows drawn of each cloud, evenly picked.
+        n_arrows : int, default=0
+            Number of arrows from source rows to where they are carried.
+        ax : matplotlib Axes, default=None
+            Where to draw; a new figure by default.
+
+        Returns
+        -------
+        TransportDisplay
+
+        Raises
+        ------
+        TypeError
+            If the estimator cannot transform.
+        ValueError
+            If the columns differ or a feature is unknown.
+        """
+        if not hasattr(estimator, "transform"):
+            raise TypeError(
+                "a transport is drawn by what estimator.transform(X) returns, but "
+                f"{type(estimator).__name__} cannot transform. Give a transport or a pipeline."
+            )
+        options = {"features": features, "feature_names": feature_names, "n_points": n_points}
+        return cls.from_predictions(X, estimator.transform(X), y, n_arrows=n_arrows, ax=ax, **options)
+
+    @classmethod
+    def from_predictions(
+        cls,
+        X,
+        X_transported,
+        y,
+        *,
+        features="principal",
+        feature_names=None,
+        n_points=1000,
+        n_arrows=0,
+        ax=None,
+    ):
+        """Draw rows that were carried before.
+
+        Parameters
+        ----------
+        X, X_transported : array-like of shape (n_source, n_features)
+            Source rows, before and after.
+        y : array-like of shape (n_target, n_features)
+            Target rows.
+        features, feature_names, n_points, n_arrows, ax
+            As for `from_estimator`.
+
+        Returns
+        -------
+        TransportDisplay
+
+        Raises
+        ------
+        ValueError
+            If shapes do not fit or a feature is unknown.
+        """
+        names = _feature_names(X, feature_names)
+        X, X_transported, y = _rows(X, "X"), _rows(X_transported, "X_transported"), _rows(y, "y")
+        if X.shape != X_transported.shape or X.shape[1] != y.shape[1]:
+            raise ValueError(
+                "X and X_transported must have one shape and y the same columns; "
+                f"their shapes are {X.shape}, {X_transported.shape} and {y.shape}."
+            )
+        if isinstance(features, str) and features == "principal":
+            axes, labels = _principal_axes(y)
+        else:
+            columns = [column_of(feature, names, X.shape[1]) for feature in features]
+            if len(columns) != 2:
+                raise ValueError(
+                    f"features must be two columns, or 'principal'; {features!r} names {len(columns)}."
+                )
+            axes, labels = np.eye(X.shape[1])[columns], tuple(names[k] for k in columns)
+        drawn, target = _evenly(len(X), n_points), _evenly(len(y), n_points)
+        display = cls(
+            source=X[drawn] @ axes.T,
+            transported=X_transported[drawn] @ axes.T,
+            target=y[target] @ axes.T,
+            labels=labels,
+        )
+        return display.plot(ax=ax, n_arrows=n_arrows)
+
+    def plot(self, ax=None, *, n_arrows=0):
+        """Draw.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, default=None
+            Where to draw; a new figure by default.
+        n_arrows : int, default=0
+            Number of arrows from source rows to where they are carried.
+
+        Returns
+        -------
+        TransportDisplay
+        """
+        self.ax_, self.figure_ = new_axes(ax, size=(5.2, 4.2))
+        clouds = (
+            ("target", self.target, MEASURED, "o", 16),
+            ("source", self.source, BEFORE, "^", 14),
+            ("source, transported", self.transported, AFTER, "o", 9),
+        )
+        for name, rows, colour, marker, size in clouds:
+            opacity = float(np.clip(150 / len(rows), 0.25, 0.9))
+            self.ax_.scatter(
+                *rows.T, s=size, color=colour, marker=marker, alpha=opacity, linewidths=0, label=name
+            )
+        for k in _evenly(len(self.source), n_arrows) if n_arrows else ():
+            arrow = {"arrowstyle": "->", "color": AFTER, "alpha": 0.7}
+            self.ax_.annotate("", self.transported[k], self.source[k], arrowprops=arrow)
+        self.ax_.set(xlabel=self.labels[0], ylabel=self.labels[1])
+        legend = self.ax_.legend(loc="best", frameon=False)
+        for handle in legend.legend_handles:
+            handle.set_alpha(1.0)
+            handle.set_sizes([30])
+        trim(self.ax_)
+        return self
+
+
+def _rows(rows, name):
+    rows = np.asarray(rows, dtype=float)
+    if rows.ndim != 2 or len(rows) == 0:
+        raise ValueError(f"{name} must be a 2-D array of at least one row; its shape is {rows.shape}.")
+    return rows
+
+
+def _feature_names(X, feature_names):
+    if feature_names is not None:
+        return list(feature_names)
+    if hasattr(X, "columns"):
+        return [str(name) for name in X.columns]
+    return [f"feature {k}" for k in range(np.shape(X)[-1])]
+
+
+def _principal_axes(rows):
+    """Return two axes, in rows, and their labels."""
+    if rows.shape[1] < 2:
+        raise ValueError(f"a plane needs two columns; there is {rows.shape[1]}.")
+    _, vectors = np.linalg.eigh(row_moments(rows).covariance)
+    axes = vectors[:, [-1, -2]].T
+    # An axis has no direction: its largest entry is made positive, so that figures are reproducible.
+    largest = axes[[0, 1], np.abs(axes).argmax(axis=1)]
+    return axes * np.sign(largest)[:, np.newaxis], ("principal coordinate 1", "principal coordinate 2")
+
+
+def _evenly(n_rows, n_points):
+    return np.unique(np.linspace(0, n_rows - 1, min(n_points, n_rows)).astype(int))

@@ -1,0 +1,310 @@
+"""Figures of a diagnosis: channels over time, and causes with their intervals."""
+
+import numpy as np
+
+from skat.plotting.style import AFTER, BEFORE, MEASURED, column_of, new_axes, trim
+
+
+class TrajectoryDisplay:
+    """A measured trajectory against the simulation before and after, over time.
+
+    Use `from_estimator` or `from_predictions`.
+
+    Parameters
+    ----------
+    time : ndarray of shape (n_times,)
+        In s.
+    measured, before, after : ndarray of shape (n_times, n_channels)
+        `after` may be None.
+    names : sequence of str
+        Names of the channels.
+
+    Attributes
+    ----------
+    ax_ : ndarray of matplotlib Axes of shape (n_channels,)
+        One for each channel, from top to bottom.
+    figure_ : matplotlib Figure
+        The figure around them.
+
+    Examples
+    --------
+    >>> time = np.linspace(0, 1, 50)
+    >>> fall = np.column_stack([1 - 4.9 * time**2, -9.8 * time])
+    >>> display = TrajectoryDisplay.from_predictions(time, fall, 1.1 * fall, names=["height", "velocity"])
+    >>> [ax.get_ylabel() for ax in display.ax_]
+    ['height', 'velocity']
+    """
+
+    def __init__(self, *, time, measured, before, after, names):
+        self.time = time
+        self.measured = measured
+        self.before = before
+        self.after = after
+        self.names = names
+
+    @classmethod
+    def from_estimator(cls, diagnosis, X, y, *, channels=None, ax=None):
+        """Draw one episode, simulated open loop from its first measured state.
+
+        Parameters
+        ----------
+        diagnosis : fitted SimulationDiagnosis
+            Anything with ``simulator`` and ``extended_simulator_``.
+        X : array-like of shape (n_rows, n_inputs)
+            The episode's rows: state, then other inputs.
+        y : array-like of shape (n_rows, n_states)
+            Its next states.
+        channels : sequence of str, default=None
+            Which states to show; all by default.
+        ax : sequence of matplotlib Axes, default=None
+            One for each channel; a new figure by default.
+
+        Returns
+        -------
+        TrajectoryDisplay
+
+        Raises
+        ------
+        ValueError
+            If the simulation has no state, or a channel is unknown.
+        """
+        simulator = diagnosis.simulator
+        names = tuple(simulator.state_names)
+        if not names:
+            raise ValueError(
+                "a trajectory needs a simulation with a state; this one maps inputs to outputs in one step. "
+                "Compare its outputs by TransportDisplay instead."
+            )
+        X, y = np.asarray(X, dtype=float), np.asarray(y, dtype=float)
+        states, inputs = X[:, : len(names)], X[np.newaxis, :, len(names) :]
+        measured = np.vstack([states[:1], y])
+        before, after = (
+            each.rollout(states[:1], inputs, n_steps=len(X))[0]
+            for each in (simulator, diagnosis.extended_simulator_)
+        )
+        time = simulator.dt * np.arange(len(measured))
+        return cls.from_predictions(time, measured, before, after, names=names, channels=channels, ax=ax)
+
+    @classmethod
+    def from_predictions(cls, time, measured, before, after=None, *, names, channels=None, ax=None):
+        """Draw trajectories computed before.
+
+        Parameters
+        ----------
+        time : array-like of shape (n_times,)
+            In s.
+        measured, before : array-like of shape (n_times, n_channels)
+            The measurement and the simulation as given; rows may be NaN where there is none.
+        after : array-like of shape (n_times, n_channels), default=None
+            The simulation after transport or diagnosis.
+        names : sequence of str
+            Names of the channels.
+        channels : sequence of str, default=None
+            Which of them to show; all by default.
+        ax : sequence of matplotlib Axes, default=None
+            One for each channel; a new figure by default.
+
+        Returns
+        -------
+        TrajectoryDisplay
+
+        Raises
+        ------
+        ValueError
+            If shapes do not fit or a channel is unknown.
+        """
+        time, names = np.asarray(time, dtype=float), list(names)
+        rows = {"measured": measured, "before": before, "after": after}
+        rows = {name: np.asarray(part, dtype=float) for name, part in rows.items() if part is not None}
+        for name, part in rows.items():
+            if part.shape != (len(time), len(names)):
+                raise ValueError(
+                    f"{name} must have a row per time and a column per name, "
+                    f"shape ({len(time)}, {len(names)}); its shape is {part.shape}."
+                )
+        columns = [
+            column_of(channel, names, len(names)) for channel in (names if channels is None else channels)
+        ]
+        measured, before, after = (
+            rows[name][:, columns] if name in rows else None for name in ("measured", "before", "after")
+        )
+        shown = [names[k] for k in columns]
+        return cls(time=time, measured=measured, before=before, after=after, names=shown).plot(ax=ax)
+
+    def plot(self, ax=None):
+        """Draw.
+
+        Parameters
+        ----------
+        ax : sequence of matplotlib Axes, default=None
+            One for each channel; a new figure by default.
+
+        Returns
+        -------
+        TrajectoryDisplay
+
+        Raises
+        ------
+        ValueError
+            If there are fewer or more Axes than channels.
+        """
+        from matplotlib import pyplot
+
+        n_channels = len(self.names)
+        if ax is None:
+            size = (6.4, 0.9 + 1.45 * n_channels)
+            _, ax = pyplot.subplots(
+                n_channels, squeeze=False, sharex=True, figsize=size, layout="constrained"
+            )
+        self.ax_ = np.atleast_1d(np.asarray(ax, dtype=object)).ravel()
+        if len(self.ax_) != n_channels:
+            raise ValueError(
+                f"each of the {n_channels} channels needs its own Axes; there are {len(self.ax_)}."
+            )
+        self.figure_ = self.ax_[0].figure
+        for k, (axes, name) in enumerate(zip(self.ax_, self.names)):
+            axes.plot(
+                self.time, self.measured[:, k], color=MEASURED, linewidth=2.5, alpha=0.7, label="measured"
+            )
+            axes.plot(self.time, self.before[:, k], color=BEFORE, linestyle="--", label="simulated, before")
+            if self.after is not None:
+                axes.plot(self.time, self.after[:, k], color=AFTER, linewidth=1.2, label="simulated, after")
+            axes.set_ylabel(name)
+            trim(axes)
+        self.figure_.align_ylabels(list(self.ax_))
+        self.ax_[-1].set_xlabel("time (s)")
+        self.ax_[0].legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=3, frameon=False)
+        return self
+
+
+class CauseDisplay:
+    """Named causes and their intervals, each relative to the value at which it would do nothing.
+
+    Causes have different units, so each has a scale of its own: the neutral value is at the line in the
+    middle, and the end of the interval that is furthest from it at one edge. Numbers and units stand beside
+    them. Use `from_estimator` or `from_causes`.
+
+    Parameters
+    ----------
+    names, units : sequence of str
+        Of the causes.
+    values, neutrals : ndarray of shape (n_causes,)
+        Estimates, and the values that leave the simulation as it is.
+    intervals : ndarray of shape (n_causes, 2)
+        Lower and upper ends.
+
+    Attributes
+    ----------
+    ax_ : matplotlib Axes
+        Where it is drawn.
+    figure_ : matplotlib Figure
+        The figure around it.
+
+    Examples
+    --------
+    >>> display = CauseDisplay(
+    ...     names=["mass[torso]"], units=["1"], values=[1.08], neutrals=[1.0], intervals=[(1.05, 1.11)]
+    ... )
+    >>> [text.get_text() for text in display.plot().ax_.get_yticklabels()]
+    ['mass[torso]']
+    """
+
+    def __init__(self, *, names, units, values, neutrals, intervals):
+        self.names = names
+        self.units = units
+        self.values = values
+        self.neutrals = neutrals
+        self.intervals = intervals
+
+    @classmethod
+    def from_estimator(cls, diagnosis, *, ax=None):
+        """Draw what a diagnosis has named.
+
+        Parameters
+        ----------
+        diagnosis : fitted SimulationDiagnosis
+            Anything with ``causes_`` and a ``simulator`` that knows its ``effects()``.
+        ax : matplotlib Axes, default=None
+            Where to draw; a new figure by default.
+
+        Returns
+        -------
+        CauseDisplay
+        """
+        neutral = {effect.name: effect.neutral for effect in diagnosis.simulator.effects()}
+        return cls.from_causes(diagnosis.causes_, neutral=neutral, ax=ax)
+
+    @classmethod
+    def from_causes(cls, causes, *, neutral, ax=None):
+        """Draw causes.
+
+        Parameters
+        ----------
+        causes : sequence of Cause
+            Anything with ``name``, ``value``, ``interval`` and ``unit``.
+        neutral : dict of str to float
+            For each name the value that leaves the simulation as it is.
+        ax : matplotlib Axes, default=None
+            Where to draw; a new figure by default.
+
+        Returns
+        -------
+        CauseDisplay
+
+        Raises
+        ------
+        ValueError
+            If a cause has no neutral value.
+        """
+        missing = [cause.name for cause in causes if cause.name not in neutral]
+        if missing:
+            raise ValueError(f"neutral has no value for {missing}; it has values for {sorted(neutral)}.")
+        display = cls(
+            names=[cause.name for cause in causes],
+            units=[cause.unit for cause in causes],
+            values=[cause.value for cause in causes],
+            neutrals=[neutral[cause.name] for cause in causes],
+            intervals=[cause.interval for cause in causes],
+        )
+        return display.plot(ax=ax)
+
+    def plot(self, ax=None):
+        """Draw.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, default=None
+            Where to draw; a new figure by default.
+
+        Returns
+        -------
+        CauseDisplay
+        """
+        n_causes = len(self.names)
+        self.ax_, self.figure_ = new_axes(ax, size=(6.8, 0.9 + 0.5 * max(n_causes, 1)))
+        values, neutrals = np.asarray(self.values, dtype=float), np.asarray(self.neutrals, dtype=float)
+        ends = np.asarray(self.intervals, dtype=float).reshape(n_causes, 2)
+        away = np.abs(np.column_stack([values, ends]) - neutrals[:, np.newaxis]).max(axis=1, initial=0)
+        scale = np.where(away > 0, away, 1.0)
+        rows = np.arange(n_causes)
+        low, middle, high = ((each - neutrals) / scale for each in (ends[:, 0], values, ends[:, 1]))
+        self.ax_.axvline(0, color=MEASURED, linewidth=1)
+        self.ax_.hlines(
+            rows, np.minimum(0, middle), np.maximum(0, middle), color=AFTER, alpha=0.3, linewidth=1.5
+        )
+        self.ax_.hlines(rows, low, high, color=AFTER, linewidth=5, alpha=0.45)
+        self.ax_.plot(middle, rows, "o", color=AFTER, markersize=7)
+        for row, (first, last) in enumerate(ends):
+            unit = "" if self.units[row] in ("", "1") else f" {self.units[row]}"
+            text = f"{values[row]:.3g}{unit}  ({first:.3g} to {last:.3g}; neutral {neutrals[row]:.3g})"
+            self.ax_.text(1.12, row, text, va="center", fontsize=9)
+        if not n_causes:
+            self.ax_.text(0.05, 0, "nothing named", va="center")
+        self.ax_.set_yticks(rows, self.names)
+        self.ax_.set(xlim=(-1.08, 1.08), ylim=(max(n_causes, 1) - 0.5, -0.5))
+        self.ax_.set_xticks([0], ["neutral"])
+        self.ax_.tick_params(length=0)
+        trim(self.ax_)
+        self.ax_.spines["bottom"].set_visible(False)
+        self.ax_.spines["left"].set_visible(False)
+        return self

@@ -1,0 +1,30 @@
+"""What all figures share: colours, markers, axes, and how a column is named."""
+
+MEASURED, BEFORE, AFTER = "#555555", "#E69F00", "#0072B2"
+METHODS = (AFTER, "#D55E00", "#009E73", "#CC79A7", BEFORE, "#56B4E9", "#000000")
+MARKERS = "osD^vPX"
+
+
+def new_axes(ax, size):
+    """Return Axes and their figure, new ones of a size in inches where there are none."""
+    from matplotlib import pyplot
+
+    if ax is None:
+        _, ax = pyplot.subplots(figsize=size, layout="constrained")
+    return ax, ax.figure
+
+
+def trim(ax):
+    """Leave out the frame at the top and to the right."""
+    ax.spines[["top", "right"]].set_visible(False)
+
+
+def column_of(feature, names, n_columns):
+    """Return the index of a column given by index or by name."""
+    if isinstance(feature, str):
+        if feature not in names:
+            raise ValueError(f"there is no column {feature!r}; there are {names}.")
+        return names.index(feature)
+    if not -n_columns <= feature < n_columns:
+        raise ValueError(f"there is no column {feature}; there are {n_columns}.")
+    return int(feature) % n_columns
