@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-NAME_PATTERN = re.compile(r"(?P<family>[A-Za-z_]\w*)(\[(?P<target>[^\[\]]+)\])?")
+NAME_PATTERN = re.compile(r"(?P<family>[A-Za-z_]\w*)(\[(?P<target>.+)\])?")
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ def unknown_name_message(name: Any, known: Iterable[str]) -> str:
     targets: dict[str, list[str]] = {}
     for other in known:
         family, _, target = other.partition("[")
-        targets.setdefault(family, []).append(target.rstrip("]"))
+        targets.setdefault(family, []).append(target.removesuffix("]"))
     hint = f"Close names: {', '.join(close)}. " if close else ""
     family = str(name).partition("[")[0]
     if family in targets:
@@ -200,7 +200,7 @@ _PHRASES = {
 
 def _sentence(name: str, unit: str, neutral: float, value: float) -> str:
     family, _, bracket = name.partition("[")
-    target = bracket.rstrip("]")
+    target = bracket.removesuffix("]")
     one, every = _PHRASES.get(family, (name, name))
     phrase = every if target == "all" and every else one.format(target)
     if family == "gain":

@@ -5,7 +5,7 @@ from functools import cached_property
 import mujoco
 import numpy as np
 
-from skat.simulators.channels import BALL, FREE, HINGE, SLIDE, joint_name
+from skat.simulators.channels import BALL, FREE, HINGE, SLIDE, element_name, joint_name
 from skat.simulators.contacts import ContactPair, contact_pairs
 from skat.simulators.tables import Array
 
@@ -76,7 +76,7 @@ class Anatomy:
 
     def body_name(self, body: int) -> str:
         """Return the body's name, or ``body<id>``."""
-        return self.model.body(body).name or f"body{body}"
+        return element_name(self.model, mujoco.mjtObj.mjOBJ_BODY, body, "body")
 
     def joint_kind(self, joint: int) -> int:
         """Return the joint's type."""
@@ -186,20 +186,24 @@ def actuator_name(model: mujoco.MjModel, actuator: int) -> str:
 
     name = joint_of(actuator)
     taken = own + [joint_of(index) for index in range(model.nu) if index != actuator]
-    return name if name and name not in taken else f"actuator{actuator}"
+    if name and name not in taken:
+        return name
+    name = f"actuator{actuator}"
+    while name in taken:
+        name += "_"
+    return name
 
 
 def drag_joint(anatomy: Anatomy, axis: int) -> int | None:
     """Return the slide joint whose quadratic damping is the root's air drag along a world axis.
 
-    None if there is none: the root turns, or its slides are oblique.
+    None if there is none: the root turns, or several slides move it along this axis.
     """
     joints = anatomy.joints_of(anatomy.root)
     if not all(anatomy.joint_kind(joint) == SLIDE for joint in joints):
         return None
     data = mujoco.MjData(anatomy.model)
     mujoco.mj_kinematics(anatomy.model, data)
-    for joint in joints:
-        if abs(abs(data.xaxis[joint, axis]) - 1) < 1e-12:
-            return joint
-    return None
+    shares = np.abs(data.xaxis[joints, axis])
+    along = np.flatnonzero(shares > 1e-12)
+    return joints[along[0]] if len(along) == 1 and abs(shares[along[0]] - 1) < 1e-12 else None

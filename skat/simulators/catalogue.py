@@ -4,6 +4,7 @@ Bounds are physical: they scale with the model's masses, its actuators and its g
 model's integrator is stable.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -18,6 +19,7 @@ from skat.simulators.anatomy import Anatomy, actuator_name, drag_joint
 from skat.simulators.channels import BALL, FREE, HINGE, SLIDE, joint_name
 
 AXES = "xyz"
+DC_MOTOR = int(mujoco.mjtGain.mjGAIN_DCMOTOR)
 MAX_DELAY_IN_TRANSITIONS = 5
 JOINT_EDITS: dict[str, Callable[..., Any] | None] = {
     "damping": edits.add_damping,
@@ -75,6 +77,12 @@ def effect_listing(anatomy: Anatomy, frame_skip: int) -> Listing:
     effects.append(Effect("timestep", unit="1", neutral=1.0, bounds=bounds, apply=edits.scale_timestep))
     forces = _joint_forces(anatomy)
     names = tuple(force.name for force in forces)
+    repeated = [name for name, count in Counter(one.name for one in (*effects, *forces)).items() if count > 1]
+    if repeated:
+        raise ValueError(
+            f"two effects of the model would be called {repeated[0]}: give one of the elements that this means "
+            "another name ('all' stands for all of them)"
+        )
     return Listing((*effects, *forces), frozenset((*unlisted, *names)), names)
 
 
@@ -104,7 +112,9 @@ def _link_effects(anatomy: Anatomy) -> Found:
     massive = [body for body in anatomy.moving if model.body_mass[body] > 0]
     yield from _each_and_all("mass", massive, anatomy.body_name, (0.05, 20.0), edits.scale_mass)
     extended = [body for body in anatomy.moving if _has_length(anatomy, body)]
-    yield from _each_and_all("length", extended, anatomy.body_name, (0.3, 3.0), edits.scale_length)
+    meshes = {model.mesh(mesh).name: model.mesh_pos[mesh].copy() for mesh in range(model.nmesh)}
+    stretch = partial(edits.scale_length, meshes)
+    yield from _each_and_all("length", extended, anatomy.body_name, (0.3, 3.0), stretch)
     for body in massive:
         geoms = range(int(model.body_geomadr[body]), int(model.body_geomadr[body] + model.body_geomnum[body]))
         extent = max(
@@ -202,7 +212,8 @@ def _force_effects(anatomy: Anatomy) -> Found:
 
 
 def _joint_effects(anatomy: Anatomy) -> Found:
-    joints = list(range(anatomy.model.njnt))
+    flexible = set(anatomy.model.flex_vertbodyid) | set(anatomy.model.flex_nodebodyid)
+    joints = [joint for joint in range(anatomy.model.njnt) if anatomy.model.jnt_bodyid[joint] not in flexible]
     inner = [joint for joint in joints if joint not in anatomy.base_joints]
     bounds = {joint: _joint_bounds(anatomy, joint) for joint in joints}
     for joint in joints:
@@ -267,11 +278,17 @@ def _joint_bounds(anatomy: Anatomy, joint: int) -> dict[str, tuple[float, float]
 
 def _actuator_effects(anatomy: Anatomy) -> Found:
     name = partial(actuator_name, anatomy.model)
-    yield from _each_and_all("gain", range(anatomy.model.nu), name, (-3.0, 3.0), edits.scale_gain)
+    # The parameters of a motor with an electrical side are resistances and constants: no factor on them is a gain.
+    simple = [
+        index for index in range(anatomy.model.nu) if int(anatomy.model.actuator_gaintype[index]) != DC_MOTOR
+    ]
+    yield from _each_and_all("gain", simple, name, (-3.0, 3.0), edits.scale_gain)
 
 
 def _contact_effects(anatomy: Anatomy) -> Found:
     model, pairs = anatomy.model, anatomy.pairs
+    if model.opt.enableflags & contacts.OVERRIDE:  # All contacts have the parameters of the override.
+        return
     rough = tuple(pair for pair in pairs if pair.has_friction)
     explicit = [pair for pair in rough if pair.is_explicit]
     geoms = sorted({geom for pair in rough for geom in (pair.first, pair.second)})

@@ -147,7 +147,18 @@ def state_layout(model: mujoco.MjModel) -> StateLayout:
 
 def joint_name(model: mujoco.MjModel, joint: int) -> str:
     """Return the joint's name, or ``joint<id>``."""
-    return model.joint(joint).name or f"joint{joint}"
+    return element_name(model, mujoco.mjtObj.mjOBJ_JOINT, joint, "joint")
+
+
+def element_name(model: mujoco.MjModel, kind: mujoco.mjtObj, index: int, stem: str) -> str:
+    """Return an element's name; if it has none ``<stem><id>``, with underscores where another one is called that."""
+    name = mujoco.mj_id2name(model, kind, index)
+    if name:
+        return name
+    name = f"{stem}{index}"
+    while mujoco.mj_name2id(model, kind, name) >= 0:
+        name += "_"
+    return name
 
 
 def conjugate(q: Array) -> Array:

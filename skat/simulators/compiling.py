@@ -4,7 +4,7 @@ import warnings
 
 import mujoco
 
-from skat.simulators.edits import fix_total_mass
+from skat.simulators.derived import write_down
 from skat.simulators.source import ModelSource, broken_model
 
 
@@ -12,11 +12,13 @@ def lean_spec(source: ModelSource) -> mujoco.MjSpec:
     """Return the model as a spec, without what only the eye needs, so that copies compile fast."""
     try:
         spec = source.spec()
-        fix_total_mass(spec)
+        write_down(spec)
     except ValueError as error:
         raise broken_model("the model", error) from None
-    for geom in [*spec.geoms, *spec.sites, *spec.skins]:
-        geom.material = ""
+    for element in [*spec.geoms, *spec.sites, *spec.skins, *spec.tendons, *spec.meshes, *spec.flexes]:
+        element.material = ""
+    for light in spec.lights:
+        light.texture = ""
     for element in [*spec.materials, *spec.textures, *spec.skins]:
         spec.delete(element)
     spec.compiler.fusestatic = spec.compiler.discardvisual = False  # effects mean elements by their place

@@ -10,7 +10,10 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from skat.simulators.channels import element_name
+
 DISABLE_CONTACT = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+OVERRIDE = int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
 DISABLE_FILTERPARENT = int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
 
 
@@ -38,7 +41,7 @@ class ContactPair:
 
 def geom_name(model: mujoco.MjModel, geom: int) -> str:
     """Return the geom's name, or ``geom<id>``."""
-    return model.geom(geom).name or f"geom{geom}"
+    return element_name(model, mujoco.mjtObj.mjOBJ_GEOM, geom, "geom")
 
 
 def contact_pairs(model: mujoco.MjModel) -> tuple[ContactPair, ...]:
@@ -105,7 +108,7 @@ def explicit_pair(spec: mujoco.MjSpec, pair: ContactPair) -> mujoco.MjsPair:
     """
     first, second = spec.geoms[pair.first], spec.geoms[pair.second]
     for index, geom in ((pair.first, first), (pair.second, second)):
-        geom.name = geom.name or f"geom{index}"
+        geom.name = geom.name or _free_name(spec, f"geom{index}")
     for element in spec.pairs:
         if {element.geomname1, element.geomname2} == {first.name, second.name}:
             return element
@@ -127,6 +130,13 @@ def explicit_pair(spec: mujoco.MjSpec, pair: ContactPair) -> mujoco.MjsPair:
         margin=first.margin + second.margin,
         gap=first.gap + second.gap,
     )
+
+
+def _free_name(spec: mujoco.MjSpec, name: str) -> str:
+    taken = {geom.name for geom in spec.geoms}
+    while name in taken:
+        name += "_"
+    return name
 
 
 def _mixed_condim(model: mujoco.MjModel, first: int, second: int) -> int:

@@ -5,7 +5,8 @@ changes the spec in place; a list of indices means the edit of each.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -13,6 +14,9 @@ import numpy as np
 CAPSULE, CYLINDER = int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER)
 FROM_GEOMS = int(mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE)
 AUTOMATIC = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+SHELL = mujoco.mjtGeomInertia.mjINERTIA_SHELL
+# Places in a muscle's parameters: its peak force, and what that is derived from where it is negative.
+MUSCLE_FORCE, MUSCLE_SCALE = 2, 3
 
 
 def scale_mass(bodies: Sequence[int], spec: mujoco.MjSpec, factor: float) -> None:
@@ -28,13 +32,15 @@ def scale_mass(bodies: Sequence[int], spec: mujoco.MjSpec, factor: float) -> Non
                 geom.mass = geom.mass * factor
 
 
-def scale_length(bodies: Sequence[int], spec: mujoco.MjSpec, factor: float) -> None:
+def scale_length(
+    meshes: Mapping[str, np.ndarray], bodies: Sequence[int], spec: mujoco.MjSpec, factor: float
+) -> None:
     """Stretch links about the hinge or ball joint that carries each, so that no other link changes its length.
 
     Places along a link are multiplied: of child bodies' joints, geoms, sites, and ends of capsules and cylinders;
     about the body's frame where nothing turns it. Radii and other sizes stay. So does the mass; the inertia follows
     from the geoms. Where a body's inertia is given explicitly, it is multiplied by the factor squared, as for a thin
-    rod.
+    rod. `meshes` holds the centre of each mesh, where the compiler puts the geom that has it.
     """
     moves = []
     for body in _bodies(spec, bodies):
@@ -48,9 +54,12 @@ def scale_length(bodies: Sequence[int], spec: mujoco.MjSpec, factor: float) -> N
         body.fullinertia = body.fullinertia * factor**2
         for geom in body.geoms:
             geom.pos = geom.pos * factor
-            has_ends = not math.isnan(geom.fromto[0])
-            if has_ends or int(geom.type) in (CAPSULE, CYLINDER):
-                _lengthen(geom, factor, has_ends)
+            if geom.meshname:
+                geom.pos = geom.pos + (factor - 1) * _turned(meshes[geom.meshname], geom, spec)
+            elif int(geom.type) in (CAPSULE, CYLINDER):
+                _lengthen(geom, factor)
+            elif not math.isnan(geom.fromto[0]):
+                geom.fromto = geom.fromto + (factor - 1) * np.tile((geom.fromto[:3] + geom.fromto[3:]) / 2, 2)
     # A frame that is not at its joint is in the middle of its link, or beside it: what stays is the joint.
     for body, move in moves:
         body.pos = body.pos + move
@@ -58,14 +67,26 @@ def scale_length(bodies: Sequence[int], spec: mujoco.MjSpec, factor: float) -> N
 
 def shift_centre_of_mass(body: int, axis: int, spec: mujoco.MjSpec, shift: float) -> None:
     """Move a body's centre of mass in the body's frame; the mass and the inertia about it stay."""
-    if int(spec.compiler.inertiafromgeom) == FROM_GEOMS:
-        for other in spec.bodies:
-            other.explicitinertial = False
-        spec.compiler.inertiafromgeom = AUTOMATIC
+    heed_inertials(spec)
     (element,) = _bodies(spec, [body])
     if not element.explicitinertial:
         spec.adopt_inertial(element)
     element.ipos[axis] = element.ipos[axis] + shift
+
+
+def heed_inertials(spec: mujoco.MjSpec) -> None:
+    """Have the compiler heed the inertia that is given to a body, and let none be given that it did not heed before.
+
+    With ``inertiafromgeom="true"`` it takes all from the geoms.
+    """
+    if int(spec.compiler.inertiafromgeom) != FROM_GEOMS:
+        return
+    spec.compiler.inertiafromgeom = AUTOMATIC
+    for body in spec.bodies:
+        body.explicitinertial = False
+        if body.geoms:
+            body.mass, body.inertia = 0.0, np.zeros(3)
+            body.ipos, body.fullinertia = np.full(3, np.nan), np.full(6, np.nan)
 
 
 def scale_gravity(spec: mujoco.MjSpec, factor: float) -> None:
@@ -117,8 +138,16 @@ def scale_gain(actuators: Sequence[int], spec: mujoco.MjSpec, factor: float) -> 
     elements = spec.actuators
     for index in actuators:
         actuator = elements[index]
-        actuator.gainprm = np.asarray(actuator.gainprm) * factor
-        actuator.biasprm = np.asarray(actuator.biasprm) * factor
+        for kind, parameters in ((actuator.gaintype, "gainprm"), (actuator.biastype, "biasprm")):
+            values = np.array(getattr(actuator, parameters), dtype=float)
+            if kind in (mujoco.mjtGain.mjGAIN_MUSCLE, mujoco.mjtBias.mjBIAS_MUSCLE):
+                values[MUSCLE_FORCE if values[MUSCLE_FORCE] >= 0 else MUSCLE_SCALE] *= factor
+            else:
+                values *= factor
+            setattr(actuator, parameters, values)
+        if actuator.biasprm[2] > 0 and actuator.gainprm[0] == -actuator.biasprm[1]:
+            # To the compiler this is a damping ratio, unless the first two differ, if by no more than rounding.
+            actuator.gainprm[0] = np.nextafter(actuator.gainprm[0], np.inf)
 
 
 def delay_actuators(spec: mujoco.MjSpec, delay: float) -> None:
@@ -134,16 +163,6 @@ def scale_timestep(spec: mujoco.MjSpec, factor: float) -> None:
     spec.option.timestep = spec.option.timestep * factor
 
 
-def fix_total_mass(spec: mujoco.MjSpec) -> None:
-    """Replace the compiler's ``settotalmass``, which would undo edits of masses, by the resulting masses."""
-    total = spec.compiler.settotalmass
-    if total <= 0:
-        return
-    spec.compiler.settotalmass = -1
-    natural = float(np.sum(spec.copy().compile().body_mass))
-    scale_mass(range(len(spec.bodies)), spec, total / natural)
-
-
 def _carrier(body: mujoco.MjsBody, spec: mujoco.MjSpec) -> np.ndarray:
     """Return the place of the first joint that turns a body, from the body's frame, along the axes of its ``pos``."""
     for joint in body.joints:
@@ -155,11 +174,11 @@ def _carrier(body: mujoco.MjsBody, spec: mujoco.MjSpec) -> np.ndarray:
     return np.zeros(3)
 
 
-def _turned(place: np.ndarray, element: mujoco.MjsBody | mujoco.MjsFrame, spec: mujoco.MjSpec) -> np.ndarray:
-    """Return a place in an element's frame along the axes that the element itself is placed in."""
+def _turned(place: np.ndarray, element: Any, spec: mujoco.MjSpec) -> np.ndarray:
+    """Return a place in a body's, frame's or geom's frame along the axes that the element itself is placed in."""
     quaternion = element.quat
     if element.alt.type != mujoco.mjtOrientation.mjORIENTATION_QUAT:
-        compiler = spec.compiler
+        compiler = element.compiler
         quaternion = np.array(
             spec.resolve_orientation(
                 degree=compiler.degree, sequence=compiler.eulerseq, orientation=element.alt
@@ -170,16 +189,18 @@ def _turned(place: np.ndarray, element: mujoco.MjsBody | mujoco.MjsFrame, spec: 
     return turned
 
 
-def _lengthen(geom: mujoco.MjsGeom, factor: float, has_ends: bool) -> None:
-    """Multiply the distance of a geom's ends, at constant mass."""
-    if has_ends:
-        length = float(np.linalg.norm(geom.fromto[3:] - geom.fromto[:3]))
-        geom.fromto = geom.fromto * factor
-    else:
+def _lengthen(geom: mujoco.MjsGeom, factor: float) -> None:
+    """Multiply the distance of the ends of a capsule or cylinder, at constant mass."""
+    if math.isnan(geom.fromto[0]):
         length = 2 * float(geom.size[1])
         geom.size[1] = geom.size[1] * factor
+    else:
+        length = float(np.linalg.norm(geom.fromto[3:] - geom.fromto[:3]))
+        geom.fromto = geom.fromto * factor
     if math.isnan(geom.mass):
-        caps = 4 / 3 * float(geom.size[0]) if int(geom.type) == CAPSULE else 0.0
+        # The ends weigh as much as so much more of the length.
+        ends = {(CAPSULE, False): 4 / 3, (CAPSULE, True): 2.0, (CYLINDER, False): 0.0, (CYLINDER, True): 1.0}
+        caps = ends[int(geom.type), geom.typeinertia == SHELL] * float(geom.size[0])
         geom.density = geom.density * (length + caps) / (length * factor + caps)
 
 

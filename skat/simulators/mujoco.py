@@ -18,14 +18,14 @@ from skat.simulators.base import Simulator
 from skat.simulators.catalogue import Listing, effect_listing
 from skat.simulators.channels import HINGE, StateLayout, joint_name, state_layout
 from skat.simulators.compiling import checked_model, compile_spec, lean_spec
-from skat.simulators.edits import fix_total_mass
+from skat.simulators.derived import write_down
 from skat.simulators.source import ModelSource, broken_model, read_source, write_xml
 from skat.simulators.stepping import Forces, Job, Stepper, delayed_controls
 from skat.simulators.tables import Array
 
 CACHED_MODELS = 256
 # Edits that need the outcome of others come last.
-LAST = ("centre_of_mass", "contact_friction", "contact_anisotropy", "restitution")
+LAST = ("centre_of_mass", "contact_friction", "contact_anisotropy", "restitution", "delay")
 
 
 class MujocoSimulator(Simulator):
@@ -194,7 +194,7 @@ class MujocoSimulator(Simulator):
         target = Path(path)
         values = self._built_in()
         spec = self.model.spec()
-        fix_total_mass(spec)
+        write_down(spec)
         substeps, beside = self.frame_skip, {}
         for effect in self._edit_order(values):
             value = values[effect.name]

@@ -1,6 +1,7 @@
 """Models as text: reading them from a path, XML text or MjSpec, and writing them without loss of digits."""
 
 import ctypes
+import re
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -11,9 +12,11 @@ from typing import Any, Self
 
 import mujoco
 
-from skat.simulators.edits import fix_total_mass
+from skat.simulators.derived import write_down
 
 FULL_PRECISION = 17
+# What refers to files that no element of the parsed model names.
+ELSEWHERE = re.compile(r"<(include|attach|model|flexcomp[^>]*\sfile)\b")
 
 
 @dataclass(frozen=True)
@@ -59,7 +62,7 @@ def read_source(model: Any) -> ModelSource:
     source = _read(model)
     try:
         spec = source.spec()
-        fix_total_mass(spec)
+        write_down(spec)
         spec.compile()  # MuJoCo's warnings are heard here, and only here
     except ValueError as error:
         raise broken_model("the model", error) from None
@@ -108,7 +111,7 @@ def _parsed(read: Any, what: str) -> mujoco.MjSpec:
 
 def _stands_alone(spec: mujoco.MjSpec, text: str) -> bool:
     files = [*spec.meshes, *spec.hfields, *spec.textures, *spec.skins]
-    return "<mujoco" in text and "<include" not in text and not any(_files_of(asset) for asset in files)
+    return "<mujoco" in text and not ELSEWHERE.search(text) and not any(_files_of(asset) for asset in files)
 
 
 def _files_of(asset: Any) -> list[str]:
@@ -123,7 +126,8 @@ def _source_of_spec(spec: mujoco.MjSpec, folder: Path) -> ModelSource:
     for subfolder, elements in (*kinds, (spec.meshdir, spec.skins)):
         for asset in elements:
             if asset.file:
-                asset.file = _stored(assets, given, folder, subfolder, asset.file)
+                file = Path(asset.file).name if spec.strippath else asset.file
+                asset.file = _stored(assets, given, folder, subfolder, file)
             if any(getattr(asset, "cubefiles", [])):
                 asset.cubefiles = [
                     name and _stored(assets, given, folder, subfolder, name) for name in asset.cubefiles
