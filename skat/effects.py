@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-NAME_PATTERN = re.compile(r"(?P<family>[A-Za-z_]\w*)(\[(?P<target>.+)\])?")
+NAME_PATTERN = re.compile(r"(?P<family>[A-Za-z_]\w*)(\[(?P<target>([^\[\]]|\[[^\[\]]*\])+)\])?")
 
 
 @dataclass(frozen=True)
