@@ -178,7 +178,7 @@ class Estimates:
         names = list(values)
         residuals = self.residuals.whitened([values])[0]
         weights, clusters = self.refits.weights(residuals), self.clusters(len(names))
-        if not all(name in self.errors for name in names):
+        if not all(np.isfinite(self.errors.get(name, np.inf)) for name in names):
             slopes = self.residuals.derivatives(values, names)
             self._remember_errors(names, grams(residuals, slopes, clusters, weights))
         widths = {name: self._secant_width(name, self.errors[name]) for name in names}
@@ -198,9 +198,13 @@ class Estimates:
         self.errors.update(zip(names, np.where(np.isfinite(errors) & (errors > 0), errors, np.inf)))
 
     def clusters(self, n_effects):
-        """Return the piece of time of each row: a row where memory allows, whitened rows being uncorrelated."""
+        """Return the piece of evidence of each row: a row where memory allows, whitened rows being uncorrelated.
+
+        Rows without time order that were given in groups may have something in common: there it is a group.
+        """
         count = len(self.blocks)
-        return np.arange(count) // -(-count * n_effects**2 // LARGEST_GRAM)
+        rows = np.arange(count) if self.residuals.log.consecutive else self.blocks
+        return rows // -(-count * n_effects**2 // LARGEST_GRAM)
 
     def p_values(self, values):
         """Return the p-value of each fitted value by itself."""
@@ -220,21 +224,29 @@ class Estimates:
         """
         neutral, (low, high) = self.effects[name].neutral, self.effects[name].bounds
         best, reference = values[name], self.refits.losses(line.residuals)
+        width = SECANT_IN_ERRORS * self.errors.get(name, np.inf)
+
+        def first_bad(points):
+            fits = self.refits.fit([values | {name: float(point)} for point in points], hold=name)
+            good = [as_good(fit.losses, reference, INTERVAL_LEVEL) for fit in fits]
+            return good.index(False) if False in good else len(good)
+
         ends = []
         for end in (low, high):
-            inside, outside = best, end
-            if neutral != best and (neutral - best) * (end - best) > 0:
-                outside = neutral
+            limit = neutral if (neutral - best) * (end - best) > 0 else end
+            inside, outside = best, best + float(np.clip(limit - best, -width, width))
+            while outside != limit and first_bad([outside]):
+                inside, outside = (
+                    outside,
+                    best + float(np.clip(4 * (outside - best), *sorted((0.0, limit - best)))),
+                )
             for _ in range(PROFILE_STEPS):
-                if abs(outside - inside) <= PROFILE_ACCURACY * abs(inside - best):
+                if abs(outside - inside) <= PROFILE_ACCURACY * abs(outside - best):
                     break
                 points = inside + (outside - inside) * np.arange(1, 5) / 4
-                fits = self.refits.fit([values | {name: float(point)} for point in points], hold=name)
-                good = [as_good(fit.losses, reference, INTERVAL_LEVEL) for fit in fits]
-                first_bad = good.index(False) if False in good else len(good)
-                if first_bad == len(good):
-                    inside = outside
+                bad = first_bad(points)
+                if bad == len(points):
                     break
-                inside, outside = points[first_bad - 1] if first_bad else inside, points[first_bad]
-            ends.append(float(inside))
+                inside, outside = points[bad - 1] if bad else inside, points[bad]
+            ends.append(float(outside))
         return ends[0], ends[1]

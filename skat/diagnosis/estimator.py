@@ -23,6 +23,8 @@ from skat.effects import Effect, unknown_name_message
 
 # Squared one-step errors in noise units up to which heavy tails and rounding of the noise are taken to be the cause.
 CLEAN_EXCESS = 1.3
+# Squared error of a row, in noise units, beyond which it counts no more.
+LARGEST_ERROR = 9.0
 # An estimate within this share of its range from a bound is at it.
 AT_BOUND = 1e-6
 
@@ -141,14 +143,16 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         selected = Selection(
             residuals, names, alpha=self.alpha / 2, max_effects=self.max_effects, progress=progress
         ).run()
+        self.causes_ = [self._cause(residuals.effects[name], selected) for name in selected.values]
         progress("remainder", 0, 1)
-        self.remainder_ = find_remainder(residuals, selected.linearisation, list(selected.values))
+        # What an effect cannot do within its bounds is left.
+        free = [cause.name for cause in self.causes_ if not cause.at_bound]
+        self.remainder_ = find_remainder(residuals, selected.linearisation, free)
         self.n_simulated_rows_ = residuals.n_simulated_rows
         n_diverged = residuals.diverged.sum()
         self.noise_ = residuals.deviations
-        self.causes_ = [self._cause(residuals.effects[name], selected) for name in selected.values]
         self.extended_simulator_ = self.simulator.extended(selected.values)
-        self.identifiability_ = identifiability(selected, residuals.effects, self.alpha / 2)
+        self.identifiability_ = identifiability(selected, residuals, self.alpha / 2)
         self.gain_ = None
         self._values = dict(selected.values)
         if held_out is not None:
@@ -162,7 +166,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
                 "physical.",
                 stacklevel=2,
             )
-        self.excess_p_value_ = self._excess(residuals)
+        self.excess_p_value_ = self._excess(residuals, len(fitted))
         self.verdict_ = self._verdict()
         self.report_ = Report(self, fitted, held_out)
         progress("done", 1, 1)
@@ -321,14 +325,20 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         residuals.differentiate(self._values)
         return residuals
 
-    def _excess(self, residuals):
-        """Return the chance of errors so far above the noise, over the blocks of the log, if nothing is left."""
+    def _excess(self, residuals, n_fitted):
+        """Return the chance of errors so far above the noise, over the blocks of the log, if nothing is left.
+
+        Each row counts with at most `LARGEST_ERROR`: a mean of squares with a long tail tells nothing.
+        """
         if self.hidden:
             return 1.0
-        (errors,) = residuals.noise_errors([self._values])
+        (errors,) = np.minimum(residuals.noise_errors([self._values]), LARGEST_ERROR)
         blocks = np.unique(residuals.blocks[residuals.present], return_inverse=True)[1]
         means = np.bincount(blocks, errors) / np.bincount(blocks)
         spread = means.std(ddof=1) / np.sqrt(len(means)) if len(means) > 2 else np.inf
+        if isinstance(self.noise, str):
+            # The noise itself is known from so many residuals only.
+            spread = np.hypot(spread, np.sqrt(2 / (n_fitted * residuals.n_channels)))
         return float(stats.t.sf((means.mean() - CLEAN_EXCESS) / max(spread, 1e-12), max(len(means) - 1, 1)))
 
     def _verdict(self):

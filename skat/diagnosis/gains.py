@@ -20,18 +20,9 @@ def one_step_gain(residuals, values, random_state):
     """
     nominal, extended = residuals.noise_errors([{}, values])
     blocks = residuals.blocks[residuals.present] if len(nominal) < len(residuals.blocks) else residuals.blocks
-    channels = _one_step_channels(residuals, values)
+    before, after = residuals.channel_errors({}), residuals.channel_errors(values)
+    channels = {name: (error, after[name]) for name, error in before.items()}
     return _gain(nominal, extended, 1.0, blocks, random_state, horizon=1, channels=channels)
-
-
-def _one_step_channels(residuals, values):
-    groups = residuals.log.episodes if residuals.log.consecutive else None
-    names = residuals.simulator.residual_names
-    nominal, extended = (
-        np.sqrt(np.mean(residuals.simulator.residual(residuals.log.y, one)[residuals.present] ** 2, axis=0))
-        for one in residuals.simulator.predict_many(residuals.log.X, [{}, values], groups=groups)
-    )
-    return {name: (float(a), float(b)) for name, a, b in zip(names, nominal, extended)}
 
 
 def episode_gain(simulator, log, values, deviations, *, hidden, initial_state, outputs, random_state):

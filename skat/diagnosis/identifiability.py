@@ -6,13 +6,14 @@ from scipy import stats
 
 from skat.diagnosis.evidence import grams
 from skat.diagnosis.log import Log, check_log
+from skat.diagnosis.selection import least_fall
 
 COMMON_NOISE = 0.01
 # Effects whose derivatives make a smaller angle than this cosine are worth a warning before measuring.
 NEARLY_ALIKE = 0.95
 
 
-def identifiability(selected, effects, alpha):
+def identifiability(selected, residuals, alpha):
     """Return a table of what the fitted log shows of each effect, given the causes found.
 
     Returns
@@ -21,16 +22,18 @@ def identifiability(selected, effects, alpha):
         Indexed by effect: `smallest` (size that would be named with a chance of one half, in the effect's unit; inf
         where the log does not show it), `unit`, `nearest_alias`, `similarity` (cosine, 0 to 1).
     """
-    return _table(selected.gram, selected.linearisation.names, effects, alpha)
+    return _table(selected.gram, selected.linearisation.names, residuals, alpha)
 
 
-def _table(gram, names, effects, alpha):
+def _table(gram, names, residuals, alpha):
+    effects = residuals.effects
     information = gram.information.sum(axis=0)
     size = np.sqrt(np.diag(information))
     shown = size > 0
     cosines = np.abs(information) / np.where(shown, size, np.inf)[:, None] / np.where(shown, size, np.inf)
     np.fill_diagonal(cosines, 0.0)
-    threshold = stats.norm.isf(alpha / len(names) / 2)
+    # A named effect is significant among all and lowers the loss throughout the log, which has half the effect's t.
+    threshold = max(stats.norm.isf(alpha / len(names) / 2), 2 * least_fall(residuals))
     nearest = cosines.argmax(axis=1)
     smallest = threshold / np.where(shown, size, 1e-300)
     # An effect that must leave its bounds to be seen is not shown at all.
@@ -51,10 +54,11 @@ def _table(gram, names, effects, alpha):
 def preflight(diagnosis, X, groups):
     """Return the identifiability of planned transitions; see `SimulationDiagnosis.preflight`."""
     simulator = diagnosis.simulator
+    groups = None if groups is None else np.asarray(groups)
     y = simulator.predict(X, groups=groups)
     log = check_log(simulator, X, y, None)
     if groups is not None and simulator.state_names:
-        log = Log(log.X, log.y, np.unique(groups, return_inverse=True)[1], True)
+        log = Log(log.X, log.y, np.cumsum(np.r_[True, groups[1:] != groups[:-1]]) - 1, True)
     deviations = diagnosis._given_deviations()
     if deviations is None:
         spread = simulator.residual(y, np.broadcast_to(y[:1], y.shape)).std(axis=0)
@@ -65,7 +69,7 @@ def preflight(diagnosis, X, groups):
     residuals.settle({})
     line = residuals.linearise({}, names)
     gram = grams(line.residuals, line.derivatives, residuals.blocks, np.ones(len(log)))
-    table = _table(gram, line.names, residuals.effects, diagnosis.alpha / 2)
+    table = _table(gram, line.names, residuals, diagnosis.alpha / 2)
     table["separating_excitation"] = _excitation(line, residuals, table)
     return table
 

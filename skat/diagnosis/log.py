@@ -11,6 +11,8 @@ FEWEST_ROWS = 20
 CHAIN_LENGTH = 60
 BLOCK_LENGTH = 12
 FEWEST_BLOCKS = 20
+# Of the rows that a split should leave to fit, episodes of unequal length leave at least this share.
+LEAST_FITTED = 0.5
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,7 @@ class Log:
     def blocks(self):
         """Return the block of each row: pieces of time short against an episode, long against contacts' echoes."""
         if not self.consecutive:
-            return np.arange(len(self))
+            return self.episodes
         length = int(np.clip(len(self) // FEWEST_BLOCKS, 1, BLOCK_LENGTH))
         new = np.r_[True, (np.diff(self.episodes) > 0) | (self.steps[1:] % length == 0)]
         return np.cumsum(new) - 1
@@ -82,14 +84,12 @@ class Log:
         """
         if not test_size:
             return self, None
-        if not self.consecutive:
-            held_out = random_state.permutation(len(self)) < round(test_size * len(self))
+        if self.n_episodes == len(self) and not self.consecutive:
+            count = int(np.clip(round(test_size * len(self)), 1, len(self) - 1))
+            held_out = random_state.permutation(len(self)) < count
             return self.rows(~held_out), self.rows(held_out)
         if self.n_episodes > 1:
-            sizes = np.bincount(self.episodes)
-            order = random_state.permutation(self.n_episodes)
-            count = int(np.searchsorted(np.cumsum(sizes[order]), test_size * len(self))) + 1
-            held_out = np.isin(self.episodes, order[: min(count, self.n_episodes - 1)])
+            held_out = np.isin(self.episodes, self._held_out(test_size, random_state))
             return self.rows(~held_out), self.rows(held_out)
         warnings.warn(
             "The log is a single episode: it is split by blocks of time, so the rows held out are near the rows "
@@ -100,9 +100,20 @@ class Log:
         )
         n_pieces = max(4, min(20, len(self) // FEWEST_ROWS))
         piece = np.arange(len(self)) * n_pieces // len(self)
-        every = max(2, round(1 / test_size))
-        held_out = piece % every == every - 1
+        count = int(np.clip(round(test_size * n_pieces), 1, n_pieces - 1))
+        held_out = np.isin(piece, ((np.arange(count) + 1) * n_pieces // count) - 1)
         return self.rows(~held_out), self.rows(held_out)
+
+    def _held_out(self, test_size, random_state):
+        """Return episodes that make up the share, as far as enough remains to be fitted; at least one."""
+        sizes = np.bincount(self.episodes)
+        most = len(self) - max(FEWEST_ROWS, LEAST_FITTED * (1 - test_size) * len(self))
+        chosen: list[int] = []
+        for episode in random_state.permutation(self.n_episodes):
+            held = sizes[chosen].sum()
+            if held < test_size * len(self) and held + sizes[episode] <= most:
+                chosen.append(int(episode))
+        return chosen or [int(np.argmin(sizes))]
 
 
 def check_log(simulator, X, y, groups, *, fewest_rows=FEWEST_ROWS, hidden=()):
@@ -153,6 +164,8 @@ def check_log(simulator, X, y, groups, *, fewest_rows=FEWEST_ROWS, hidden=()):
             f"Episode {groups[row]!r} goes on at row {row} after rows of another episode. The rows of an episode must "
             "be consecutive and in time order: sort the log by episode and time."
         )
+    if not simulator.state_names and episodes[-1] == 0:
+        episodes = np.arange(len(X))  # One group says nothing of rows without time order.
     log = Log(X, y, episodes, bool(simulator.state_names))
     if log.consecutive:
         _check_continuity(simulator, log, hidden)
@@ -167,6 +180,12 @@ def check_log(simulator, X, y, groups, *, fewest_rows=FEWEST_ROWS, hidden=()):
 
 
 def _check_matrix(values, what, names):
+    if hasattr(values, "columns") and hasattr(values, "to_numpy"):
+        known = set(names) & set(values.columns)
+        if known and len(known) < len(names):
+            missing = [name for name in names if name not in known]
+            raise ValueError(f"{what} lacks the columns {', '.join(missing)}; expected {', '.join(names)}.")
+        values = values[list(names)] if known else values
     try:
         values = check_array(values, dtype=np.float64, ensure_min_samples=1, input_name=what)
     except ValueError as error:

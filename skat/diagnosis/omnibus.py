@@ -148,7 +148,8 @@ def _persistence(residuals, white):
     starts = np.flatnonzero(np.r_[True, np.diff(pieces) > 0])
     statistics = np.zeros(clipped.shape[1])
     for lag in LAGS:
-        together = residuals.log.episodes[lag:] == residuals.log.episodes[:-lag]
+        # Whitening begins anew with each piece, so what lies on both sides of its beginning is correlated.
+        together = pieces[lag:] == pieces[:-lag]
         products = np.zeros_like(clipped)
         products[lag:] = clipped[lag:] * clipped[:-lag] * together[:, None]
         sums = np.add.reduceat(products, starts)

@@ -90,6 +90,11 @@ class Residuals:
         return len(self.simulator.residual_names)
 
     @property
+    def groups(self):
+        """Episode of each row as the simulator is told it: without time order each row is one."""
+        return self.log.episodes if self.log.consecutive else np.arange(len(self.log))
+
+    @property
     def deviations(self):
         """Standard deviations of the measurement noise, in the channels' units."""
         return np.sqrt(self.variances)
@@ -164,7 +169,7 @@ class Residuals:
         count = self.blocks[-1] + 1
         chosen = np.linspace(0, count - 1, max(1, round(n_rows * count / len(self.log)))).astype(int)
         part = self.log.rows(np.isin(self.blocks, chosen))
-        groups = part.episodes if part.consecutive else None
+        groups = part.episodes if part.consecutive else np.arange(len(part))
         sizes = []
         for i in range(0, len(candidates), 64):
             self.n_simulated_rows += len(part) * len(candidates[i : i + 64])
@@ -289,7 +294,7 @@ class Residuals:
         points = self.points[rows]
         n_rows = len(points) * len(candidates)
         self.n_simulated_rows += n_rows
-        groups = self.log.episodes[rows] if self.log.consecutive else np.arange(len(self.log))[rows]
+        groups = self.groups[rows]
         n_parts = min(joblib.effective_n_jobs(self.n_jobs), len(candidates))
         if n_parts == 1 or n_rows < FEWEST_ROWS_TO_SHARE:
             return self.simulator.predict_many(points, candidates, groups=groups)
@@ -376,11 +381,16 @@ class Residuals:
         From the measured states, not the smoothed ones; a right model has 1 on average. Rows in which a candidate
         diverges are left out, from then on.
         """
-        groups = self.log.episodes if self.log.consecutive else None
-        predictions = self.simulator.predict_many(self.log.X, candidates, groups=groups)
+        predictions = self.simulator.predict_many(self.log.X, candidates, groups=self.groups)
         errors = np.stack([self.simulator.residual(self.log.y, one) for one in predictions]) ** 2
         self._leave_out(~np.isfinite(errors).all(axis=(0, 2)))
         return np.mean(errors / self._residual_variances(), axis=-1)[:, self.present]
+
+    def channel_errors(self, values):
+        """Return the root mean squared one-step error of each channel, by name, in its own unit."""
+        predictions = self.simulator.predict_many(self.log.X, [values], groups=self.groups)
+        errors = self.simulator.residual(self.log.y, predictions[0])[self.present]
+        return dict(zip(self.simulator.residual_names, np.sqrt(np.mean(errors**2, axis=0)).tolist()))
 
     def _residual_variances(self):
         """Variance of each raw residual under a right model, (n_rows, n_channels) or one row for all."""

@@ -101,26 +101,34 @@ class Selection:
 
     def run(self):
         """Return the Selected effects."""
+        values, line, history = self._grown(self.estimates.linearised({}))
+        values, line = self._prune(values, line)
+        if history and not values:
+            # What was added did not stand: a derivative misled, and the truth may be far off.
+            values, line, history = self._grown(line, far_off=True)
+            values, line = self._prune(values, line)
+        values, line, spread = self.estimates.averaged(values, line)
+        return self._result(values, line, spread, history)
+
+    def _grown(self, line, *, far_off=False):
+        """Return the model with all effects that a forward selection adds, its linearisation, and what was added."""
         values: dict[str, float] = {}
         history: list[dict[str, float]] = []
-        line = self.estimates.linearised(values)
         jumps = 0
         while len(values) < self.max_effects:
             self.progress("select", len(values), self.max_effects)
-            added = self._add(values, line) or self._apart(values, line)
+            added = self._add(values, line, far_off=far_off and not values) or self._apart(values, line)
             if added is None and jumps < MOST_JUMPS:
                 added, jumps = self._elsewhere(values, line), jumps + 1
             if added is None:
                 break
             history.append(added)
             values, line = self._simplified(*self.estimates.polished(added))
-        values, line = self._prune(values, line)
-        values, line, spread = self.estimates.averaged(values, line)
-        return self._result(values, line, spread, history)
+        return values, line, history
 
     def _simplified(self, values, line):
         """Return a model that no exchange of effects makes better, or smaller and as good."""
-        for _ in range(MOST_EXCHANGES if len(values) > 1 else 0):
+        for _ in range(MOST_EXCHANGES if values else 0):
             exchanged = self._exchanged(values, line)
             if exchanged is None:
                 break
@@ -129,7 +137,7 @@ class Selection:
 
     # -- one effect more -------------------------------------------------------------------------------------------
 
-    def _add(self, values, line):
+    def _add(self, values, line, *, far_off=False):
         """Return the values of the model with the best further effect, None if no effect is significant.
 
         A refit starts from states smoothed by the present model, and may end in a jag of the loss, short of the
@@ -139,7 +147,7 @@ class Selection:
         gram = grams(line.residuals, line.derivatives, self.estimates.clusters(len(line.names)))
         first = screen(gram, line.names, values, self.effects, list(values))
         misfit = np.median(np.sum(line.residuals**2, axis=-1)) / line.residuals.shape[1]
-        far_off = misfit > FAR_OFF
+        far_off |= bool(misfit > FAR_OFF)
         present = self.refits.losses(line.residuals)
         for starts in self._starts(values, first, far_off):
             models = self._contenders([{**values, **start} for start in starts], values)
@@ -415,11 +423,21 @@ class Selection:
         gained, lost = fall[fall > 0].sum(), -fall[fall < 0].sum()
         if lost < LOST_SHARE * gained and fall.max() < LARGEST_BLOCK_SHARE * gained:
             return True
-        episodes = self.residuals.log.episodes[self.refits.starts]
-        if self.residuals.log.consecutive and episodes[-1] + 1 >= FEWEST_EPISODES:
-            fall = np.bincount(episodes, fall)
+        if _by_episode(self.residuals.log):
+            fall = np.bincount(self.residuals.log.episodes[self.refits.starts], fall)
         error = np.sqrt(len(fall) * fall.var(ddof=1))
-        return bool(fall.sum() > stats.t.isf(IMPROVEMENT_LEVEL, len(fall) - 1) * error)
+        return bool(fall.sum() > least_fall(self.residuals) * error)
+
+
+def least_fall(residuals):
+    """Return the t, over episodes or blocks, beyond which the loss counts as lower throughout the log."""
+    log = residuals.log
+    n_parts = log.n_episodes if _by_episode(log) else len(np.unique(residuals.blocks))
+    return float(stats.t.isf(IMPROVEMENT_LEVEL, max(n_parts - 1, 1)))
+
+
+def _by_episode(log):
+    return log.consecutive and log.n_episodes >= FEWEST_EPISODES
 
 
 def _part(values, names):

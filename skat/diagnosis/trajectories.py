@@ -7,6 +7,8 @@ from skat.diagnosis.residuals import Residuals
 
 # An effect counts as made up for by initial states where less than this share of its derivative is left.
 LEAST_SHARE = 1e-4
+# Of an episode's residuals, what fitted initial states leave is never taken for a smaller share than this.
+LEAST_FREE = 0.1
 
 
 class TrajectoryResiduals(Residuals):
@@ -129,9 +131,18 @@ class TrajectoryResiduals(Residuals):
 
     def noise_errors(self, candidates):
         """Return the squared distances of whole trajectories (n_candidates, n_rows) in noise units."""
-        errors = []
-        for values in candidates:
-            initial = self.episodes.fit_initial_states(values, self.deviations)
-            raw = self.episodes.residuals([values], initial)[0]
-            errors.append(np.mean(raw**2 / self.variances, axis=-1))
-        return np.stack(errors)
+        # Fitted initial states take up as many residuals of their episode as they have coordinates.
+        n_rows = np.bincount(self.log.episodes)[self.log.episodes]
+        share = np.maximum(1 - len(self.episodes.measured) / (n_rows * self.n_channels), LEAST_FREE)
+        errors = [self._rolled_out(values) ** 2 / self.variances for values in candidates]
+        return np.mean(errors, axis=-1) / share
+
+    def channel_errors(self, values):
+        """Return the root mean squared error of each measured channel over whole trajectories."""
+        sizes = np.sqrt(np.mean(self._rolled_out(values) ** 2, axis=0))
+        measured = np.array(self.simulator.residual_names)[self.episodes.measured]
+        return dict(zip(measured.tolist(), sizes.tolist()))
+
+    def _rolled_out(self, values):
+        initial = self.episodes.fit_initial_states(values, self.deviations)
+        return self.episodes.residuals([values], initial)[0]
