@@ -1,0 +1,166 @@
+"""What a diagnosis claims, on logs that invite a false claim."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn.utils import check_random_state
+
+from skat.diagnosis import SimulationDiagnosis
+from skat.diagnosis.log import check_log
+from skat.diagnosis.residuals import Residuals
+from skat.diagnosis.selection import Selection
+from skat.effects import Effect
+from skat.simulators import FunctionSimulator
+
+
+def simulation(function, inputs, outputs, **effects):
+    """Return a simulation with effects given as (neutral, low, high)."""
+    return FunctionSimulator(
+        function,
+        input_names=inputs,
+        output_names=outputs,
+        effects=[
+            Effect(name, unit="1", neutral=neutral, bounds=(low, high))
+            for name, (neutral, low, high) in effects.items()
+        ],
+    )
+
+
+def bent(X, b=0.0):
+    return (X[:, 0] + b * X[:, 1] ** 2)[:, None]
+
+
+@pytest.fixture
+def bending():
+    return simulation(bent, ("u", "v"), ("p",), b=(0.0, -5.0, 5.0))
+
+
+def hitting(X, k=1.0, c=0.0):
+    """Return place and velocity after one step towards a wall at 1."""
+    x, v = X.T
+    place = x + k * v
+    hit = place > 1
+    return np.stack([np.where(hit, 2 - place, place) + c * v * v, np.where(hit, -0.5 * v, v)], 1)
+
+
+@pytest.mark.parametrize("seed", [24, 25, 35])
+def test_what_explains_a_wall_less_than_another_effect_is_not_named(seed):
+    simulator = simulation(hitting, ("x", "v"), ("p", "w"), k=(1.0, 0.1, 10.0), c=(0.0, -5.0, 5.0))
+    rng = np.random.default_rng(seed)
+    X = rng.normal(size=(200, 2))
+    place = X[:, 0] + 1.02 * X[:, 1]
+    y = np.where(
+        (place > 1)[:, None],
+        np.stack([2 - place, -0.5 * X[:, 1]], 1),
+        np.stack([place, X[:, 1]], 1),
+    )
+    y += 0.02 * rng.normal(size=y.shape)
+    diagnosis = SimulationDiagnosis(simulator, random_state=seed).fit(X, y)
+    assert not any(cause.name == "c" for cause in diagnosis.causes_)
+
+
+@pytest.mark.parametrize("size", [1.0, 100.0])
+def test_errors_of_a_few_rows_far_beyond_the_noise_are_unexplained(bending, size):
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(200, 2))
+    y = X[:, :1] + size * np.exp(2 * X[:, :1]) * np.cos(9 * X[:, 1:]) + 0.1 * rng.normal(size=(200, 1))
+    diagnosis = SimulationDiagnosis(bending, noise=[0.1], effects=["b"], random_state=0).fit(X, y)
+    assert diagnosis.verdict_ == "unexplained"
+
+
+def test_outliers_of_the_noise_are_no_excess(bending):
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(4000, 2))
+    noise = 0.1 * rng.normal(size=(4000, 1)) * np.where(rng.uniform(size=(4000, 1)) < 0.05, 5, 1)
+    diagnosis = SimulationDiagnosis(bending, effects=["b"], random_state=0).fit(X, X[:, :1] + noise)
+    assert diagnosis.verdict_ == "nothing detected"
+
+
+@pytest.mark.parametrize("effects", [["b"], "all"])
+def test_truth_beyond_the_bounds_of_an_effect_is_unexplained(bending, effects):
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(200, 2))
+    y = (X[:, 0] + 7 * X[:, 1] ** 2)[:, None] + 0.1 * rng.normal(size=(200, 1))
+    diagnosis = SimulationDiagnosis(bending, effects=effects, random_state=0).fit(X, y)
+    assert diagnosis.verdict_ == "unexplained"
+    assert diagnosis.causes_[0].at_bound
+
+
+@pytest.mark.parametrize("noise", [0.1, 0.01, 0.001])
+def test_interval_by_profile_is_found_whatever_the_bounds(noise):
+    simulator = simulation(lambda X, b: X + b, ("u",), ("p",), b=(0.0, -1000.0, 1000.0))
+    rng = np.random.default_rng(1)
+    X = rng.normal(size=(400, 1))
+    log = check_log(simulator, X, X + 0.5 + noise * rng.normal(size=X.shape), None)
+    selection = Selection(
+        Residuals(simulator, log, simulator.effects(), [noise]),
+        ["b"],
+        alpha=0.005,
+        max_effects=3,
+        progress=lambda *_: None,
+    )
+    found = selection.run()
+    low, high = selection.estimates.profile_interval("b", found.values, found.linearisation)
+    error = noise / np.sqrt(400)
+    # The loss falls with half the t of the effect, so these intervals reach twice as far as others.
+    assert 1.5 * error < found.values["b"] - low < 6 * error
+    assert 1.5 * error < high - found.values["b"] < 6 * error
+
+
+def test_effect_of_the_smallest_size_is_named_in_about_half_of_the_logs(bending):
+    rng = np.random.default_rng(0)
+    options = {"effects": ["b"], "noise": [0.1], "alpha": 0.05, "test_size": 0}
+    named = []
+    for seed in range(24):
+        X = rng.normal(size=(300, 2))
+        size = SimulationDiagnosis(bending, **options).preflight(X).loc["b", "smallest"]
+        y = (X[:, 0] + size * X[:, 1] ** 2)[:, None] + 0.1 * rng.normal(size=(300, 1))
+        named.append(bool(SimulationDiagnosis(bending, **options, random_state=seed).fit(X, y).causes_))
+    assert 0.25 <= np.mean(named) <= 0.75
+
+
+def test_noise_in_common_within_a_group_is_no_effect(bending):
+    rng = np.random.default_rng(0)
+    groups = np.repeat(np.arange(15), 10)
+    for _ in range(5):
+        X = rng.normal(size=(15, 2))[groups] + 0.1 * rng.normal(size=(150, 2))
+        y = X[:, :1] + 0.1 * rng.normal(size=(15, 1))[groups] + 0.02 * rng.normal(size=(150, 1))
+        diagnosis = SimulationDiagnosis(bending, effects=["b"], random_state=0).fit(X, y, groups)
+        assert diagnosis.causes_ == []
+    fitted, held_out = check_log(bending, X, y, groups).split(0.3, check_random_state(0))
+    assert not set(fitted.X[:, 0]) & set(held_out.X[:, 0])
+    assert fitted.n_episodes + held_out.n_episodes == 15
+
+
+@pytest.mark.parametrize("lengths", [(12, 300), (300, 12), (25, 300), (300, 30, 30)])
+@pytest.mark.parametrize("seed", range(4))
+def test_split_leaves_enough_to_fit(bending, lengths, seed):
+    groups = np.repeat(np.arange(len(lengths)), lengths)
+    X = np.random.default_rng(0).normal(size=(len(groups), 2))
+    fitted, held_out = check_log(bending, X, X[:, :1], groups).split(0.3, check_random_state(seed))
+    assert len(fitted) >= 0.5 * 0.7 * len(X)
+    assert len(held_out) >= 12
+    assert len(fitted) + len(held_out) == len(X)
+
+
+@pytest.mark.parametrize("test_size", [0.001, 0.04, 0.2, 0.7])
+def test_split_of_independent_rows_holds_some_out(bending, test_size):
+    X = np.random.default_rng(0).normal(size=(60, 2))
+    fitted, held_out = check_log(bending, X, X[:, :1], None).split(test_size, check_random_state(0))
+    assert len(held_out) == max(1, round(60 * test_size))
+    assert len(fitted) == 60 - len(held_out)
+
+
+def test_data_frames_go_by_name(bending):
+    rng = np.random.default_rng(0)
+    X = pd.DataFrame(rng.normal(size=(100, 2)), columns=["u", "v"])
+    y = pd.DataFrame(
+        bent(X.to_numpy(), 0.3) + 0.1 * rng.normal(size=(100, 1)), columns=["p"], index=range(7, 107)
+    )
+    diagnoses = [
+        SimulationDiagnosis(bending, effects=["b"], random_state=0).fit(table, y)
+        for table in (X, X[["v", "u"]], X.to_numpy())
+    ]
+    assert len({diagnosis.causes_[0].value for diagnosis in diagnoses}) == 1
+    with pytest.raises(ValueError, match="X lacks the columns v"):
+        SimulationDiagnosis(bending).fit(X.rename(columns={"v": "w"}), y)
