@@ -11,6 +11,7 @@ from skat.diagnosis.residuals import Residuals
 from skat.diagnosis.selection import Selection
 from skat.effects import Effect
 from skat.simulators import FunctionSimulator
+from tests.diagnosis.cart_pole import make_simulator, measure
 
 
 def simulation(function, inputs, outputs, **effects):
@@ -164,3 +165,26 @@ def test_data_frames_go_by_name(bending):
     assert len({diagnosis.causes_[0].value for diagnosis in diagnoses}) == 1
     with pytest.raises(ValueError, match="X lacks the columns v"):
         SimulationDiagnosis(bending).fit(X.rename(columns={"v": "w"}), y)
+
+
+@pytest.mark.parametrize("test_size", [0.04, 0.2, 0.3, 0.7])
+def test_split_of_a_single_episode_holds_out_its_share(test_size):
+    X, y, groups, _ = measure(0)
+    one = groups == groups[0]
+    log = check_log(make_simulator(), X[one], y[one], groups[one])
+    with pytest.warns(UserWarning, match="single episode"):
+        fitted, held_out = log.split(test_size, check_random_state(0))
+    pieces = max(4, min(20, len(log) // 20))
+    assert abs(len(held_out) / len(log) - test_size) <= 1 / pieces
+    assert len(fitted) + len(held_out) == len(log)
+
+
+def test_preflight_takes_labels_in_any_order():
+    X, _, groups, _ = measure(0)
+    rows = groups < 4
+    diagnosis = SimulationDiagnosis(make_simulator())
+    sorted_labels = diagnosis.preflight(X[rows], groups[rows])
+    for labels in (np.array(["d", "a", "c", "b"]), np.array([3, 1, 2, 0])):
+        pd.testing.assert_frame_equal(
+            diagnosis.preflight(X[rows], labels[groups[rows].astype(int)]), sorted_labels
+        )

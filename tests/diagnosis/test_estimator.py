@@ -367,6 +367,8 @@ def test_hidden_channels_are_carried_not_filled_in(simulator):
     low, high = diagnosis.causes_[0].interval
     assert abs(diagnosis.causes_[0].value - 1.1) < 0.75 * (high - low)
     assert diagnosis.noise_.shape == (2,)
+    assert set(diagnosis.gain_.channels) == {"x", "angle"}
+    assert diagnosis.gain_.channels["angle"][1] < diagnosis.gain_.channels["angle"][0]
     with pytest.raises(ValueError, match="v, w were not measured"):
         diagnosis.evaluate(X, y, groups)
     gain = diagnosis.evaluate(X, y, groups, horizon="episode", initial_state="fitted")
