@@ -35,6 +35,7 @@ def test_some_off_of_halfcheetah_is_the_gains_of_every_second_actuator(worlds, c
     assert all(cause.sentence.endswith("is disabled") for cause in diagnosis.causes_)
 
 
+@pytest.mark.long
 def test_inverted_ant_is_one_cause(worlds, cases):
     diagnosis, truth = diagnosed(worlds, cases, "ant", "inverted", n_episodes=3)
     assert_diagnosed(diagnosis, truth)

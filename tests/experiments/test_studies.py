@@ -31,6 +31,7 @@ def test_nothing_is_named_that_does_not_gain_on_the_other_drop():
 
 
 @NO_DATA
+@pytest.mark.long
 def test_friction_of_the_cube_is_named_and_tilt_is_not():
     study = study_cube_tosses(n_fit=5, n_test=12)
     causes = {cause.family: cause for cause in study.diagnosis.causes_}

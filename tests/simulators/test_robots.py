@@ -21,7 +21,8 @@ def rows_of(robot, n=8):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_normal_robot_is_that_of_gymnasium(name):
+def test_normal_robot_is_that_of_gymnasium(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # where MuJoCo logs its warning
     robot = make_simulator(name)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # HalfCheetah's file: settotalmass is deprecated
