@@ -109,11 +109,13 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         Parameters
         ----------
         X : array-like of shape (n_rows, n_inputs)
-            In the order of ``simulator.input_names``: for a simulation with a state, state and action.
+            In the order of ``simulator.input_names``, or a data frame with these columns: for a simulation with a
+            state, state and action.
         y : array-like of shape (n_rows, n_outputs)
             What followed: for a simulation with a state, the next state, which is the state in the next row of X.
         groups : array-like of shape (n_rows,), optional
-            Episode of each row; an episode's rows are consecutive and in time order. None: independent rows.
+            Episode of each row; an episode's rows are consecutive and in time order. None: independent rows. For a
+            simulation without a state, rows of a group may have something in common and count as one.
         progress : callable, optional
             ``progress(stage, done, total)`` is called as the work goes on.
 

@@ -19,7 +19,8 @@ from skat.simulators.anatomy import Anatomy, actuator_name, drag_joint
 from skat.simulators.channels import BALL, FREE, HINGE, SLIDE, joint_name
 
 AXES = "xyz"
-DC_MOTOR = int(mujoco.mjtGain.mjGAIN_DCMOTOR)
+LINEAR_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
+LINEAR_BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
 MAX_DELAY_IN_TRANSITIONS = 5
 JOINT_EDITS: dict[str, Callable[..., Any] | None] = {
     "damping": edits.add_damping,
@@ -278,9 +279,13 @@ def _joint_bounds(anatomy: Anatomy, joint: int) -> dict[str, tuple[float, float]
 
 def _actuator_effects(anatomy: Anatomy) -> Found:
     name = partial(actuator_name, anatomy.model)
-    # The parameters of a motor with an electrical side are resistances and constants: no factor on them is a gain.
+    model = anatomy.model
+    # The parameters of muscles and of motors with an electrical side are lengths, speeds, resistances as well.
     simple = [
-        index for index in range(anatomy.model.nu) if int(anatomy.model.actuator_gaintype[index]) != DC_MOTOR
+        index
+        for index in range(model.nu)
+        if int(model.actuator_gaintype[index]) in LINEAR_GAINS
+        and int(model.actuator_biastype[index]) in LINEAR_BIASES
     ]
     yield from _each_and_all("gain", simple, name, (-3.0, 3.0), edits.scale_gain)
 

@@ -15,8 +15,6 @@ CAPSULE, CYLINDER = int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEO
 FROM_GEOMS = int(mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE)
 AUTOMATIC = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
 SHELL = mujoco.mjtGeomInertia.mjINERTIA_SHELL
-# Places in a muscle's parameters: its peak force, and what that is derived from where it is negative.
-MUSCLE_FORCE, MUSCLE_SCALE = 2, 3
 
 
 def scale_mass(bodies: Sequence[int], spec: mujoco.MjSpec, factor: float) -> None:
@@ -138,13 +136,8 @@ def scale_gain(actuators: Sequence[int], spec: mujoco.MjSpec, factor: float) -> 
     elements = spec.actuators
     for index in actuators:
         actuator = elements[index]
-        for kind, parameters in ((actuator.gaintype, "gainprm"), (actuator.biastype, "biasprm")):
-            values = np.array(getattr(actuator, parameters), dtype=float)
-            if kind in (mujoco.mjtGain.mjGAIN_MUSCLE, mujoco.mjtBias.mjBIAS_MUSCLE):
-                values[MUSCLE_FORCE if values[MUSCLE_FORCE] >= 0 else MUSCLE_SCALE] *= factor
-            else:
-                values *= factor
-            setattr(actuator, parameters, values)
+        actuator.gainprm = np.asarray(actuator.gainprm) * factor
+        actuator.biasprm = np.asarray(actuator.biasprm) * factor
         if actuator.biasprm[2] > 0 and actuator.gainprm[0] == -actuator.biasprm[1]:
             # To the compiler this is a damping ratio, unless the first two differ, if by no more than rounding.
             actuator.gainprm[0] = np.nextafter(actuator.gainprm[0], np.inf)

@@ -1,5 +1,7 @@
 """What no effect explains is found: a law of a joint in its own coordinates, and what outlasts single rows."""
 
+from types import SimpleNamespace
+
 import mujoco
 import numpy as np
 import pytest
@@ -170,3 +172,16 @@ def test_rows_of_a_robot_that_do_not_follow_each_other_are_diagnosed():
     smoother = MujocoSimulator(ARM, frame_skip=4, built_in={"damping[elbow]": -0.03})
     diagnosis = SimulationDiagnosis(smoother, random_state=0).fit(X, y, groups=np.arange(len(X)))
     assert [cause.name for cause in diagnosis.causes_] == ["damping[elbow]"]
+
+
+def test_persistence_does_not_reach_across_the_borders_of_whitening():
+    rng = np.random.default_rng(0)
+    episodes = np.repeat(np.arange(40), 120)
+    log = Log(np.zeros((len(episodes), 1)), np.zeros((len(episodes), 1)), episodes, True)
+    white = 0.01 * rng.normal(size=(len(episodes), 1))
+    signs = rng.choice([-1.0, 1.0], 40)
+    white[np.arange(40) * 120 + 59, 0] = signs  # the last row of a piece
+    white[np.arange(40) * 120 + 63, 0] = -signs  # in the next one
+    residuals = SimpleNamespace(log=log, simulator=SimpleNamespace(residual_names=("p",)))
+    (pair,) = _persistence(residuals, white)
+    assert pair.p_value > 0.001

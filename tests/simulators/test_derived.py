@@ -128,12 +128,14 @@ def test_delay_after_a_shorter_time_step_is_written_with_room_for_it(tmp_path):
     assert written.actuator_history[0, 0] == 7
 
 
-def test_gain_of_a_motor_with_an_electrical_side_is_no_effect():
-    electric = '<dcmotor name="dc" joint="j" motorconst="0.05" resistance="2"/>'
-    motors = f'<actuator>{electric}<motor name="m" joint="j"/></actuator>'
+def test_actuators_whose_parameters_are_no_forces_have_no_gain():
+    others = """<dcmotor name="dc" joint="j" motorconst="0.05" resistance="2"/>
+      <general name="muscle" joint="j" gaintype="muscle" biastype="muscle" lengthrange="0.5 1.5"
+      gainprm="0.75 1.05 50 200 0.5 1.6 1.5 1.3 1.2" biasprm="0.75 1.05 50 200 0.5 1.6 1.5 1.3 1.2"/>"""
+    motors = f'<actuator>{others}<motor name="m" joint="j"/><position name="p" joint="j" kv="1"/></actuator>'
     names = {effect.name for effect in MujocoSimulator(model(swinging(), motors)).effects()}
-    assert "gain[m]" in names
-    assert "gain[dc]" not in names
+    assert {"gain[m]", "gain[p]"} <= names
+    assert not {"gain[dc]", "gain[muscle]"} & names
 
 
 def test_length_of_a_link_made_of_a_mesh_moves_its_centre():
