@@ -124,7 +124,7 @@ def _fresh_errors(log, extended):
     predictions = {
         "nominal": log.predict(),
         "extended": extended.predict(log.X, groups=log.groups),
-        "floor": log.predict(log.hidden, refined=True),
+        "floor": log.predict(log.hidden),
     }
     return {
         name: float(log.squared_errors(prediction)[rows].mean()) for name, prediction in predictions.items()

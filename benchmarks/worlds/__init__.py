@@ -1,7 +1,7 @@
 """Worlds with hidden effects: measured logs whose truth is known, made without any code of ``skat``.
 
-A world is a nominal model, effects hidden in it as raw edits or forces, another time step or solver where the
-model does not feel it, and sensors with Student-t noise of 1 % of each channel's spread, rounded to a grid.
+A world is a nominal model, effects hidden in it as raw edits or forces, another solver of the contacts, and
+sensors with Student-t noise of 1 % of each channel's spread, rounded to a grid.
 `measure` gives what a user would have: rows of inputs and outputs. `Log.excess` gives what a user has not:
 how much larger the nominal model's error is than the true model's.
 """

@@ -86,9 +86,9 @@ class Log:
             )
         return np.linalg.cholesky(np.eye(2 * nv) + derivative @ derivative.transpose(0, 2, 1))
 
-    def predict(self, hidden=(), *, refined=False):
+    def predict(self, hidden=()):
         """Return next states predicted from the measured rows by a model with ``hidden`` in it."""
-        physics = Physics(self.kind, hidden, refined=refined)
+        physics = Physics(self.kind, hidden)
         offset, factor = _sensors(self.kind, hidden)
         nq, nv = physics.model.nq, physics.model.nv
         states = (self.X[:, : nq + nv] - offset) / factor
@@ -108,7 +108,7 @@ class Log:
     def excess(self):
         """Return s: the nominal model's mean squared one-step error over the true model's, minus 1."""
         nominal = self.squared_errors(self.predict()).mean()
-        return nominal / self.squared_errors(self.predict(self.hidden, refined=True)).mean() - 1
+        return nominal / self.squared_errors(self.predict(self.hidden)).mean() - 1
 
 
 def measure(kind, hidden=(), *, seed, n_episodes=30, n_steps=50, noise=0.01):

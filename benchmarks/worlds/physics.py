@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from worlds.models import FRAME_SKIP, REFINEMENT, ROOT_BODY, SOLVER, actuator_names, compile_model
+from worlds.models import FRAME_SKIP, ROOT_BODY, SOLVER, actuator_names, compile_model
 
 
 class Physics:
@@ -13,26 +13,19 @@ class Physics:
     ----------
     kind : str
     hidden : sequence of (family, target, value)
-    refined : bool
-        Integrate and solve as a world does; False does so as the nominal model. A force that follows the state from
-        step to step feels a finer step (a Coulomb friction by 0.3 % of its size), so that a world with one keeps the
-        nominal model's.
     """
 
-    def __init__(self, kind, hidden=(), *, refined=True):
-        felt = any(family in _FORCES for family, _, _ in hidden)
-        refinement = REFINEMENT[kind] if refined and not felt else 1
+    def __init__(self, kind, hidden=()):
         self.kind = kind
-        self.model = compile_model(kind, hidden, refinement=refinement)
-        self.substeps = FRAME_SKIP[kind] * refinement
+        self.model = compile_model(kind, hidden)
+        self.substeps = FRAME_SKIP[kind]
         for family, _, value in hidden:
             if family == "timestep":
                 # Another time step for the same transition: a whole number of them.
                 substeps = round(self.substeps / value)
                 self.model.opt.timestep *= self.substeps / substeps
                 self.substeps = substeps
-        if refined:
-            self.model.opt.solver, self.model.opt.iterations, self.model.opt.tolerance = SOLVER, 500, 1e-12
+        self.model.opt.solver, self.model.opt.iterations, self.model.opt.tolerance = SOLVER, 500, 1e-12
         self.delay = sum(value for family, _, value in hidden if family == "delay")
         self._data = mujoco.MjData(self.model)
         self._root = self.model.body(ROOT_BODY[kind]).id

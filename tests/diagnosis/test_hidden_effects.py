@@ -42,7 +42,7 @@ def diagnosed(worlds, log):
 def excess_left(diagnosis, fresh):
     """Return the share of the excess error on other episodes that the extended simulation leaves."""
     nominal = fresh.squared_errors(fresh.predict()).mean()
-    floor = fresh.squared_errors(fresh.predict(fresh.hidden, refined=True)).mean()
+    floor = fresh.squared_errors(fresh.predict(fresh.hidden)).mean()
     extended = fresh.squared_errors(
         diagnosis.extended_simulator_.predict(fresh.X, groups=fresh.groups)
     ).mean()
