@@ -62,9 +62,10 @@ def grams(residuals, derivatives, blocks, weights=None):
     starts = np.flatnonzero(np.r_[True, np.diff(blocks) > 0])
     weighted = derivatives * weights[:, None, None]
     scores = np.add.reduceat(np.einsum("ndk,nd->nk", weighted, residuals), starts, axis=0)
+    n_effects = derivatives.shape[-1]
     information = np.stack(
         [
-            np.einsum("ndk,ndl->kl", weighted[begin:end], derivatives[begin:end], optimize=True)
+            weighted[begin:end].reshape(-1, n_effects).T @ derivatives[begin:end].reshape(-1, n_effects)
             for begin, end in zip(starts, np.r_[starts[1:], len(blocks)])
         ]
     )
@@ -170,13 +171,11 @@ def _scaled_wald(scores, informations):
     total = informations.sum(axis=0)
     bread = np.linalg.pinv(total, rcond=1e-12, hermitian=True)
     n_effects = len(total)
-    meat = np.zeros_like(total)
-    leverages = []
-    for score, information in zip(scores, informations):
-        hat = information @ bread
-        leverages.append(np.clip(np.diag(hat), 0, 1))
-        corrected = np.linalg.lstsq(np.eye(n_effects) - np.clip(hat, -0.999, 0.999), score, rcond=1e-8)[0]
-        meat += np.outer(corrected, corrected)
+    hats = informations @ bread
+    leverages = np.clip(np.einsum("bkk->bk", hats), 0, 1)
+    inverses = np.linalg.pinv(np.eye(n_effects) - np.clip(hats, -0.999, 0.999), rcond=1e-8)
+    corrected = np.einsum("bkl,bl->bk", inverses, scores)
+    meat = corrected.T @ corrected
     covariance = bread @ meat @ bread
     widen = np.sqrt(np.maximum(np.diag(bread) / np.maximum(np.diag(covariance), 1e-300), 1.0))
     freedom = np.maximum(1 / np.maximum(np.sum(np.square(leverages), axis=0), 1e-12) - n_effects, 1.0)
