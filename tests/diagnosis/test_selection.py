@@ -123,3 +123,38 @@ def test_value_in_the_wrong_optimum_is_left_for_the_right_one():
     right, line = selection.estimates.polished(selection._elsewhere(stuck, line))
     assert abs(right["frequency"] - 1.503) < 0.002
     assert selection._elsewhere(right, line) is None
+
+
+def wave_and_ripple(X, frequency=1.0, ripple=0.0):
+    return wave(X, frequency) + ripple * np.sin(40 * X)
+
+
+def test_whole_ranges_are_searched_when_all_that_was_added_is_dropped(monkeypatch):
+    rng = np.random.default_rng(0)
+    X = rng.uniform(0, 10, (300, 1))
+    effects = [
+        Effect("frequency", unit="1", neutral=1.0, bounds=(0.3, 3.0)),
+        Effect("ripple", unit="1", neutral=0.0, bounds=(-1.0, 1.0)),
+    ]
+    simulator = FunctionSimulator(wave_and_ripple, input_names=("x",), output_names=("y",), effects=effects)
+    log = check_log(simulator, X, wave(X, 1.503) + 0.02 * rng.normal(size=X.shape), None)
+    selection = Selection(
+        Residuals(simulator, log, effects, [0.02]),
+        ["frequency", "ripple"],
+        alpha=0.005,
+        max_effects=6,
+        progress=lambda *_: None,
+    )
+    grown, searches = selection._grown, []
+
+    def misled_at_first(line, *, far_off=False):
+        searches.append(far_off)
+        if not far_off:
+            return {"ripple": 0.05}, selection.estimates.linearised({"ripple": 0.05}), [{"ripple": 0.05}]
+        return grown(line, far_off=far_off)
+
+    monkeypatch.setattr(selection, "_grown", misled_at_first)
+    selected = selection.run()
+    assert searches == [False, True]
+    assert set(selected.values) == {"frequency"}
+    assert abs(selected.values["frequency"] - 1.503) < 0.002
