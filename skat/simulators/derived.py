@@ -26,17 +26,18 @@ def write_down(spec: mujoco.MjSpec) -> None:
 
 
 def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """Return the compiled model, its bodies in the spec's order."""
+    copy = spec.copy()
+    copy.compiler.fusestatic = False
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return spec.copy().compile()
+        return copy.compile()
 
 
 def _masses(spec: mujoco.MjSpec) -> None:
+    """Write down masses and inertias that bounds decide, and then scale all to their total, as the compiler does."""
     compiler = spec.compiler
-    total = compiler.settotalmass
-    if total > 0:
-        compiler.settotalmass = -1
-        scale_mass(range(len(spec.bodies)), spec, total / float(np.sum(_compiled(spec).body_mass)))
+    total, compiler.settotalmass = compiler.settotalmass, -1
     if compiler.boundmass > 0 or compiler.boundinertia > 0:
         bounded = _compiled(spec)
         compiler.boundmass = compiler.boundinertia = 0
@@ -56,6 +57,8 @@ def _masses(spec: mujoco.MjSpec) -> None:
                 body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
                 body.mass, body.inertia = bounded.body_mass[index], bounded.body_inertia[index]
                 body.ipos, body.iquat = bounded.body_ipos[index], bounded.body_iquat[index]
+    if total > 0:
+        scale_mass(range(len(spec.bodies)), spec, total / float(np.sum(_compiled(spec).body_mass)))
 
 
 def _controllers(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:

@@ -270,3 +270,33 @@ def test_joints_of_flexible_bodies_have_no_effects_that_mujoco_refuses():
     )
     simulator = MujocoSimulator(model(flex))
     assert not any(effect.family == "damping" for effect in simulator.effects())
+
+
+@pytest.mark.parametrize(
+    "equality", ['<connect body1="a" body2="b" anchor=".1 0 0"/>', '<weld body1="a" body2="b"/>']
+)
+def test_ends_of_a_closed_loop_are_found_where_static_bodies_are_fused(equality):
+    post = '<body name="post"><geom size=".1" pos="0 3 0"/></body>'
+    other = '<body name="a" pos=".3 0 0"><freejoint/><geom size=".05"/></body>'
+    text = model(
+        post + other + swinging(),
+        f'<compiler fusestatic="true"/><equality>{equality}</equality>',
+    )
+    row = [0.31, 0, 0.02, 1, 0, 0, 0, 0.1, *np.zeros(7)]
+    found = MujocoSimulator(text, frame_skip=20).predict([row])[0]
+    np.testing.assert_allclose(found, stepped(text, row, 20), rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("fused", ["", 'fusestatic="true"'])
+def test_bounds_and_a_total_of_masses_are_those_of_the_compiler(fused, tmp_path):
+    light = '<body name="a" pos="1 0 0"><joint name="k" axis="0 1 0"/><geom size=".05" mass="1" pos="0 0 .3"/></body>'
+    post = '<body name="post"><geom size=".1" pos="0 3 0"/></body>'
+    text = model(
+        post + light + swinging(), f'<compiler {fused} settotalmass="100" boundmass="3" boundinertia=".4"/>'
+    )
+    row = [0.5, -0.3, 0.2, 0.1]
+    simulator = MujocoSimulator(text, frame_skip=20)
+    np.testing.assert_allclose(simulator.predict([row])[0], stepped(text, row, 20), rtol=1e-9, atol=1e-9)
+    simulator.to_mjcf(tmp_path / "same.xml")
+    same = stepped((tmp_path / "same.xml").read_text(), row, 20)
+    np.testing.assert_allclose(same, stepped(text, row, 20), rtol=1e-9, atol=1e-9)
