@@ -8,7 +8,7 @@ therefore fitted and judged by secants that are as wide as they are uncertain.
 import numpy as np
 from scipy import stats
 
-from skat.diagnosis.evidence import as_good, grams, lone_statistics, solve_scaled, wald
+from skat.diagnosis.evidence import as_good, grams, lone_statistics, wald
 from skat.diagnosis.refits import Refits
 
 POLISH_STEPS = 5
@@ -118,12 +118,14 @@ class Estimates:
         """
         if not values:
             return values, line, {}
+        first, settled = values, False
         drawn: list[list[float]] = []
         for _ in range(MOST_SETTLINGS):
             moved, moves = self._newton(values)
             largest = np.max(np.abs(moves))
-            if largest < SETTLED and not drawn:
-                return values, line, dict.fromkeys(values, 0.0)
+            settled = bool(largest < SETTLED and not drawn)
+            if settled:
+                break
             if drawn or largest < NEAR:
                 drawn.append(list(moved.values()))
             if len(drawn) == SETTLINGS:
@@ -133,7 +135,11 @@ class Estimates:
             self.residuals.settle(values)
             self.refits.set_scale(self.residuals.whitened([values])[0])
         names = list(values)
-        if len(drawn) == SETTLINGS:
+        if settled and values is first:
+            return values, line, dict.fromkeys(names, 0.0)
+        if settled:
+            spread = np.zeros(len(names))
+        elif len(drawn) == SETTLINGS:
             spread = np.std(drawn, axis=0, ddof=1)
             values = dict(zip(names, map(float, np.mean(drawn, axis=0))))
         else:  # Still on the way: the last step is as far as the truth may be.
@@ -143,31 +149,30 @@ class Estimates:
         return values, line, dict(zip(names, map(float, spread)))
 
     def _newton(self, values):
-        """Return values after a Gauss-Newton step by secants, and its length in standard errors."""
+        """Return values after a Gauss-Newton step by secants within the bounds, and its length in standard errors."""
         gram = self._secant_grams(values)[2]
-        information = gram.information.sum(axis=0)
-        move = solve_scaled(information, gram.scores.sum(axis=0)[:, None])[:, 0]
-        errors = np.sqrt(np.diag(wald(gram)[0]))
-        move *= min(1.0, LONGEST_STEP / max(np.max(np.abs(move / errors)), 1e-300))
-        moved = {
-            name: float(np.clip(value + step, *self.effects[name].bounds))
-            for (name, value), step in zip(values.items(), move)
-        }
-        return moved, np.array([moved[name] - values[name] for name in values]) / errors
+        stepped, _ = self.refits.step(values, gram.information.sum(axis=0), gram.scores.sum(axis=0), 0.0)
+        moves = np.subtract(list(stepped.values()), list(values.values())) / np.sqrt(np.diag(wald(gram)[0]))
+        share = min(1.0, LONGEST_STEP / max(np.max(np.abs(moves)), 1e-300))
+        moved = {name: value + share * (stepped[name] - value) for name, value in values.items()}
+        return moved, share * moves
 
     def covariance(self, values):
-        """Return (names, covariance, degrees of freedom) of fitted values."""
+        """Return (names, covariance, degrees of freedom) of fitted values.
+
+        What neighbours in time have in common widens the covariance where enough blocks tell; the degrees of freedom
+        are then those of the blocks.
+        """
         names = list(values)
         residuals, derivatives, gram = self._secant_grams(values)
         covariance, freedom = wald(gram)
         by_block, block_freedom = wald(
             grams(residuals, derivatives, self.blocks, self.refits.weights(residuals))
         )
-        # What neighbours in time have in common widens intervals where enough blocks tell.
         enough = np.isfinite(np.diag(covariance)) & (block_freedom > FEWEST_BLOCKS_TO_WIDEN)
         ratio = np.where(enough, np.diag(by_block), np.diag(covariance)) / np.diag(covariance)
         widen = np.sqrt(np.maximum(np.nan_to_num(ratio, nan=1.0), 1.0))
-        return names, covariance * np.outer(widen, widen), freedom
+        return names, covariance * np.outer(widen, widen), np.where(widen > 1, block_freedom, freedom)
 
     def _secant_grams(self, values):
         """Return residuals, their slopes by the values (n_rows, n_channels, n_values), and the Grams of both.
@@ -206,15 +211,14 @@ class Estimates:
         rows = np.arange(count) if self.residuals.log.consecutive else self.blocks
         return rows // -(-count * n_effects**2 // LARGEST_GRAM)
 
-    def p_values(self, values):
-        """Return the p-value of each fitted value by itself."""
+    def p_values(self, values, spread=None):
+        """Return the p-value of each fitted value by itself, given by how much it varies beside its standard error."""
         names, covariance, freedom = self.covariance(values)
         p_values = {}
         for k, name in enumerate(names):
-            distance = values[name] - self.effects[name].neutral
-            p_values[name] = float(
-                2 * stats.t.sf(abs(distance) / np.sqrt(max(covariance[k, k], 1e-300)), freedom[k])
-            )
+            distance = abs(values[name] - self.effects[name].neutral)
+            error = np.hypot(np.sqrt(covariance[k, k]), (spread or {}).get(name, 0.0))
+            p_values[name] = float(2 * stats.t.sf(distance / max(error, 1e-150), freedom[k]))
         return p_values
 
     def profile_interval(self, name, values, line):

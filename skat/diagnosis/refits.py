@@ -87,13 +87,13 @@ class Refits:
                 else:
                     damping[m] = max(damping[m] * 30, 1e-2)
                 _, at, information, score = best[m]
-                proposals[m], size = self._step(at, information, score, damping[m])
+                proposals[m], size = self.step(at, information, score, damping[m])
                 if size > CONVERGED and damping[m] < 1e4:
                     still.append(m)
             active = still
         return [Fit(one[1] | fixed, one[0]) for one, fixed in zip(best, held)]
 
-    def _step(self, at, information, score, damping):
+    def step(self, at, information, score, damping):
         """Return the values after a damped step within the bounds, and the step's length in standard errors."""
         names = list(at)
         scale = np.sqrt(np.maximum(np.diag(information), 1e-300))

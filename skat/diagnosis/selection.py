@@ -107,8 +107,13 @@ class Selection:
             # What was added did not stand: a derivative misled, and the truth may be far off.
             values, line, history = self._grown(line, far_off=True)
             values, line = self._prune(values, line)
-        values, line, spread = self.estimates.averaged(values, line)
-        return self._result(values, line, spread, history)
+        while True:
+            # Averaged values may be less certain than those they are the mean of.
+            values, line, spread = self.estimates.averaged(values, line)
+            kept, line = self._prune(values, line, spread)
+            if kept.keys() == values.keys():
+                return self._result(values, line, spread, history)
+            values = kept
 
     def _grown(self, line, *, far_off=False):
         """Return the model with all effects that a forward selection adds, its linearisation, and what was added."""
@@ -311,21 +316,23 @@ class Selection:
         if effect.neutral == 1:
             points = [*FACTORS, 0.0, -1.0] if effect.bounds[0] < 0 else FACTORS
         else:
-            points = [share * bound for share in GRID for bound in effect.bounds]
+            points = [
+                effect.neutral + share * (end - effect.neutral) for share in GRID for end in effect.bounds
+            ]
         low, high = effect.bounds
         return [point for point in points if low <= point <= high and point != effect.neutral]
 
     # -- decisions -------------------------------------------------------------------------------------------------
 
-    def _prune(self, values, line):
-        """Drop effects that are no longer significant beside the others."""
+    def _prune(self, values, line, spread=None):
+        """Drop effects that are no longer significant beside the others, given by how much their values vary."""
         self.fall_p_values: dict[str, float] = {}
         while values:
             self.refits.set_scale(line.residuals)
             losses = self.refits.losses(line.residuals)
             p_values = {
                 name: family_p_value(p, len(self.names))
-                for name, p in self.estimates.p_values(values).items()
+                for name, p in self.estimates.p_values(values, spread).items()
                 if name not in self.fall_p_values
             }
             worst = max(p_values, key=lambda name: p_values[name], default=None)
@@ -345,7 +352,7 @@ class Selection:
                 values, line = self._simplified(*self.estimates.polished(without.values))
             else:
                 values, line = {}, self.estimates.linearised({})
-            self.fall_p_values = {}
+            self.fall_p_values, spread = {}, None
         return values, line
 
     def _result(self, values, line, spread, history):

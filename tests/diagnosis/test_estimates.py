@@ -1,5 +1,7 @@
 """How exactly and how surely the values of named effects are known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -111,3 +113,69 @@ def test_effect_that_moves_jumps_is_screened_by_what_a_larger_change_does():
     assert np.sum(np.less(derivatives, -6)) <= 2
     assert np.sum(np.less(kept, -6)) >= 4
     assert np.all(np.abs(kept) >= 0.99 * np.abs(derivatives))
+
+
+# -- at a bound, and far from the optimum ------------------------------------------------------------------------------
+
+
+def two_pulls(X, a=0.0, b=0.0):
+    """Return what two alike inputs give."""
+    return (a * X[:, 0] + b * (0.9 * X[:, 0] + 0.436 * X[:, 1]))[:, None]
+
+
+def pulls_estimates(highest):
+    """Return the Estimates of a = 0, b = 3 where b may not exceed a bound, and the model fitted within it."""
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(200, 2))
+    y = two_pulls(X, b=3.0) + 0.1 * rng.normal(size=(200, 1))
+    effects = [
+        Effect("a", unit="1", neutral=0.0, bounds=(-5.0, 5.0)),
+        Effect("b", unit="1", neutral=0.0, bounds=(-highest, highest)),
+    ]
+    simulator = FunctionSimulator(two_pulls, input_names="uv", output_names="p", effects=effects)
+    estimates = Estimates(Residuals(simulator, check_log(simulator, X, y, None), effects, [0.1]), ["a", "b"])
+    estimates.linearised({})
+    return estimates, X, y
+
+
+def test_an_effect_at_its_bound_leaves_the_others_where_they_fit_best():
+    estimates, X, y = pulls_estimates(1.0)
+    values, line = estimates.polished({"a": 0.1, "b": 0.9})
+    averaged, line, _ = estimates.averaged(values, line)
+    assert averaged["b"] == 1.0
+    # By hand: least squares of a with b at 1.
+    left = (y - two_pulls(X, b=1.0))[:, 0]
+    assert abs(averaged["a"] - X[:, 0] @ left / (X[:, 0] @ X[:, 0])) < 0.03
+
+
+def test_linearisation_belongs_to_the_averaged_values():
+    estimates, _, _ = pulls_estimates(5.0)
+    values, line = estimates.polished({"a": 0.1, "b": 2.9})
+    error = np.sqrt(np.diag(estimates.covariance(values)[1]))[0]
+    averaged, line, spread = estimates.averaged(values | {"a": values["a"] + 4 * error}, line)
+    assert abs(averaged["a"] - values["a"]) < 0.2 * error
+    assert line.values == averaged
+    assert spread == {"a": 0.0, "b": 0.0}
+
+
+def test_degrees_of_freedom_are_those_of_the_blocks_where_they_widen_the_error():
+    rng = np.random.default_rng(0)
+    widened = 0
+    for _ in range(6):
+        blocks = np.repeat(np.arange(15), 12)
+        X = rng.normal(size=(180, 1)) + 2
+        y = 0.5 * X + np.repeat(rng.normal(size=15), 12)[:, None] + 0.1 * rng.normal(size=(180, 1))
+        effect = Effect("slope", unit="1", neutral=0.0, bounds=(-5.0, 5.0))
+        simulator = FunctionSimulator(
+            lambda X, slope=0.0: slope * X, input_names="u", output_names="p", effects=[effect]
+        )
+        residuals = Residuals(simulator, check_log(simulator, X, y, None), [effect], [1.0])
+        residuals.blocks, residuals.log = blocks, replace(residuals.log, consecutive=True)
+        estimates = Estimates(residuals, ["slope"])
+        estimates.linearised({})
+        values, _ = estimates.polished({"slope": 0.4})
+        _, covariance, freedom = estimates.covariance(values)
+        alone = 1 / np.sum(X**2)
+        assert covariance[0, 0] > 3 * alone
+        widened += freedom[0] < 15
+    assert widened == 6

@@ -158,3 +158,34 @@ def test_whole_ranges_are_searched_when_all_that_was_added_is_dropped(monkeypatc
     assert searches == [False, True]
     assert set(selected.values) == {"frequency"}
     assert abs(selected.values["frequency"] - 1.503) < 0.002
+
+
+def test_an_effect_that_averaging_makes_uncertain_is_dropped(monkeypatch):
+    rng = np.random.default_rng(0)
+    X = rng.uniform(0, 10, (300, 1))
+    effects = [
+        Effect("frequency", unit="1", neutral=1.0, bounds=(0.3, 3.0)),
+        Effect("ripple", unit="1", neutral=0.0, bounds=(-1.0, 1.0)),
+    ]
+    simulator = FunctionSimulator(wave_and_ripple, input_names=("x",), output_names=("y",), effects=effects)
+    y = wave_and_ripple(X, 1.503, 0.0075) + 0.02 * rng.normal(size=X.shape)
+
+    def select():
+        return Selection(
+            Residuals(simulator, check_log(simulator, X, y, None), effects, [0.02]),
+            ["frequency", "ripple"],
+            alpha=0.005,
+            max_effects=6,
+            progress=lambda *_: None,
+        )
+
+    assert set(select().run().values) == {"frequency", "ripple"}
+    selection = select()
+    averaged = selection.estimates.averaged
+
+    def uncertain(values, line):
+        values, line, spread = averaged(values, line)
+        return values, line, spread | ({"ripple": 0.1} if "ripple" in values else {})
+
+    monkeypatch.setattr(selection.estimates, "averaged", uncertain)
+    assert set(selection.run().values) == {"frequency"}
