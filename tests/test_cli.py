@@ -105,6 +105,16 @@ def test_diagnose_names_the_hidden_friction_and_writes_a_report(here):
     assert "<svg" in report or "<img" in report
 
 
+def test_a_column_that_was_guessed_is_hidden_from_the_diagnosis(here):
+    guessed = edited(here, **{"qvel.rail": np.zeros(240)})
+    result = skat("diagnose", "model.xml", guessed, "--hidden", "qvel.rail", "--effect", "damping[rail]")
+    assert result.exit_code == 0, result.output
+    assert "Log: named" in result.stdout
+    assert "Error of whole episodes on data not used" in result.stdout
+    assert "trajectory error" in result.stdout
+    assert (here / "edited-report.html").exists()
+
+
 def test_extended_model_is_one_that_mujoco_loads(here):
     result = skat(
         "diagnose",

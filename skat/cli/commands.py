@@ -271,9 +271,8 @@ def _show(study):
         print_line(f"  {cause.sentence}")
     if diagnosis.causes_:
         console.print(table_of(_causes(diagnosis.causes_)))
-    console.print(
-        table_of(study.errors[["method", "error", "ratio"]], title="One-step error on data not used")
-    )
+    whose = "Error of whole episodes" if tuple(diagnosis.hidden) else "One-step error"
+    console.print(table_of(study.errors[["method", "error", "ratio"]], title=f"{whose} on data not used"))
     noted = study.errors[study.errors["note"] != ""]
     for note, rows in noted.groupby("note", sort=False):
         print_line(f"  {', '.join(rows['method'])}: {note}")

@@ -12,7 +12,7 @@ from skat.diagnosis.findings import Cause
 from skat.diagnosis.gains import episode_gain, one_step_gain
 from skat.diagnosis.identifiability import identifiability, preflight
 from skat.diagnosis.log import check_log
-from skat.diagnosis.omnibus import find_remainder
+from skat.diagnosis.omnibus import find_remainder, is_structured
 from skat.diagnosis.plausibility import warn_of_doubts
 from skat.diagnosis.report import Report
 from skat.diagnosis.residuals import Residuals
@@ -44,7 +44,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         Bound on the chance of any verdict but "nothing detected" where nothing is wrong.
     max_effects : int, default=6
     test_size : float, default=0.3
-        Share of the rows, in whole episodes, held out to measure the gain. 0: all rows are fitted and `gain_` is None.
+        Share of the rows, in whole episodes, held out to measure the gain: one step ahead, or with `hidden` channels
+        over whole episodes. 0: all rows are fitted and `gain_` is None.
     hidden : sequence of str, default=()
         State channels that were not measured. Their columns in X hold first guesses only; whole episodes are then
         compared in open loop, each from an initial state of its own that is fitted.
@@ -159,9 +160,12 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         self._values = dict(selected.values)
         if held_out is not None:
             progress("gain", 0, 1)
-            residuals = self._differentiated(held_out)
-            self.gain_ = one_step_gain(residuals, self._values, random_state)
-            n_diverged += residuals.diverged.sum()
+            if hidden:
+                self.gain_ = self._episode_gain(held_out, "fitted", None, random_state)
+            else:
+                residuals = self._differentiated(held_out)
+                self.gain_ = one_step_gain(residuals, self._values, random_state)
+                n_diverged += residuals.diverged.sum()
         if n_diverged:
             warnings.warn(
                 f"The simulation diverges in {n_diverged} of {len(log)} rows, which were left out; check that they are "
@@ -213,16 +217,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             raise ValueError(
                 "horizon='episode' needs a simulation with a state, and groups=, the episode of each row."
             )
-        return episode_gain(
-            self.simulator,
-            log,
-            self._values,
-            self.noise_,
-            hidden=hidden,
-            initial_state=initial_state,
-            outputs=outputs,
-            random_state=random_state,
-        )
+        return self._episode_gain(log, initial_state, outputs, random_state)
 
     def predict(self, X, groups=None):
         """Return the extended simulation's outputs.
@@ -256,6 +251,12 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             for each effect the further excitation that would separate it from its nearest alias.
         """
         self._check_parameters()
+        if self._checked_hidden():
+            raise ValueError(
+                "preflight judges transitions from measured states; with hidden channels whole episodes are compared, "
+                "and what they show depends on initial states still to be fitted. Call it without hidden=, which is "
+                "what the same robot shows with every state measured."
+            )
         return preflight(self, X, groups)
 
     def __repr__(self, N_CHAR_MAX=700):
@@ -327,6 +328,18 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         residuals.differentiate(self._values)
         return residuals
 
+    def _episode_gain(self, log, initial_state, outputs, random_state):
+        return episode_gain(
+            self.simulator,
+            log,
+            self._values,
+            self.noise_,
+            hidden=self._checked_hidden(),
+            initial_state=initial_state,
+            outputs=outputs,
+            random_state=random_state,
+        )
+
     def _excess(self, residuals, n_fitted):
         """Return the chance of errors so far above the noise, over the blocks of the log, if nothing is left.
 
@@ -344,8 +357,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         return float(stats.t.sf((means.mean() - CLEAN_EXCESS) / max(spread, 1e-12), max(len(means) - 1, 1)))
 
     def _verdict(self):
-        structured = self.remainder_ is not None and self.remainder_.p_value < self.alpha / 4
-        if structured or self.excess_p_value_ < self.alpha / 4:
+        if is_structured(self.remainder_, self.alpha) or self.excess_p_value_ < self.alpha / 4:
             return "unexplained"
         if not self.causes_:
             return "nothing detected"

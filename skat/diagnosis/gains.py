@@ -65,6 +65,8 @@ def episode_gain(simulator, log, values, deviations, *, hidden, initial_state, o
         for i, k in enumerate(chosen)
     }
     floor = float(np.sum(np.asarray(deviations)[chosen] ** 2))
+    if initial_state == "fitted":
+        floor *= episodes.noise_left()
     return _gain(
         nominal, extended, floor, log.episodes, random_state, horizon="episode", channels=channels, root=True
     )

@@ -54,6 +54,11 @@ class Remainder:
         return f"something acts on {self.direction} that depends on {self.coordinate} and is none of the effects known"
 
 
+def is_structured(remainder, alpha):
+    """Whether a Remainder, or None, has a shape that noise would have more rarely than a share of alpha allows."""
+    return remainder is not None and remainder.p_value < alpha / 4
+
+
 @dataclass(frozen=True)
 class _Pair:
     """An error that acts in a direction as a function of a coordinate: its p-value, and the loss it would explain."""

@@ -3,6 +3,8 @@
 import numpy as np
 
 FIT_STEPS = 12
+# Of an episode's residuals, what fitted initial states leave is never taken for a smaller share than this.
+LEAST_FREE = 0.1
 
 
 class Episodes:
@@ -29,6 +31,15 @@ class Episodes:
         self.initial = log.X[first, :n_states]
         self.inputs = np.zeros((log.n_episodes, self.n_steps, log.X.shape[1] - n_states))
         self.inputs[self.place] = log.X[:, n_states:]
+
+    def noise_left(self):
+        """Return the share of the noise's variance that initial states leave if they are fitted to it.
+
+        They take up as many residuals of their episode as they have coordinates.
+        """
+        lengths = np.bincount(self.log.episodes)
+        left = np.maximum(1 - len(self.measured) / (lengths * self.measured.sum()), LEAST_FREE)
+        return float(np.average(left, weights=lengths))
 
     def residuals(self, candidates, initial=None):
         """Return measured minus rolled out, (n_candidates, n_rows, n_measured channels).

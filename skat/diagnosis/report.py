@@ -12,6 +12,7 @@ import pandas as pd
 from skat.diagnosis.comparison import EXTENDED, NOMINAL, ceiling_sentence, compare_transports, is_beaten
 from skat.diagnosis.findings import Gain
 from skat.diagnosis.log import Log, check_log
+from skat.diagnosis.omnibus import is_structured
 from skat.diagnosis.report_figures import cause_picture, log_pictures
 
 TEMPLATE = "report.html.jinja"
@@ -114,7 +115,7 @@ class Report:
             if cause.aliases:
                 lines.append(f"    cannot be told from: {', '.join(cause.aliases)}")
         if diagnosis.verdict_ == "unexplained":
-            lines.append(f"  {_capital(diagnosis.remainder_.sentence)}.")
+            lines.append(f"  {_capital(_rest(diagnosis))}.")
         if diagnosis.causes_:
             lines += [f"  {test.title}: {gain_sentence(test.gain)}" for test in self._tests if test.gain]
         return "\n".join(lines)
@@ -313,7 +314,7 @@ class Report:
         if diagnosis.verdict_ == "nothing detected":
             sentences.append("The log shows no difference from the simulation that noise would not explain.")
         if unexplained:
-            rest = diagnosis.remainder_.sentence
+            rest = _rest(diagnosis)
             sentences.insert(
                 0, f"Beside what is named below, {rest}." if diagnosis.causes_ else f"{_capital(rest)}."
             )
@@ -352,6 +353,13 @@ def gain_sentence(gain):
     if np.ptp(gain.interval) > 1:
         return f"{text}; that is too close to the noise to say which share of the excess is explained."
     return f"{text}; {share} % of the excess is explained (95 %: {low} to {high} %)."
+
+
+def _rest(diagnosis):
+    """Return in words what is left: its shape, or that it has none."""
+    if is_structured(diagnosis.remainder_, diagnosis.alpha):
+        return diagnosis.remainder_.sentence
+    return "errors are larger than the noise explains, and depend on no single input in a way that would say where"
 
 
 def _cause_sentence(cause):
@@ -505,7 +513,7 @@ def _channels(diagnosis, test):
 def _remainder(diagnosis):
     """Return the table of what is left, or None."""
     remainder = diagnosis.remainder_
-    if diagnosis.verdict_ != "unexplained" or remainder is None:
+    if diagnosis.verdict_ != "unexplained" or not is_structured(remainder, diagnosis.alpha):
         return None
     frame = pd.DataFrame(
         [(direction, coordinate, _p_value(p)) for direction, coordinate, p in remainder.table[:6]],

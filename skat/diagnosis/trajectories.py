@@ -7,8 +7,6 @@ from skat.diagnosis.residuals import Residuals
 
 # An effect counts as made up for by initial states where less than this share of its derivative is left.
 LEAST_SHARE = 1e-4
-# Of an episode's residuals, what fitted initial states leave is never taken for a smaller share than this.
-LEAST_FREE = 0.1
 
 
 class TrajectoryResiduals(Residuals):
@@ -128,21 +126,3 @@ class TrajectoryResiduals(Residuals):
     def directions(self, values):
         """Return no directions: what is left of a trajectory is not tested for a place in state space."""
         return np.zeros((len(self.log), self.n_channels, 0)), ()
-
-    def noise_errors(self, candidates):
-        """Return the squared distances of whole trajectories (n_candidates, n_rows) in noise units."""
-        # Fitted initial states take up as many residuals of their episode as they have coordinates.
-        n_rows = np.bincount(self.log.episodes)[self.log.episodes]
-        share = np.maximum(1 - len(self.episodes.measured) / (n_rows * self.n_channels), LEAST_FREE)
-        errors = [self._rolled_out(values) ** 2 / self.variances for values in candidates]
-        return np.mean(errors, axis=-1) / share
-
-    def channel_errors(self, values):
-        """Return the root mean squared error of each measured channel over whole trajectories."""
-        sizes = np.sqrt(np.mean(self._rolled_out(values) ** 2, axis=0))
-        measured = np.array(self.simulator.residual_names)[self.episodes.measured]
-        return dict(zip(measured.tolist(), sizes.tolist()))
-
-    def _rolled_out(self, values):
-        initial = self.episodes.fit_initial_states(values, self.deviations)
-        return self.episodes.residuals([values], initial)[0]

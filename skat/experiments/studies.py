@@ -213,9 +213,15 @@ def study_log(log, *, test_size=0.3, random_state=0, progress=None, **parameters
     Returns
     -------
     Study
-        The gain is in one-step errors, in units of the noise.
+        The gain is in one-step errors, in units of the noise; with `hidden` channels, in those of whole episodes in
+        open loop, as far as they were measured, from fitted initial states.
     """
     fit, test = split_episodes(log, test_size=test_size, random_state=random_state)
+    if parameters.get("hidden"):
+        parameters |= {
+            "evaluation": {"horizon": "episode", "initial_state": "fitted"},
+            "error_name": "trajectory error, all measured channels",
+        }
     return _study("Log", log.simulator, fit, test, random_state, progress, **parameters)
 
 

@@ -290,7 +290,10 @@ def test_gain_on_another_log_one_step_and_open_loop(simulator):
     # An initial state of its own takes an episode's noisy start away, for both models.
     assert refined.extended < measured.extended
     assert refined.nominal < measured.nominal
-    np.testing.assert_allclose(refined.floor, np.linalg.norm(diagnosis.noise_), rtol=1e-12)
+    np.testing.assert_allclose(measured.floor, np.linalg.norm(diagnosis.noise_), rtol=1e-12)
+    # It takes up as many of the noise's squares as it has coordinates: one in each channel.
+    n_steps = np.bincount(fresh[2])[0]
+    np.testing.assert_allclose(refined.floor, measured.floor * np.sqrt(1 - 1 / n_steps), rtol=1e-12)
     assert refined.extended < 1.5 * refined.floor
 
 
@@ -367,7 +370,11 @@ def test_hidden_channels_are_carried_not_filled_in(simulator):
     low, high = diagnosis.causes_[0].interval
     assert abs(diagnosis.causes_[0].value - 1.1) < 0.75 * (high - low)
     assert diagnosis.noise_.shape == (2,)
+    assert diagnosis.gain_.horizon == "episode"
     assert set(diagnosis.gain_.channels) == {"x", "angle"}
+    assert "open-loop error" in diagnosis.report_.text()
+    with pytest.raises(ValueError, match="Call it without hidden="):
+        diagnosis.preflight(X, groups)
     assert diagnosis.gain_.channels["angle"][1] < diagnosis.gain_.channels["angle"][0]
     with pytest.raises(ValueError, match="v, w were not measured"):
         diagnosis.evaluate(X, y, groups)

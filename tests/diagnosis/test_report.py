@@ -205,6 +205,18 @@ def test_an_ambiguous_verdict_names_what_cannot_be_told_apart():
     )
 
 
+def test_errors_without_a_shape_are_said_to_have_none():
+    simulator = pendulum()
+    diagnosis = diagnosed(simulator, value=None, verdict="unexplained")
+    diagnosis.remainder_ = Remainder(0.4, "rate", "angle", (("rate", "angle", 0.02),))
+    X, y, groups = pendulum_log()
+    log = check_log(simulator, X, y, groups)
+    report = Report(diagnosis, *log.split(0.4, np.random.RandomState(0)))
+    assert "larger than the noise explains" in report.text()
+    assert "something acts on" not in report.text()
+    assert "What is left" not in report.html(figures=False)
+
+
 def test_an_unexplained_verdict_says_what_is_left_and_how_far_a_transport_comes():
     report = reported(value=None, verdict="unexplained")
     assert "Something acts on rate that depends on angle and is none of the effects known." in report.text()
