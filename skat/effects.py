@@ -22,7 +22,8 @@ class Effect:
     unit : str
         Unit of the value; ``"1"`` for factors.
     neutral : float
-        The value at which the simulation is the model as it was given: 1 for factors, 0 for what is added.
+        The value at which the simulation is the model as it was given: 1 for factors, 0 for what is added. Any other
+        is the model's own value of a quantity that values state in full.
     bounds : tuple of two floats
         Lowest and highest value that make physical sense; ``neutral`` lies within them.
     apply : callable, optional
@@ -81,18 +82,18 @@ class Effect:
 
     @property
     def is_factor(self) -> bool:
-        """Whether values multiply (neutral 1) rather than add (neutral 0)."""
-        return self.neutral != 0
+        """Whether values multiply (neutral 1) rather than add."""
+        return self.neutral == 1
 
     def combined(self, first: float, second: float) -> float:
-        """Return the value that stands for both: the product of factors, otherwise the sum.
+        """Return the value that stands for both: the product of factors, otherwise the sum of what each one adds.
 
         Examples
         --------
         >>> Effect("wind[x]", unit="N", neutral=0.0, bounds=(-1.0, 1.0)).combined(0.25, 0.5)
         0.75
         """
-        return first * second if self.is_factor else first + second
+        return first * second if self.is_factor else first + (second - self.neutral)
 
     def checked(self, value: Any) -> float:
         """Return the value as a float.

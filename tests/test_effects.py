@@ -101,3 +101,10 @@ def test_value_must_be_a_number_and_values_a_dictionary():
 def test_values_come_back_in_the_order_of_the_effects():
     known = [effect("gravity"), effect("mass[torso]")]
     assert list(checked_values(known, {"mass[torso]": 2, "gravity": 1})) == ["gravity", "mass[torso]"]
+
+
+def test_a_quantity_stated_in_full_is_combined_by_what_each_value_adds():
+    spring = Effect("spring", unit="N/m", neutral=40.0, bounds=(0.0, 100.0))
+    assert not spring.is_factor
+    assert spring.combined(50.0, 40.0) == 50.0
+    assert spring.combined(50.0, 45.0) == 55.0

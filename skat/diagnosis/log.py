@@ -11,6 +11,8 @@ FEWEST_ROWS = 20
 CHAIN_LENGTH = 60
 BLOCK_LENGTH = 12
 FEWEST_BLOCKS = 20
+# Groups of rows that have something in common, in logs without time order.
+FEWEST_GROUPS = 5
 # Of the rows that a split should leave to fit, episodes of unequal length leave at least this share.
 LEAST_FITTED = 0.5
 
@@ -166,6 +168,12 @@ def check_log(simulator, X, y, groups, *, fewest_rows=FEWEST_ROWS, hidden=()):
         )
     if not simulator.state_names and episodes[-1] == 0:
         episodes = np.arange(len(X))  # One group says nothing of rows without time order.
+    n_groups = episodes[-1] + 1
+    if not simulator.state_names and fewest_rows > 1 and n_groups < FEWEST_GROUPS:
+        raise ValueError(
+            f"groups tells {n_groups} groups of rows apart, and each counts as one piece of evidence: a diagnosis "
+            f"needs at least {FEWEST_GROUPS}. Pass groups=None if the rows are independent of each other."
+        )
     log = Log(X, y, episodes, bool(simulator.state_names))
     if log.consecutive:
         _check_continuity(simulator, log, hidden)

@@ -112,9 +112,11 @@ class Residuals:
         """
         if self.variances is None:
             self.variances = self._first_variances(values)
+        self._leave_out_unknown(values)
 
     def differentiate(self, values):
         """Differentiate predictions by the state they start from, as far as `noise_errors` needs it: not at all."""
+        self._leave_out_unknown(values)
 
     def linearise(self, values, names):
         """Return the Linearisation by the named effects, at the points that `settle` found.
@@ -279,11 +281,21 @@ class Residuals:
     def _model_residuals(self, values):
         """Return the raw residuals of a model; rows in which it diverges are no evidence any more."""
         raw = self.raw_residuals([values])[0]
-        self._leave_out(~np.isfinite(raw).all(axis=-1))
+        self._leave_out_diverged(~np.isfinite(raw).all(axis=-1))
         return np.where(self.present[:, None], raw, 0.0)
 
-    def _leave_out(self, rows):
+    def _leave_out_diverged(self, rows):
         self.diverged = self.diverged | rows
+        self._leave_out(rows)
+
+    def _leave_out_unknown(self, values):
+        """Leave out the rows in which an action from before the log still acts, unless that is all."""
+        if self.log.consecutive:
+            unknown = self.log.steps < self.simulator.n_lags(values)
+            if (self.present & ~unknown).any():
+                self._leave_out(unknown)
+
+    def _leave_out(self, rows):
         self.present = self.present & ~rows
 
     def raw_residuals(self, candidates):
@@ -383,7 +395,7 @@ class Residuals:
         """
         predictions = self.simulator.predict_many(self.log.X, candidates, groups=self.groups)
         errors = np.stack([self.simulator.residual(self.log.y, one) for one in predictions]) ** 2
-        self._leave_out(~np.isfinite(errors).all(axis=(0, 2)))
+        self._leave_out_diverged(~np.isfinite(errors).all(axis=(0, 2)))
         return np.mean(errors / self._residual_variances(), axis=-1)[:, self.present]
 
     def channel_errors(self, values):

@@ -31,6 +31,7 @@ class TransitionResiduals(Residuals):
             self.variances = self._first_variances(values)
         if self.whitener is None:
             self.differentiate(values)
+        self._leave_out_unknown(values)
         raw = self.raw_residuals([values])[0]
         raw[~self.present | ~np.isfinite(raw).all(axis=-1)] = 0.0
         scale = self.deviations
@@ -107,8 +108,9 @@ class TransitionResiduals(Residuals):
         down = np.stack([self.simulator.residual(one, base) for one in next_states[2::2]], axis=-1)
         self.transitions = np.nan_to_num((up - down) / (2 * deviations))
         self.curvatures = np.nan_to_num((up + down) / deviations**2)
-        self._leave_out(~np.isfinite(base).all(axis=-1))
+        self._leave_out_diverged(~np.isfinite(base).all(axis=-1))
         self.whitener = self._factorised()
+        self._leave_out_unknown(values)
 
     @property
     def extra(self):

@@ -63,6 +63,10 @@ class Simulator(BaseEstimator, ABC):
         """Return effects that are a force on one joint each, with the inputs of that joint; none unless overridden."""
         return ()
 
+    def n_lags(self, effects: Mapping[str, float] | None = None) -> int:
+        """Return of how many earlier rows the actions still act in a row: a delay, in transitions, rounded up."""
+        return self._lags(self._total(effects))
+
     def predict(
         self, X: ArrayLike, *, effects: Mapping[str, float] | None = None, groups: ArrayLike | None = None
     ) -> Array:
@@ -410,7 +414,8 @@ def _rebased(effect: Effect, built_in: float | None) -> Effect:
         return effect
     low, high = effect.bounds
     if not effect.is_factor:
-        return replace(effect, bounds=(low - built_in, high - built_in))
+        added = built_in - effect.neutral
+        return replace(effect, bounds=(low - added, high - added))
     if built_in == 0:
         return effect
     ends = sorted((low / built_in, high / built_in))

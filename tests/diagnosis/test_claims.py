@@ -1,5 +1,6 @@
 """What a diagnosis claims, on logs that invite a false claim."""
 
+import mujoco
 import numpy as np
 import pandas as pd
 import pytest
@@ -10,7 +11,7 @@ from skat.diagnosis.log import check_log
 from skat.diagnosis.residuals import Residuals
 from skat.diagnosis.selection import Selection
 from skat.effects import Effect
-from skat.simulators import FunctionSimulator
+from skat.simulators import FunctionSimulator, MujocoSimulator
 from tests.diagnosis.cart_pole import make_simulator, measure
 
 
@@ -188,3 +189,71 @@ def test_preflight_takes_labels_in_any_order():
         pd.testing.assert_frame_equal(
             diagnosis.preflight(X[rows], labels[groups[rows].astype(int)]), sorted_labels
         )
+
+
+def swung(X, g=9.81, drag=0.0):
+    angle, rate = X.T
+    return (-g * np.sin(angle) - (0.5 + drag) * rate)[:, None]
+
+
+def test_a_quantity_stated_in_full_is_named_and_built_in():
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(200, 2))
+    simulator = simulation(swung, ["angle", "rate"], ["pull"], g=(9.81, 5.0, 15.0), drag=(0.0, -1.0, 1.0))
+    y = swung(X, g=9.6) + 0.02 * rng.normal(size=(200, 1))
+    diagnosis = SimulationDiagnosis(simulator, random_state=0).fit(X, y)
+    assert [cause.name for cause in diagnosis.causes_] == ["g"]
+    low, high = diagnosis.causes_[0].interval
+    assert low < 9.6 < high
+    np.testing.assert_allclose(
+        diagnosis.predict(X), simulator.predict(X, effects={"g": diagnosis.causes_[0].value}), rtol=1e-12
+    )
+    again = SimulationDiagnosis(diagnosis.extended_simulator_, random_state=0).fit(X, y)
+    assert again.verdict_ == "nothing detected"
+
+
+CART = """
+<mujoco>
+  <option timestep="0.005"/>
+  <worldbody>
+    <body name="cart">
+      <joint name="rail" type="slide" axis="1 0 0" damping="0.3"/>
+      <geom name="cart" type="box" size="0.1 0.1 0.1" mass="1"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="push" joint="rail"/></actuator>
+</mujoco>
+"""
+
+
+def late_cart(delay, *, n_episodes=12, n_rows=14, n_before=6, noise=1e-4, seed=0):
+    """Return (X, y, groups) of a cart whose motor is late by so many transitions, logs that begin while it moves."""
+    model = mujoco.MjModel.from_xml_string(CART)
+    rng = np.random.default_rng(seed)
+    X, y = [], []
+    for _ in range(n_episodes):
+        data = mujoco.MjData(model)
+        actions = rng.uniform(-3, 3, size=n_before + n_rows)
+        states = [[0.0, 0.0]]
+        for step in range(4 * len(actions)):
+            row = (step + 0.5) / 4 - delay
+            data.ctrl[:] = actions[int(row)] if row > 0 else 0.0
+            mujoco.mj_step(model, data)
+            if step % 4 == 3:
+                states.append([data.qpos[0], data.qvel[0]])
+        states = np.array(states)[n_before:] + noise * rng.normal(size=(n_rows + 1, 2))
+        X.append(np.column_stack([states[:-1], actions[n_before:]]))
+        y.append(states[1:])
+    return np.concatenate(X), np.concatenate(y), np.repeat(np.arange(n_episodes), n_rows)
+
+
+@pytest.mark.parametrize("delay", [0.75, 2.5])
+def test_rows_in_which_an_action_from_before_the_log_acts_are_no_evidence(delay):
+    X, y, groups = late_cart(delay)
+    simulator = MujocoSimulator(CART, frame_skip=4)
+    diagnosis = SimulationDiagnosis(simulator, random_state=0).fit(X, y, groups=groups)
+    assert diagnosis.verdict_ == "named"
+    assert [cause.name for cause in diagnosis.causes_] == ["delay[action]"]
+    low, high = diagnosis.causes_[0].interval
+    assert low - 1e-4 < delay * 0.02 < high + 1e-4
+    assert diagnosis.gain_.extended < 1.5

@@ -114,6 +114,14 @@ def test_groups_must_name_the_episode_of_every_row(simulator):
         check_log(simulator, X, y, groups[1:])
 
 
+def test_few_groups_of_rows_without_time_order_are_too_little_evidence():
+    thrown = FunctionSimulator(lambda X: X, input_names=("a",), output_names=("b",))
+    X = np.linspace(0, 1, 40)[:, None]
+    with pytest.raises(ValueError, match=r"4 groups .* needs at least 5. Pass groups=None"):
+        check_log(thrown, X, X, np.repeat(range(4), 10))
+    assert check_log(thrown, X, X, np.repeat(range(5), 8)).n_episodes == 5
+
+
 def test_episodes_of_one_row_warn(simulator):
     X, y, _ = rows([30])
     with pytest.warns(UserWarning, match="Every episode has one row"):
