@@ -120,9 +120,11 @@ class Selection:
         values: dict[str, float] = {}
         history: list[dict[str, float]] = []
         jumps = 0
-        while len(values) < self.max_effects:
+        while True:
             self.progress("select", len(values), self.max_effects)
-            added = self._add(values, line, far_off=far_off and not values) or self._apart(values, line)
+            added = None
+            if len(values) < self.max_effects:
+                added = self._add(values, line, far_off=far_off and not values) or self._apart(values, line)
             if added is None and jumps < MOST_JUMPS:
                 added, jumps = self._elsewhere(values, line), jumps + 1
             if added is None:

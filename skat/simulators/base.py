@@ -51,7 +51,7 @@ class Simulator(BaseEstimator, ABC):
         return {}
 
     def effects(self) -> tuple[Effect, ...]:
-        """Return every effect that this simulator can take on.
+        """Return every effect that this simulator can take on and that no other effect listed repeats.
 
         The values of an effect are relative to this simulator: where an effect is built in already, its
         bounds are what is left of the original ones.
