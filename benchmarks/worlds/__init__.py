@@ -6,7 +6,7 @@ sensors with Student-t noise of 1 % of each channel's spread, rounded to a grid.
 how much larger the nominal model's error is than the true model's.
 """
 
-from worlds.logs import Log, measure, size_for
+from worlds.logs import Log, channel_names, measure, size_for
 from worlds.models import FRAME_SKIP, KINDS, body_names, nominal_mjcf, nominal_model
 
 __all__ = [
@@ -14,6 +14,7 @@ __all__ = [
     "KINDS",
     "Log",
     "body_names",
+    "channel_names",
     "measure",
     "nominal_mjcf",
     "nominal_model",

@@ -139,7 +139,8 @@ def test_noise_in_common_within_a_group_is_no_effect(bending):
 def test_split_leaves_enough_to_fit(bending, lengths, seed):
     groups = np.repeat(np.arange(len(lengths)), lengths)
     X = np.random.default_rng(0).normal(size=(len(groups), 2))
-    fitted, held_out = check_log(bending, X, X[:, :1], groups).split(0.3, check_random_state(seed))
+    log = check_log(bending, X, X[:, :1], groups, fewest_rows=1)
+    fitted, held_out = log.split(0.3, check_random_state(seed))
     assert len(fitted) >= 0.5 * 0.7 * len(X)
     assert len(held_out) >= 12
     assert len(fitted) + len(held_out) == len(X)
