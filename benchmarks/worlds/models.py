@@ -12,8 +12,8 @@ import mujoco
 import numpy as np
 
 # Substeps per transition are Gymnasium's frame_skip, and worlds keep the model's step and integrator: with half of
-# the step, the squared differences of a log of 1,000 rows, in units of the noise's variance, sum up to 200 to 400
-# for Hopper, 1e4 for the puck and more for the others (contacts), which is an effect of its own. They use
+# the step, the squared differences of a log of 1,000 rows, in units of the noise's variance, sum up to 75 to
+# 450 for Hopper, 1e4 for the puck and more for the others (contacts), which is an effect of its own. They use
 # another solver, which no model feels (1e-6 at most).
 FRAME_SKIP = {"hopper": 4, "halfcheetah": 5, "ant": 5, "puck": 5}
 SOLVER = mujoco.mjtSolver.mjSOL_CG

@@ -129,7 +129,8 @@ def wave_and_ripple(X, frequency=1.0, ripple=0.0):
     return wave(X, frequency) + ripple * np.sin(40 * X)
 
 
-def test_whole_ranges_are_searched_when_all_that_was_added_is_dropped(monkeypatch):
+def rippled_selection(ripple):
+    """Return the Selection of a wave of frequency 1.503 with a ripple, in noise of 0.02."""
     rng = np.random.default_rng(0)
     X = rng.uniform(0, 10, (300, 1))
     effects = [
@@ -137,14 +138,18 @@ def test_whole_ranges_are_searched_when_all_that_was_added_is_dropped(monkeypatc
         Effect("ripple", unit="1", neutral=0.0, bounds=(-1.0, 1.0)),
     ]
     simulator = FunctionSimulator(wave_and_ripple, input_names=("x",), output_names=("y",), effects=effects)
-    log = check_log(simulator, X, wave(X, 1.503) + 0.02 * rng.normal(size=X.shape), None)
-    selection = Selection(
-        Residuals(simulator, log, effects, [0.02]),
+    y = wave_and_ripple(X, 1.503, ripple) + 0.02 * rng.normal(size=X.shape)
+    return Selection(
+        Residuals(simulator, check_log(simulator, X, y, None), effects, [0.02]),
         ["frequency", "ripple"],
         alpha=0.005,
         max_effects=6,
         progress=lambda *_: None,
     )
+
+
+def test_whole_ranges_are_searched_when_all_that_was_added_is_dropped(monkeypatch):
+    selection = rippled_selection(0.0)
     grown, searches = selection._grown, []
 
     def misled_at_first(line, *, far_off=False):
@@ -161,26 +166,8 @@ def test_whole_ranges_are_searched_when_all_that_was_added_is_dropped(monkeypatc
 
 
 def test_an_effect_that_averaging_makes_uncertain_is_dropped(monkeypatch):
-    rng = np.random.default_rng(0)
-    X = rng.uniform(0, 10, (300, 1))
-    effects = [
-        Effect("frequency", unit="1", neutral=1.0, bounds=(0.3, 3.0)),
-        Effect("ripple", unit="1", neutral=0.0, bounds=(-1.0, 1.0)),
-    ]
-    simulator = FunctionSimulator(wave_and_ripple, input_names=("x",), output_names=("y",), effects=effects)
-    y = wave_and_ripple(X, 1.503, 0.0075) + 0.02 * rng.normal(size=X.shape)
-
-    def select():
-        return Selection(
-            Residuals(simulator, check_log(simulator, X, y, None), effects, [0.02]),
-            ["frequency", "ripple"],
-            alpha=0.005,
-            max_effects=6,
-            progress=lambda *_: None,
-        )
-
-    assert set(select().run().values) == {"frequency", "ripple"}
-    selection = select()
+    assert set(rippled_selection(0.0075).run().values) == {"frequency", "ripple"}
+    selection = rippled_selection(0.0075)
     averaged = selection.estimates.averaged
 
     def uncertain(values, line):
