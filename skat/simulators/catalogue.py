@@ -22,6 +22,8 @@ AXES = "xyz"
 LINEAR_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
 LINEAR_BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
 MAX_DELAY_IN_TRANSITIONS = 5
+# Simulating takes longer by the inverse of it.
+FINEST_TIMESTEP = 0.25
 JOINT_EDITS: dict[str, Callable[..., Any] | None] = {
     "damping": edits.add_damping,
     "dry_friction": edits.add_dry_friction,
@@ -74,7 +76,7 @@ def effect_listing(anatomy: Anatomy, frame_skip: int) -> Listing:
         effects.append(
             Effect("delay[action]", unit="s", neutral=0.0, bounds=bounds, apply=edits.delay_actuators)
         )
-    bounds = (0.1, float(max(1, frame_skip)))
+    bounds = (FINEST_TIMESTEP, float(max(1, frame_skip)))
     effects.append(Effect("timestep", unit="1", neutral=1.0, bounds=bounds, apply=edits.scale_timestep))
     forces = _joint_forces(anatomy)
     names = tuple(force.name for force in forces)
