@@ -126,7 +126,7 @@ class Residuals:
         raw = self._model_residuals(values)
         derivatives = self._derivatives(values, names)
         self.regressors = derivatives
-        self._estimate_noise(raw)
+        raw = self._estimate_noise(raw)
         return Linearisation(dict(values), self.whiten(raw), self.whiten(derivatives), tuple(names))
 
     def with_slopes(self, line, names, slopes):
@@ -137,8 +137,7 @@ class Residuals:
 
     def shifted(self, line, values):
         """Return the last Linearisation carried to a model close to its own: residuals anew, derivatives kept."""
-        raw = self._model_residuals(values)
-        self._estimate_noise(raw)
+        raw = self._estimate_noise(self._model_residuals(values))
         return Linearisation(dict(values), self.whiten(raw), self.whiten(self.regressors), line.names)
 
     def whitened(self, candidates):
@@ -260,14 +259,15 @@ class Residuals:
                 break
         self.steps.update(steps)
 
-    def _explained(self, raw, derivatives):
-        """Return what all effects together, linearly, explain of the residuals: a bound on what is model, not noise."""
-        white, design = self.whiten(raw), self.whiten(derivatives)
+    def _solution(self, raw, columns):
+        """Return the coefficients (n_columns,) by which raw columns together explain raw residuals, robustly."""
+        white, design = self.whiten(raw), self.whiten(columns)
         flat = design.reshape(white.size, -1)
         scale = np.sqrt(np.einsum("ij,ij->j", flat, flat))
         usable = scale > 0
+        found = np.zeros(len(scale))
         if not usable.any():
-            return np.zeros_like(raw)
+            return found
         flat = flat[:, usable] / scale[usable]
         weights = np.repeat(robust_weights(white), self.n_channels)
         values, vectors = np.linalg.eigh((flat * weights[:, None]).T @ flat)
@@ -276,7 +276,8 @@ class Residuals:
         kept = kept[values[kept] > 1e-8 * values.max()]
         right = flat.T @ (weights * white.reshape(-1))
         solution = vectors[:, kept] @ ((vectors[:, kept].T @ right) / values[kept])
-        return derivatives[..., usable] @ (solution / scale[usable])
+        found[usable] = solution / scale[usable]
+        return found
 
     def _model_residuals(self, values):
         """Return the raw residuals of a model; rows in which it diverges are no evidence any more."""
@@ -331,12 +332,13 @@ class Residuals:
         return np.maximum((1.4826 * np.nanmedian(np.abs(raw), axis=0)) ** 2, self.smallest)
 
     def _estimate_noise(self, raw):
-        if self.given_variances is not None:
-            return
-        for _ in range(2):
-            left = (raw - self._explained(raw, self.regressors))[self.present]
-            none = np.zeros((len(left), self.n_channels, self.n_channels))
-            self._set_variances(estimate_variances(left, none, 0.0 * left, smallest=self.smallest))
+        """Estimate the noise from what all regressors together, linearly, do not explain; return the residuals."""
+        if self.given_variances is None:
+            for _ in range(2):
+                left = (raw - self.regressors @ self._solution(raw, self.regressors))[self.present]
+                none = np.zeros((len(left), self.n_channels, self.n_channels))
+                self._set_variances(estimate_variances(left, none, 0.0 * left, smallest=self.smallest))
+        return raw
 
     def _set_variances(self, variances):
         self.variances = variances

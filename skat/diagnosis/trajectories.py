@@ -82,8 +82,8 @@ class TrajectoryResiduals(Residuals):
     def _estimate_noise(self, raw):
         """Estimate variance and correlation of what neither initial states nor all effects explain."""
         if self.given_variances is not None:
-            return
-        left = raw - self._explained(raw, self.regressors)
+            return raw
+        left = raw - self.regressors @ self._solution(raw, self.regressors)
         left = self._without_initial_states(left[..., None], self.nuisance)[..., 0]
         lost = self.log.n_episodes * len(self.episodes.measured) / self.n_channels
         lost += min(self.regressors.shape[-1], max(1, left.size // 10)) / self.n_channels
@@ -95,6 +95,7 @@ class TrajectoryResiduals(Residuals):
         )
         # What is projected out leaves residuals correlated by about -lost / n.
         self.correlation = np.clip(products + lost / len(left), 0.0, 0.95)
+        return raw
 
     def _without_initial_states(self, columns, initial_state):
         out = np.array(columns)

@@ -21,7 +21,13 @@ class TransitionResiduals(Residuals):
         super().__init__(simulator, log, effects, deviations, n_jobs=n_jobs)
         self.places = log.chains()
         self.transitions = np.zeros((len(log), self.n_channels, self.n_channels))
+        # Of what smoothing leaves unknown of each state: axes (in columns) and variances, in units of the noise. Along
+        # them, second derivatives over one standard deviation of the noise, which then had these variances.
+        self.axes = np.tile(np.eye(self.n_channels), (len(log), 1, 1))
+        self.unknown = np.zeros((len(log), self.n_channels))
         self.curvatures = np.zeros((len(log), self.n_channels, self.n_channels))
+        self.variances_stepped = np.ones(self.n_channels)
+        self.drift_share = 0.0
         self.noise = np.zeros((len(log), self.n_channels))
         self.whitener: Any = None
 
@@ -35,11 +41,14 @@ class TransitionResiduals(Residuals):
         raw = self.raw_residuals([values])[0]
         raw[~self.present | ~np.isfinite(raw).all(axis=-1)] = 0.0
         scale = self.deviations
-        noise = self._factorised(self._missed(raw)).smooth(_padded(raw / scale, self.places))
+        whitener = self._factorised(self._missed(raw))
+        noise = whitener.smooth(_padded(raw / scale, self.places))
         noise = np.clip(noise[self.places], -FARTHEST_SMOOTHED, FARTHEST_SMOOTHED)
         self.noise = noise * scale
         self.points = self.simulator.displace(self.log.X, -self.noise)
         if not roughly:
+            unknown, self.axes = np.linalg.eigh(whitener.smoothed_covariances()[self.places])
+            self.unknown = np.clip(unknown, 0.0, 1.0)
             self.differentiate(values)
         if self.regressors.shape[-1]:
             self._estimate_noise(self.raw_residuals([values])[0])
@@ -64,8 +73,22 @@ class TransitionResiduals(Residuals):
         return missed
 
     def raw_residuals(self, candidates):
-        """Return residuals at the smoothed states, carried to the measured ones to first order."""
-        return super().raw_residuals(candidates) - np.einsum("nij,nj->ni", self.transitions, self.noise)
+        """Return residuals at the smoothed states, carried to the measured ones to first order, less their drift."""
+        carried = np.einsum("nij,nj->ni", self.transitions, self.noise) + self.drift_share * self._drift()
+        return super().raw_residuals(candidates) - carried
+
+    def _drift(self):
+        """Return what the noise that smoothing leaves unknown adds to the next state on average, to second order.
+
+        That is for normal noise. At contacts the outcome itself tells on which side of the kink a state was, and less
+        than all of it is left: `drift_share`.
+        """
+        return np.einsum("nij,nj->ni", self._bends(), self.unknown) / 2
+
+    def _bends(self):
+        """Return second derivatives along the axes, in units of the present noise (n_rows, n_channels, n_axes)."""
+        ratio = self.variances / self.variances_stepped
+        return self.curvatures * np.einsum("nja,j->na", self.axes**2, ratio)[:, None]
 
     def _first_variances(self, values):
         """Estimate the noise from a part of the log, all effects regressed out, at the measured states."""
@@ -77,7 +100,7 @@ class TransitionResiduals(Residuals):
             self.steps = inner.steps
             self.n_simulated_rows += inner.n_simulated_rows
             return variances
-        raw = self.raw_residuals([values])[0]
+        raw = super().raw_residuals([values])[0]
         deviation = 1.4826 * np.nanmedian(np.abs(raw[self.present]), axis=0) / np.sqrt(2)
         self.variances = np.maximum(np.minimum(deviation, 0.02 * spread) ** 2, self.smallest)
         self.differentiate(values)
@@ -86,15 +109,14 @@ class TransitionResiduals(Residuals):
         return self.variances
 
     def differentiate(self, values):
-        """Differentiate the next state by the state over one standard deviation of noise to both sides."""
+        """Differentiate the next state by the state, along the axes over one standard deviation to both sides."""
         deviations = self.deviations
+        self.variances_stepped = self.variances
         n, d = len(self.log), self.n_channels
         moved = [self.points]
-        for channel in range(d):
-            for sign in (1, -1):
-                tangent = np.zeros((n, d))
-                tangent[:, channel] = sign * deviations[channel]
-                moved.append(self.simulator.displace(self.points, tangent))
+        for axis in range(d):
+            step = self.axes[:, :, axis] * deviations
+            moved += [self.simulator.displace(self.points, sign * step) for sign in (1, -1)]
         stacked = np.concatenate(moved)
         groups = np.concatenate(
             [self.log.episodes + copy * self.log.n_episodes for copy in range(len(moved))]
@@ -106,8 +128,8 @@ class TransitionResiduals(Residuals):
         base = next_states[0]
         up = np.stack([self.simulator.residual(one, base) for one in next_states[1::2]], axis=-1)
         down = np.stack([self.simulator.residual(one, base) for one in next_states[2::2]], axis=-1)
-        self.transitions = np.nan_to_num((up - down) / (2 * deviations))
-        self.curvatures = np.nan_to_num((up + down) / deviations**2)
+        self.transitions = np.nan_to_num((up - down) / 2) @ np.swapaxes(self.axes, 1, 2) / deviations
+        self.curvatures = np.nan_to_num(up + down)
         self._leave_out_diverged(~np.isfinite(base).all(axis=-1))
         self.whitener = self._factorised()
         self._leave_out_unknown(values)
@@ -115,7 +137,7 @@ class TransitionResiduals(Residuals):
     @property
     def extra(self):
         """Variance that the curvature of the simulation adds: f'' e^2 / 2 has (f'' s^2)^2 / 2 for normal noise."""
-        return np.sum((self.curvatures * self.variances) ** 2, axis=-1) / 2
+        return np.sum(self._bends() ** 2, axis=-1) / 2
 
     def _leave_out(self, rows):
         if (self.present & rows).any():
@@ -127,14 +149,20 @@ class TransitionResiduals(Residuals):
         self.whitener = self._factorised()
 
     def _estimate_noise(self, raw):
-        if self.given_variances is not None:
-            return
+        """Estimate the noise and the share of the drift from what all regressors, linearly, do not explain."""
+        drift = np.where(self.present[:, None], self._drift(), 0.0)
+        columns = np.concatenate([self.regressors, drift[..., None]], axis=-1)
         rows = self.present
         for _ in range(2):
-            left = (raw - self._explained(raw, self.regressors))[rows]
-            self._set_variances(
-                estimate_variances(left, self.transitions[rows], self.extra[rows], smallest=self.smallest)
-            )
+            solution = self._solution(raw, columns)
+            if self.given_variances is None:
+                left = (raw - columns @ solution)[rows]
+                self._set_variances(
+                    estimate_variances(left, self.transitions[rows], self.extra[rows], smallest=self.smallest)
+                )
+        before = self.drift_share
+        self.drift_share = float(np.clip(before + solution[-1], 0.0, 1.0))
+        return raw - (self.drift_share - before) * drift
 
     def _factorised(self, missed=0.0, places=None):
         places, scale = self.places if places is None else places, self.deviations

@@ -82,6 +82,30 @@ class Whitener:
         noise[:, 1:] += weights[:, :-1]
         return noise * self.variances
 
+    def smoothed_covariances(self):
+        r"""Return the covariances :math:`Cov(e_t | r)` of what `smooth` leaves unknown.
+
+        Returns
+        -------
+        ndarray of shape (n_chains, n_steps, n_channels, n_channels)
+        """
+        n_steps, n_channels = self.factors.shape[1:3]
+        # Blocks of the inverse covariance of the residuals: of each step with itself, and of the one before with it.
+        own, before = np.zeros_like(self.factors), np.zeros_like(self.factors)
+        for t in reversed(range(n_steps)):
+            right = inverse = np.linalg.solve(self.factors[:, t], np.eye(n_channels))
+            if t + 1 < n_steps:
+                following = np.swapaxes(self.gains[:, t + 1], 1, 2)
+                before[:, t + 1] = -np.swapaxes(inverse, 1, 2) @ following @ own[:, t + 1]
+                right = inverse - following @ np.swapaxes(before[:, t + 1], 1, 2)
+            own[:, t] = np.swapaxes(inverse, 1, 2) @ right
+        present = self.present[..., None, None]
+        own, transitions = np.where(present, own, 0.0), np.where(present, self.transitions, 0.0)
+        known = np.swapaxes(transitions, -1, -2) @ own @ transitions
+        mixed = before[:, 1:] @ transitions[:, 1:]
+        known[:, 1:] += own[:, :-1] - mixed - np.swapaxes(mixed, -1, -2)
+        return np.diag(self.variances) - self.variances[:, None] * known * self.variances
+
 
 def block_cholesky(transitions, variances, extra_variances, present):
     """Return the Whitener of chains with the given derivatives and noise.

@@ -114,6 +114,16 @@ def test_smoothing_is_the_conditional_mean_of_the_noise(chains):
         )
 
 
+def test_smoothing_knows_what_it_leaves_unknown(chains):
+    covariances = block_cholesky(*chains).smoothed_covariances()
+    for chain in range(N_CHAINS):
+        M, R, C = dense(chain, chains)
+        expected = R - R @ M.T @ np.linalg.solve(C, M @ R)
+        for t in range(N_STEPS):
+            block = slice(t * N_CHANNELS, (t + 1) * N_CHANNELS)
+            np.testing.assert_allclose(covariances[chain, t], expected[block, block], rtol=1e-8, atol=1e-8)
+
+
 def test_smoothing_error_is_uncorrelated_with_the_residuals(chains):
     transitions, variances, _, _ = chains
     present = np.ones((1, N_STEPS), dtype=bool)
