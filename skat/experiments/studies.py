@@ -177,15 +177,20 @@ def study_cube_tosses(*, n_fit=12, n_test=50, data_home=None, random_state=0, pr
     Returns
     -------
     Study
-        The gain is on the trajectory from the measured first state.
+        The gain is on the trajectory from the measured first state. Unless `effects` says otherwise, the time step is
+        not considered: the velocities are differences of the places between frames, which are those of a simulation
+        with a step for each frame.
     """
+    simulator = cube_toss_simulator()
+    effects = [effect.name for effect in simulator.effects() if effect.family != "timestep"]
+    parameters = {"effects": effects, **parameters}
     drawn = np.random.default_rng(random_state).permutation(570)[: n_fit + n_test]
     fit, test = (
         fetch_cube_tosses(np.sort(part), data_home=data_home) for part in (drawn[:n_fit], drawn[n_fit:])
     )
     return _study(
         f"Cube tosses ({n_fit} to fit, {n_test} others to test)",
-        cube_toss_simulator(),
+        simulator,
         fit,
         test,
         random_state,
