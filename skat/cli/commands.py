@@ -79,7 +79,7 @@ def demo_ball_drops(
 
 @demo.command("cube-tosses")
 def demo_cube_tosses(
-    fit: Annotated[int, typer.Option(min=2, help="Number of tosses to fit on.")] = 12,
+    fit: Annotated[int, typer.Option(min=2, help="Number of tosses to fit on.")] = 5,
     test: Annotated[int, typer.Option(min=1, help="Number of other tosses to test on.")] = 50,
     output: Output = None,
     force: Force = False,

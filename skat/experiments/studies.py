@@ -163,7 +163,7 @@ def ball_drop_table(studies):
     return pd.DataFrame(rows)
 
 
-def study_cube_tosses(*, n_fit=12, n_test=50, data_home=None, random_state=0, progress=None, **parameters):
+def study_cube_tosses(*, n_fit=5, n_test=50, data_home=None, random_state=0, progress=None, **parameters):
     """Diagnose a default cube on some tosses, and measure the gain on others.
 
     Parameters
