@@ -134,11 +134,16 @@ class Selection:
         return values, line, history
 
     def _simplified(self, values, line):
-        """Return a model that no exchange of effects makes better, or smaller and as good."""
+        """Return a model that no exchange of effects makes better, or smaller and as good.
+
+        Where the log is like none of them, each looks better at states smoothed by the other: no set comes twice.
+        """
+        tried = {frozenset(values)}
         for _ in range(MOST_EXCHANGES if values else 0):
             exchanged = self._exchanged(values, line)
-            if exchanged is None:
+            if exchanged is None or frozenset(exchanged) in tried:
                 break
+            tried.add(frozenset(exchanged))
             values, line = self.estimates.polished(exchanged)
         return values, line
 
