@@ -165,6 +165,23 @@ def test_whole_ranges_are_searched_when_all_that_was_added_is_dropped(monkeypatc
     assert abs(selected.values["frequency"] - 1.503) < 0.002
 
 
+def test_exchanges_do_not_come_back_to_a_set_already_tried(monkeypatch):
+    selection = rippled_selection(0.0)
+    polished = []
+
+    def other_one(values, line):
+        return {"ripple": 0.1} if "frequency" in values else {"frequency": 1.5}
+
+    def remember(values):
+        polished.append(set(values))
+        return values, None
+
+    monkeypatch.setattr(selection, "_exchanged", other_one)
+    monkeypatch.setattr(selection.estimates, "polished", remember)
+    assert selection._simplified({"frequency": 1.5}, None) == ({"ripple": 0.1}, None)
+    assert polished == [{"ripple"}]
+
+
 def test_an_effect_that_averaging_makes_uncertain_is_dropped(monkeypatch):
     assert set(rippled_selection(0.0075).run().values) == {"frequency", "ripple"}
     selection = rippled_selection(0.0075)
