@@ -25,7 +25,8 @@ LONGEST_STEP = 10.0
 SECANT_IN_ERRORS = 5.0
 WIDEST_SECANT = 0.1
 # A derivative may be that of a jag if its step is smaller than such a secant by more than this factor, or if it comes
-# from fewer than about so many rows; secants that reach so many steps are tried in its place.
+# from fewer than about so many rows; secants that reach so many steps are tried in its place, the wider ones where the
+# narrower tell more than the derivative.
 JAGGED = 3.0
 FEWEST_ROWS = 10
 SECANTS_IN_STEPS = (10.0, 30.0)
@@ -82,7 +83,9 @@ class Estimates:
             if freedom[k] < FEWEST_ROWS
             or self._secant_width(name, errors[k]) > JAGGED * self.residuals.steps[name]
         }
-        for factor in SECANTS_IN_STEPS if jagged else ():
+        for factor in SECANTS_IN_STEPS:
+            if not jagged:
+                break
             widths = {
                 name: self._at_most_widest(name, factor * self.residuals.steps[name]) for name in jagged
             }
@@ -92,6 +95,7 @@ class Estimates:
             for name, i in better.items():
                 told[jagged[name]] = tells[i]
             line = self.residuals.with_slopes(line, better, slopes[..., list(better.values())])
+            jagged = {name: jagged[name] for name in better}
         return line
 
     def polished(self, values):

@@ -21,7 +21,9 @@ FIRST_STEP = 1e-4
 LARGEST_STEP = 0.05
 # In noise units.
 LEAST_CHANGE = 1e-5
-ROWS_FOR_STEPS = 60
+ROWS_FOR_STEPS = 40
+# Where few rows stand for a log, so many follow each other: an action may act on the row after.
+ROWS_OF_RUN = 3
 # Fewer simulated rows are not worth sending to other processes.
 FEWEST_ROWS_TO_SHARE = 5000
 # Effects regressed out before the noise is estimated: at most one for so many residuals.
@@ -160,16 +162,15 @@ class Residuals:
         candidates : sequence of dict
             Effect values.
         n_rows : int
-            About so many rows, whole blocks spread over the log, are simulated from their measured states.
+            About so many rows, short runs spread over the log, are simulated from their measured states.
 
         Returns
         -------
         ndarray of shape (n_candidates,)
             Infinite where most rows diverge.
         """
-        count = self.blocks[-1] + 1
-        chosen = np.linspace(0, count - 1, max(1, round(n_rows * count / len(self.log)))).astype(int)
-        part = self.log.rows(np.isin(self.blocks, chosen))
+        starts = np.linspace(0, len(self.log) - ROWS_OF_RUN, max(1, n_rows // ROWS_OF_RUN)).astype(int)
+        part = self.log.rows(np.unique(starts[:, None] + np.arange(ROWS_OF_RUN)))
         groups = part.episodes if part.consecutive else np.arange(len(part))
         sizes = []
         for i in range(0, len(candidates), 64):
@@ -231,7 +232,7 @@ class Residuals:
 
     def _choose_steps(self, values, names):
         """Scale each effect's step until the predictions change by little against the noise but well above rounding."""
-        rows = slice(0, min(len(self.log), ROWS_FOR_STEPS))
+        rows = np.unique(np.linspace(0, len(self.log) - 1, ROWS_FOR_STEPS).astype(int))
         steps = {name: FIRST_STEP * np.ptp(self.movable[name].bounds) for name in names}
         largest = {name: LARGEST_STEP * np.ptp(self.movable[name].bounds) for name in names}
         open_names = list(names)

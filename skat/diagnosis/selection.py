@@ -42,8 +42,9 @@ LONGEST_GRID = 5
 # Fall of the log error, summed over channels, that makes a value far off worth a refit.
 WORTH_A_REFIT = 0.3
 ROWS_OF_GRID = 72
-# A third of the rows says which values deserve all of them: the best of so many.
-GRID_SHARE = 4
+# A sixth of the rows says which values deserve all of them: one of so many.
+ROUGH_SHARE = 6
+GRID_SHARE = 8
 # A named effect's value far off, refitted, is taken where the loss falls by this much in noise units; so many times.
 WORTH_A_JUMP = 10.0
 MOST_JUMPS = 3
@@ -305,7 +306,9 @@ class Selection:
         for name in names:
             if name not in values:
                 candidates += [{name: point} for point in self._points(self.effects[name])]
-        rough = self.residuals.error_sizes([{**values, **one} for one in candidates], ROWS_OF_GRID // 3)
+        rough = self.residuals.error_sizes(
+            [{**values, **one} for one in candidates], ROWS_OF_GRID // ROUGH_SHARE
+        )
         candidates = [candidates[k] for k in np.argsort(rough)[: -(-len(candidates) // GRID_SHARE)]]
         sizes = self.residuals.error_sizes([values, *({**values, **one} for one in candidates)], ROWS_OF_GRID)
         losses = sizes[1:]

@@ -11,7 +11,7 @@ from skat.diagnosis.whitening import block_cholesky, estimate_variances
 FARTHEST_SMOOTHED = 3.0
 # A model that misses less than this share beyond the noise counts as right where states are smoothed.
 NEGLIGIBLE_MISFIT = 1.3
-ROWS_FOR_FIRST_NOISE = 120
+ROWS_FOR_FIRST_NOISE = 96
 
 
 class TransitionResiduals(Residuals):
