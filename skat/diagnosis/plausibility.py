@@ -1,4 +1,4 @@
-"""Signs that a log is not what it seems: channels that never change, clipped commands, degrees for radians."""
+"""Signs that a log is not what it seems: channels that never change, clipped commands, other units, made velocities."""
 
 import warnings
 
@@ -9,6 +9,10 @@ CLIPPED_SHARE = 0.01
 # The log in degrees is tried where an angle leaves a full turn; it must fit so many times better in radians.
 BETTER_IN_RADIANS = 2.0
 ROWS_TRIED = 200
+# Velocities that nine rows in ten have as a difference of positions, this much better than velocities that the
+# simulation makes, were computed from them.
+DIFFERENCED_SHARE = 0.05
+MOST_ROWS = 0.9
 
 
 def warn_of_doubts(simulator, log, hidden=()):
@@ -25,6 +29,7 @@ def warn_of_doubts(simulator, log, hidden=()):
         *_constant(simulator, log, hidden),
         *_clipped(simulator, log),
         *_degrees(simulator, log, hidden),
+        *_differenced(simulator, log, hidden),
     ):
         warnings.warn(doubt, UserWarning, stacklevel=4)
 
@@ -89,6 +94,56 @@ def _degrees(simulator, log, hidden):
             f"{misses[0]:.2g} to {misses[1]:.2g} of their spread. The simulator's unit is rad (rad/s): convert with "
             "numpy.deg2rad."
         )
+
+
+def _differenced(simulator, log, hidden):
+    """Name velocities that were not measured but are differences of the log's positions."""
+    names, half = simulator.residual_names, len(simulator.residual_names) // 2
+    pairs = [
+        (simulator.state_names.index(position), simulator.state_names.index(velocity))
+        for position, velocity in zip(names[:half], names[half:])
+        if position.startswith("qpos.")
+        and velocity.startswith("qvel.")
+        and {position, velocity} <= set(simulator.state_names)
+        and not {position, velocity} & set(hidden)
+    ]
+    some = log.rows(np.arange(min(len(log), ROWS_TRIED)))
+    follows = np.flatnonzero(np.diff(some.episodes) == 0)
+    if not log.consecutive or not pairs or not len(follows):
+        return
+    columns, state = np.array(pairs).T, len(simulator.state_names)
+    before, now, after = some.X[follows], some.X[follows + 1], some.y[follows + 1]
+    simulated_now = now.copy()
+    simulated_now[:, :state] = np.nan_to_num(simulator.predict_many(before, [{}])[0])
+    simulated_after = simulator.predict_many(simulated_now, [{}])[0]
+    measured = _misses(before, now, after, columns, simulator.dt)
+    simulated = _misses(before, simulated_now, simulated_after, columns, simulator.dt)
+    for kind in measured:
+        made = measured[kind] < DIFFERENCED_SHARE * simulated[kind]
+        found = [simulator.state_names[column] for column in columns[1, made]]
+        if found:
+            yield (
+                f"{', '.join(found)} {'are' if len(found) > 1 else 'is'} no measurement of velocity, but {kind} "
+                "differences of the positions in this log. Such a difference is the mean over a time, not the velocity "
+                "at an instant, and it has the noise of the positions; either may pass for an effect, such as a scale "
+                "of these channels, that the robot does not have. Log velocities that were measured, or name these in "
+                "hidden=."
+            )
+
+
+def _misses(before, now, after, columns, dt):
+    """Return by how much velocities miss three differences of positions, of each joint, in all but a few rows."""
+    positions, velocities = columns
+    before, now, after, velocity = (
+        table[:, chosen]
+        for table, chosen in ((before, positions), (now, positions), (after, positions), (now, velocities))
+    )
+    rates = {
+        "backward": (now - before) / dt,
+        "forward": (after - now) / dt,
+        "central": (after - before) / (2 * dt),
+    }
+    return {kind: np.nanquantile(np.abs(velocity - rate), MOST_ROWS, axis=0) for kind, rate in rates.items()}
 
 
 def _groups(log):

@@ -77,3 +77,30 @@ def test_state_that_rests_in_the_simulation_too_is_sound(simulator):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warn_of_doubts(simulator, check_log(simulator, X, y, np.zeros(40)))
+
+
+@pytest.mark.parametrize("kind", ["backward", "forward", "central"])
+def test_velocities_that_are_differences_of_noisy_positions_are_noticed(simulator, log, kind):
+    X, y, groups = log
+    rng = np.random.default_rng(1)
+    for group in np.unique(groups):
+        rows = np.flatnonzero(groups == group)
+        position = np.append(X[rows, 0], y[rows[-1], 0])
+        position += 0.01 * rng.standard_normal(len(position))
+        rate = np.diff(position) / simulator.dt
+        velocity = {
+            "backward": np.append(rate[0], rate),
+            "forward": np.append(rate, rate[-1]),
+            "central": np.gradient(position, simulator.dt),
+        }[kind]
+        X[rows, :2] = np.c_[position, velocity][:-1]
+        y[rows] = np.c_[position, velocity][1:]
+    with pytest.warns(
+        UserWarning, match=rf"qvel\.shoulder is no measurement of velocity, but {kind} differences"
+    ):
+        warn_of_doubts(simulator, check_log(simulator, X, y, groups))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warn_of_doubts(
+            simulator, check_log(simulator, X, y, groups, hidden=["qvel.shoulder"]), ["qvel.shoulder"]
+        )
