@@ -99,6 +99,8 @@ class Selection:
         self.effects = residuals.effects
         self.estimates = Estimates(residuals, names)
         self.refits = self.estimates.refits
+        # Sets of effects that were exchanged for better ones.
+        self.left: set[frozenset] = set()
 
     def run(self):
         """Return the Selected effects."""
@@ -137,14 +139,14 @@ class Selection:
     def _simplified(self, values, line):
         """Return a model that no exchange of effects makes better, or smaller and as good.
 
-        Where the log is like none of them, each looks better at states smoothed by the other: no set comes twice.
+        Where the log is like none of them, each looks better at states smoothed by the other: what an exchange has
+        left none comes back to.
         """
-        tried = {frozenset(values)}
         for _ in range(MOST_EXCHANGES if values else 0):
             exchanged = self._exchanged(values, line)
-            if exchanged is None or frozenset(exchanged) in tried:
+            if exchanged is None or frozenset(exchanged) in self.left:
                 break
-            tried.add(frozenset(exchanged))
+            self.left.add(frozenset(values))
             values, line = self.estimates.polished(exchanged)
         return values, line
 

@@ -165,7 +165,7 @@ def test_whole_ranges_are_searched_when_all_that_was_added_is_dropped(monkeypatc
     assert abs(selected.values["frequency"] - 1.503) < 0.002
 
 
-def test_exchanges_do_not_come_back_to_a_set_already_tried(monkeypatch):
+def test_exchanges_do_not_come_back_to_a_set_that_one_has_left(monkeypatch):
     selection = rippled_selection(0.0)
     polished = []
 
@@ -179,6 +179,7 @@ def test_exchanges_do_not_come_back_to_a_set_already_tried(monkeypatch):
     monkeypatch.setattr(selection, "_exchanged", other_one)
     monkeypatch.setattr(selection.estimates, "polished", remember)
     assert selection._simplified({"frequency": 1.5}, None) == ({"ripple": 0.1}, None)
+    assert selection._simplified({"ripple": 0.1}, None) == ({"ripple": 0.1}, None)
     assert polished == [{"ripple"}]
 
 
