@@ -59,6 +59,12 @@ class Log:
         )
         return Log(self.X[chosen], self.y[chosen], episodes, self.consecutive)
 
+    def part(self, n_rows, length):
+        """Return about so many rows that stand for the log: runs of a length, spread over it."""
+        length = min(length, len(self))
+        starts = np.linspace(0, len(self) - length, max(1, n_rows // length)).astype(int)
+        return self.rows(np.unique(starts[:, None] + np.arange(length)))
+
     def chains(self):
         """Return (chain, step) of each row: pieces of an episode short enough to be whitened side by side."""
         if not self.consecutive:

@@ -169,8 +169,7 @@ class Residuals:
         ndarray of shape (n_candidates,)
             Infinite where most rows diverge.
         """
-        starts = np.linspace(0, len(self.log) - ROWS_OF_RUN, max(1, n_rows // ROWS_OF_RUN)).astype(int)
-        part = self.log.rows(np.unique(starts[:, None] + np.arange(ROWS_OF_RUN)))
+        part = self.log.part(n_rows, ROWS_OF_RUN)
         groups = part.episodes if part.consecutive else np.arange(len(part))
         sizes = []
         for i in range(0, len(candidates), 64):

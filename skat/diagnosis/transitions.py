@@ -11,7 +11,10 @@ from skat.diagnosis.whitening import block_cholesky, estimate_variances
 FARTHEST_SMOOTHED = 3.0
 # A model that misses less than this share beyond the noise counts as right where states are smoothed.
 NEGLIGIBLE_MISFIT = 1.3
-ROWS_FOR_FIRST_NOISE = 96
+# The noise is first estimated from so many rows in runs of that length. From the first rows alone, an impact among
+# them passed for noise of a velocity, and left none for the position.
+ROWS_FOR_FIRST_NOISE = 120
+RUN_FOR_FIRST_NOISE = 12
 
 
 class TransitionResiduals(Residuals):
@@ -94,7 +97,7 @@ class TransitionResiduals(Residuals):
         """Estimate the noise from a part of the log, all effects regressed out, at the measured states."""
         spread = np.sqrt(self.smallest) * 1e6
         if len(self.log) > ROWS_FOR_FIRST_NOISE:
-            part = self.log.rows(np.arange(ROWS_FOR_FIRST_NOISE))
+            part = self.log.part(ROWS_FOR_FIRST_NOISE, RUN_FOR_FIRST_NOISE)
             inner = TransitionResiduals(self.simulator, part, self.effects.values(), n_jobs=self.n_jobs)
             variances = inner._first_variances(values)
             self.steps = inner.steps
