@@ -22,7 +22,7 @@ def test_worlds_share_no_code_with_what_is_tested():
         for node in ast.walk(ast.parse(inspect.getsource(_worlds)))
         if isinstance(node, ast.Import | ast.ImportFrom)
     }
-    assert modules == {"dataclasses", "mujoco", "numpy"}
+    assert modules == {"dataclasses", "math", "mujoco", "numpy"}
 
 
 def test_a_world_that_hides_nothing_differs_from_the_simulator_by_its_time_step_alone():
