@@ -47,7 +47,7 @@ def _constant(simulator, log, hidden):
         predicted = simulator.predict_many(some.X, [{}], groups=_groups(some))[0]
         for name in names:
             column = simulator.output_names.index(name)
-            if np.nanmax(np.abs(predicted[:, column] - some.y[:, column])) > 1e-9:
+            if np.max(np.nan_to_num(np.abs(predicted[:, column] - some.y[:, column]))) > 1e-9:
                 moving.append(name)
     if moving:
         yield (
@@ -112,10 +112,14 @@ def _differenced(simulator, log, hidden):
     if not log.consecutive or not pairs or not len(follows):
         return
     columns, state = np.array(pairs).T, len(simulator.state_names)
-    before, now, after = some.X[follows], some.X[follows + 1], some.y[follows + 1]
-    simulated_now = now.copy()
-    simulated_now[:, :state] = np.nan_to_num(simulator.predict_many(before, [{}])[0])
+    simulated_now = some.X[follows + 1].copy()
+    simulated_now[:, :state] = simulator.predict_many(some.X[follows], [{}])[0]
+    follows, simulated_now = _finite(follows, simulated_now)
     simulated_after = simulator.predict_many(simulated_now, [{}])[0]
+    follows, simulated_now, simulated_after = _finite(follows, simulated_now, simulated_after)
+    if not len(follows):
+        return
+    before, now, after = some.X[follows], some.X[follows + 1], some.y[follows + 1]
     measured = _misses(before, now, after, columns, simulator.dt)
     simulated = _misses(before, simulated_now, simulated_after, columns, simulator.dt)
     for kind in measured:
@@ -131,6 +135,12 @@ def _differenced(simulator, log, hidden):
             )
 
 
+def _finite(follows, *simulated):
+    """Return the rows in which no simulation diverged."""
+    kept = np.isfinite(simulated[-1]).all(axis=1)
+    return follows[kept], *(table[kept] for table in simulated)
+
+
 def _misses(before, now, after, columns, dt):
     """Return by how much velocities miss three differences of positions, of each joint, in all but a few rows."""
     positions, velocities = columns
@@ -143,7 +153,7 @@ def _misses(before, now, after, columns, dt):
         "forward": (after - now) / dt,
         "central": (after - before) / (2 * dt),
     }
-    return {kind: np.nanquantile(np.abs(velocity - rate), MOST_ROWS, axis=0) for kind, rate in rates.items()}
+    return {kind: np.quantile(np.abs(velocity - rate), MOST_ROWS, axis=0) for kind, rate in rates.items()}
 
 
 def _groups(log):

@@ -104,3 +104,23 @@ def test_velocities_that_are_differences_of_noisy_positions_are_noticed(simulato
         warn_of_doubts(
             simulator, check_log(simulator, X, y, groups, hidden=["qvel.shoulder"]), ["qvel.shoulder"]
         )
+
+
+@pytest.mark.parametrize("every", [1, 7])
+def test_rows_in_which_a_free_body_diverges_are_no_doubt_about_its_velocities(monkeypatch, every):
+    ball = "<body><freejoint name='ball'/><geom size='0.1'/></body>"
+    simulator = MujocoSimulator(f"<mujoco><worldbody>{ball}</worldbody></mujoco>", frame_skip=5)
+    start = np.r_[0.0, 0.0, 9.0, 1.0, np.zeros(3), 2.0, 0.3, np.zeros(4)]
+    states = simulator.rollout(start[None], n_steps=40)[0]
+    states[:, :3] += 0.01 * np.random.default_rng(0).standard_normal((41, 3))
+    predict_many = simulator.predict_many
+
+    def diverging(X, candidates, **options):
+        outputs = predict_many(X, candidates, **options)
+        outputs[:, ::every] = np.nan
+        return outputs
+
+    monkeypatch.setattr(simulator, "predict_many", diverging)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warn_of_doubts(simulator, check_log(simulator, states[:-1], states[1:], np.zeros(40)))
