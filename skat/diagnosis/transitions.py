@@ -11,9 +11,10 @@ from skat.diagnosis.whitening import block_cholesky, estimate_variances
 FARTHEST_SMOOTHED = 3.0
 # A model that misses less than this share beyond the noise counts as right where states are smoothed.
 NEGLIGIBLE_MISFIT = 1.3
-# The noise is first estimated from so many rows in runs of that length. From the first rows alone, an impact among
-# them passed for noise of a velocity, and left none for the position.
-ROWS_FOR_FIRST_NOISE = 120
+# The noise is first estimated from about so many residuals, in runs of so many rows. From the first rows alone, an
+# impact among them passed for noise of a velocity, and left none for the position; so it did in one of six struck pucks
+# from 960 residuals, and no later estimate came back from there.
+RESIDUALS_FOR_FIRST_NOISE = 2400
 RUN_FOR_FIRST_NOISE = 12
 
 
@@ -96,8 +97,9 @@ class TransitionResiduals(Residuals):
     def _first_variances(self, values):
         """Estimate the noise from a part of the log, all effects regressed out, at the measured states."""
         spread = np.sqrt(self.smallest) * 1e6
-        if len(self.log) > ROWS_FOR_FIRST_NOISE:
-            part = self.log.part(ROWS_FOR_FIRST_NOISE, RUN_FOR_FIRST_NOISE)
+        n_rows = RESIDUALS_FOR_FIRST_NOISE // self.n_channels
+        if len(self.log) > n_rows + RUN_FOR_FIRST_NOISE:
+            part = self.log.part(n_rows, RUN_FOR_FIRST_NOISE)
             inner = TransitionResiduals(self.simulator, part, self.effects.values(), n_jobs=self.n_jobs)
             variances = inner._first_variances(values)
             self.steps = inner.steps
@@ -156,12 +158,19 @@ class TransitionResiduals(Residuals):
         drift = np.where(self.present[:, None], self._drift(), 0.0)
         columns = np.concatenate([self.regressors, drift[..., None]], axis=-1)
         rows = self.present
+        follows = (np.diff(self.places[0], prepend=-1) == 0) & rows & np.roll(rows, 1)
         for _ in range(2):
             solution = self._solution(raw, columns)
             if self.given_variances is None:
                 left = (raw - columns @ solution)[rows]
                 self._set_variances(
-                    estimate_variances(left, self.transitions[rows], self.extra[rows], smallest=self.smallest)
+                    estimate_variances(
+                        left,
+                        self.transitions[rows],
+                        self.extra[rows],
+                        smallest=self.smallest,
+                        follows=follows[rows],
+                    )
                 )
         before = self.drift_share
         self.drift_share = float(np.clip(before + solution[-1], 0.0, 1.0))

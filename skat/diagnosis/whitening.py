@@ -137,14 +137,16 @@ def block_cholesky(transitions, variances, extra_variances, present):
     return Whitener(factors, gains, transitions, variances, present)
 
 
-def estimate_variances(residuals, transitions, extra_variances, *, smallest):
-    r"""Return the variances of the measurement noise that explain the size of one-step residuals.
+def estimate_variances(residuals, transitions, extra_variances, *, smallest, follows=None):
+    r"""Return the variances of the measurement noise that explain one-step residuals, their sizes and their neighbours.
 
-    .. math:: E[r_{ti}^2] = R_i + \sum_j A_{tij}^2 R_j + Q_{ti}
+    .. math:: E[r_{ti}^2] = R_i + \sum_j A_{tij}^2 R_j + Q_{ti}, \quad E[r_{ti} r_{t-1,j}] = -A_{tij} R_j
 
-    is linear in R: a generalised linear model with a gamma variance, solved by reweighted non-negative least squares.
-    Squares beyond a few times their expectation are cut, with the cut's own bias for Gaussian noise taken out, so
-    that rows at contacts, where the simulation is not smooth, do not pass for noise.
+    are linear in R: a generalised linear model with the variances that normal residuals give squares and products,
+    solved by reweighted non-negative least squares. Sizes alone can trade the noise of a position for that of its
+    velocity; what a residual has in common with the one before tells the two apart. Squares and products beyond a few
+    times their expectation are cut, with the cut's own bias for Gaussian noise taken out of the squares, so that rows
+    at contacts, where the simulation is not smooth, do not pass for noise.
 
     Parameters
     ----------
@@ -154,10 +156,14 @@ def estimate_variances(residuals, transitions, extra_variances, *, smallest):
     extra_variances : ndarray of shape (n_rows, n_channels)
     smallest : ndarray of shape (n_channels,)
         Lower bound of each variance.
+    follows : ndarray of bool of shape (n_rows,), optional
+        True where a row is the step after the row before it; by default no row is.
     """
     n_channels = residuals.shape[1]
     kept_share = stats.chi2.cdf(LARGEST_SQUARE, 3) + LARGEST_SQUARE * stats.chi2.sf(LARGEST_SQUARE, 1)
     squares = residuals**2
+    after = np.flatnonzero(np.zeros(len(residuals), dtype=bool) if follows is None else follows)
+    products = residuals[after, :, None] * residuals[after - 1, None, :]
     # Cutting is relative to the model's own expectation: start from the middle of the squares.
     design = transitions**2
     design[:, np.arange(n_channels), np.arange(n_channels)] += 1
@@ -170,10 +176,28 @@ def estimate_variances(residuals, transitions, extra_variances, *, smallest):
         cut = np.minimum(squares, LARGEST_SQUARE * expected) / kept_share - extra_variances
         weights = 1.0 / expected
         rows = (design * weights[..., None]).reshape(-1, n_channels) * scale**2
-        solution = optimize.nnls(rows.T @ rows, rows.T @ (cut * weights).ravel())[0]
+        information, score = rows.T @ rows, rows.T @ (cut * weights).ravel()
+        if len(after):
+            own, told = _neighbours(
+                products, -transitions[after], expected[after], expected[after - 1], scale**2
+            )
+            information[np.arange(n_channels), np.arange(n_channels)] += own
+            score += told
+        solution = optimize.nnls(information, score)[0]
         new = np.maximum(solution * scale**2, smallest)
         if variances is not None and np.allclose(new, variances, rtol=1e-4):
             break
         variances = new
         expected = np.maximum(design @ variances + extra_variances, smallest)
     return new
+
+
+def _neighbours(products, slopes, expected, expected_before, scale):
+    """Return what products of neighbours add to the normal equations: to the diagonal, and to the right-hand side.
+
+    A product of two normal numbers varies half as much as a square, so it counts twice.
+    """
+    deviations = np.sqrt(expected[:, :, None] * expected_before[:, None, :])
+    cut = np.clip(products / deviations, -LARGEST_SQUARE, LARGEST_SQUARE)
+    slopes = slopes * scale / deviations
+    return 2 * np.sum(slopes**2, axis=(0, 1)), 2 * np.sum(slopes * cut, axis=(0, 1))

@@ -186,6 +186,25 @@ def test_variance_that_curvature_adds_is_not_counted_as_noise():
     np.testing.assert_allclose(found, 1.0, atol=4 * 4 * np.sqrt(2 / 4000))
 
 
+def test_neighbours_tell_apart_what_sizes_cannot():
+    """Sizes are the same for all R0 and R1 with R0 + R1 / 4 alike; the products of neighbours are not."""
+    transitions = np.tile([[0.0, 0.5], [2.0, 0.0]], (800, 1, 1))
+    ratios = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        variances = [1.0, 4.0] * np.exp(rng.uniform(-0.7, 0.7, size=2))
+        noise = rng.normal(size=(801, 2)) * np.sqrt(variances)
+        residuals = noise[1:] - np.einsum("nij,nj->ni", transitions, noise[:-1])
+        follows = np.arange(800) % 50 > 0
+        found = estimate_variances(
+            residuals, transitions, np.zeros((800, 2)), smallest=1e-12 * variances, follows=follows
+        )
+        ratios.append(found / variances)
+    # Errors of about 0.1; sizes alone leave R0 between none and twice its value.
+    np.testing.assert_allclose(np.mean(ratios, axis=0), 1, atol=0.07)
+    np.testing.assert_allclose(ratios, 1, atol=0.4)
+
+
 def test_estimated_noise_is_never_below_the_smallest():
     residuals = np.zeros((30, 2))
     smallest = np.array([1e-6, 1e-3])
