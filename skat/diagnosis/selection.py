@@ -1,31 +1,21 @@
-"""Which effects explain the residuals: screen all, refit the best, add one, prune, and find aliases."""
+"""Which effects explain the residuals: add the best, exchange what a better one explains, prune what does not stand."""
 
 from dataclasses import dataclass, field
-from itertools import combinations
 
 import numpy as np
 from scipy import stats
 
+from skat.diagnosis.aliases import find_aliases
 from skat.diagnosis.estimates import Estimates
-from skat.diagnosis.evidence import as_good, fall_p_value, family_p_value, grams, screen, solve_scaled
+from skat.diagnosis.evidence import as_good, fall_p_value, family_p_value, grams, screen
+from skat.diagnosis.proposals import Proposals
 from skat.diagnosis.refits import Fit
 
-SHORTLIST = 8
-# Exchanges refitted for each set of effects that stays, exchanges made, and the fall of the loss in noise units that
-# makes one worth it.
-EXCHANGES = 3
+# Exchanges made, and the fall of the loss in noise units that makes one worth it.
 MOST_EXCHANGES = 4
 WORTH_AN_EXCHANGE = 1.0
 # Misfit of the typical row, in noise units, beyond which a derivative says little of what is far away.
 FAR_OFF = 2.0
-# Family-wise p-value of the most telling effect, and each one's own, that make refits worth their time.
-WORTH_A_LOOK = 0.5
-WORTH_A_STEP = 0.05
-CONTENDERS = 6
-SHARES_OF_STEP = (1.0, 0.3, 0.1)
-# A rival is refitted where, to first order, it leaves less than this loss in noise units, or this share of it.
-FAR_APART = 100.0
-SIMILAR = 0.1
 # An effect on all is taken apart into so many elements at most, where that leaves less than this share of the loss.
 MOST_ELEMENTS = 16
 APART_LOSS = 0.7
@@ -35,16 +25,6 @@ FEWEST_EPISODES = 8
 # Or blocks lose at most this share of what others gain, and no block has more than that share of the gain.
 LOST_SHARE = 0.1
 LARGEST_BLOCK_SHARE = 0.7
-# Values tried over an effect's range when the model is far off, in units of the way to each bound.
-GRID = (0.02, 0.1, 0.4)
-FACTORS = (0.33, 0.5, 0.7, 0.85, 1.2, 1.5, 2.0, 3.0)
-LONGEST_GRID = 5
-# Fall of the log error, summed over channels, that makes a value far off worth a refit.
-WORTH_A_REFIT = 0.3
-ROWS_OF_GRID = 72
-# A sixth of the rows says which values deserve all of them: one of so many.
-ROUGH_SHARE = 6
-GRID_SHARE = 8
 # A named effect's value far off, refitted, is taken where the loss falls by this much in noise units; so many times.
 WORTH_A_JUMP = 10.0
 MOST_JUMPS = 3
@@ -99,6 +79,7 @@ class Selection:
         self.effects = residuals.effects
         self.estimates = Estimates(residuals, names)
         self.refits = self.estimates.refits
+        self.proposals = Proposals(self.estimates)
         # Sets of effects that were exchanged for better ones.
         self.left: set[frozenset] = set()
 
@@ -164,8 +145,7 @@ class Selection:
         misfit = np.median(np.sum(line.residuals**2, axis=-1)) / line.residuals.shape[1]
         far_off |= bool(misfit > FAR_OFF)
         present = self.refits.losses(line.residuals)
-        for starts in self._starts(values, first, far_off):
-            models = self._contenders([{**values, **start} for start in starts], values)
+        for models in self.proposals.further(values, first, far_off=far_off):
             fits = self.refits.fit(models, race=True)
             for index in np.argsort([fit.loss for fit in fits])[:3]:
                 fit = fits[index]
@@ -179,52 +159,17 @@ class Selection:
                     return fit.values
         return None
 
-    def _starts(self, values, first, far_off):
-        """Yield lists of starting values of a further effect, to be tried in turn until one leads to a better model."""
-        steps, grid = [], []
-        if far_off or family_p_value(first.p_values.min(), len(self.names)) < WORTH_A_LOOK:
-            steps = self._steps(values, first, 1.0 if far_off else WORTH_A_STEP)
-        if steps and not far_off:
-            yield steps
-            steps = []
-        if far_off or not values:
-            grid = self._grid(values, [first.names[k] for k in np.flatnonzero(first.p_values < 1)])
-        if steps or grid:
-            yield steps + grid
-
     def _exchanged(self, values, line):
         """Return a model with one named effect, or two, exchanged for another one, None if the present one is best.
 
         What was found first was found without what came later, and may stand for two causes where a later one left
-        only one of them. What a model without them misses is simulated, since far from neutral a derivative says little
-        of it; what another effect explains of that is a matter of the Grams, and the best are refitted.
+        only one of them.
         """
-        names = list(line.names)
-        weighted = line.derivatives * self.refits.weights(line.residuals)[:, None, None]
-        information = np.einsum("ndk,ndl->kl", weighted, line.derivatives, optimize=True)
-        fresh = [k for k in range(len(names)) if names[k] not in values and information[k, k] > 0]
-        present = Fit(values, self.refits.losses(line.residuals))
-        for n_dropped in (2, 1) if len(values) > 1 else (1,):
-            subsets = list(combinations(values, len(values) - n_dropped))
-            models = []
-            for kept, missed in zip(subsets, self.refits.whitened([_part(values, kept) for kept in subsets])):
-                score = np.einsum("ndk,nd->k", weighted, missed)
-                inside = [names.index(name) for name in kept]
-                explained = []
-                for k in fresh:
-                    chosen = [*inside, k]
-                    moves = solve_scaled(information[np.ix_(chosen, chosen)], score[chosen][:, None])[:, 0]
-                    explained.append((score[chosen] @ moves, self.effects[names[k]], moves[-1]))
-                explained.sort(key=lambda one: one[0], reverse=True)
-                models += [
-                    _part(values, kept) | {effect.name: float(np.clip(effect.neutral + move, *effect.bounds))}
-                    for _, effect, move in explained[:EXCHANGES]
-                ]
-            if not models:
-                continue
+        present = self.refits.losses(line.residuals)
+        for n_dropped, models in self.proposals.exchanges(values, line):
             best = min(self.refits.fit(models, race=True), key=lambda fit: fit.loss)
-            smaller_and_as_good = n_dropped == 2 and as_good(best.losses, present.losses)
-            if smaller_and_as_good or best.loss < present.loss - WORTH_AN_EXCHANGE:
+            smaller_and_as_good = n_dropped == 2 and as_good(best.losses, present)
+            if smaller_and_as_good or best.loss < present.sum() - WORTH_AN_EXCHANGE:
                 return best.values
         return None
 
@@ -267,72 +212,12 @@ class Selection:
         A descent ends in the nearest optimum, and where an effect bends, as the time step does, another one may be
         deeper.
         """
-        starts = []
-        for name in values:
-            models = [{**values, name: point} for point in self._points(self.effects[name])]
-            if models:
-                losses = [self.refits.losses(one).sum() for one in self.refits.whitened(models)]
-                starts.append(models[int(np.argmin(losses))])
+        starts = self.proposals.elsewhere(values)
         if not starts:
             return None
         best = min(self.refits.fit(starts), key=lambda fit: fit.loss)
         worth = best.loss < self.refits.losses(line.residuals).sum() - WORTH_A_JUMP
         return best.values if worth else None
-
-    def _steps(self, values, first, least_p_value):
-        """Return linear steps {name: value} of the effects worth a refit, whole and shortened.
-
-        Where an effect bends, as at impacts, the whole of a linear step may overshoot.
-        """
-        worth = (first.gains > 0) & (first.p_values < least_p_value)
-        order = [k for k in np.argsort(first.gains)[::-1] if worth[k] and first.names[k] not in values]
-        telling = [k for k in np.argsort(first.p_values) if worth[k] and first.names[k] not in values]
-        return [
-            {first.names[k]: float(self.effects[first.names[k]].neutral + share * first.moves[k])}
-            for k in dict.fromkeys(order[:SHORTLIST] + telling[:3])
-            for share in SHARES_OF_STEP
-        ]
-
-    def _contenders(self, models, values):
-        """Return the best model of each effect that is new, and of those the best few."""
-        losses = [self.refits.losses(one).sum() for one in self.refits.whitened(models)]
-        best: dict[str, dict] = {}
-        for index in np.argsort(losses):
-            (new,) = set(models[index]) - set(values)
-            best.setdefault(new, models[index])
-        return list(best.values())[:CONTENDERS]
-
-    def _grid(self, values, names):
-        """Return the best starting values over the whole range of every effect: far off, a derivative misleads."""
-        candidates = []
-        for name in names:
-            if name not in values:
-                candidates += [{name: point} for point in self._points(self.effects[name])]
-        rough = self.residuals.error_sizes(
-            [{**values, **one} for one in candidates], ROWS_OF_GRID // ROUGH_SHARE
-        )
-        candidates = [candidates[k] for k in np.argsort(rough)[: -(-len(candidates) // GRID_SHARE)]]
-        sizes = self.residuals.error_sizes([values, *({**values, **one} for one in candidates)], ROWS_OF_GRID)
-        losses = sizes[1:]
-        best: dict[str, tuple] = {}
-        for candidate, loss in zip(candidates, losses):
-            (name,) = candidate
-            if name not in best or loss < best[name][0]:
-                best[name] = (loss, candidate)
-        ranked = sorted(best.values(), key=lambda pair: pair[0])
-        return [candidate for size, candidate in ranked[:LONGEST_GRID] if size < sizes[0] - WORTH_A_REFIT]
-
-    @staticmethod
-    def _points(effect):
-        """Return values over the whole range of an effect."""
-        if effect.neutral == 1:
-            points = [*FACTORS, 0.0, -1.0] if effect.bounds[0] < 0 else FACTORS
-        else:
-            points = [
-                effect.neutral + share * (end - effect.neutral) for share in GRID for end in effect.bounds
-            ]
-        low, high = effect.bounds
-        return [point for point in points if low <= point <= high and point != effect.neutral]
 
     # -- decisions -------------------------------------------------------------------------------------------------
 
@@ -385,52 +270,10 @@ class Selection:
             if name in self.fall_p_values:
                 intervals[name] = self.estimates.profile_interval(name, values, line)
         order = sorted(names, key=lambda name: telling[name], reverse=True)
-        aliases = self._aliases({name: values[name] for name in order}, line)
+        aliases = find_aliases(self.estimates, {name: values[name] for name in order}, line, self.progress)
         return Selected(
             {name: values[name] for name in order}, p_values, intervals, aliases, line, gram, history
         )
-
-    # -- what cannot be told apart -----------------------------------------------------------------------------------
-
-    def _aliases(self, values, line):
-        """Return for each named effect those that, put in its place and refitted, explain the log as well."""
-        self.progress("aliases", 0, len(values))
-        derivatives = line.derivatives.reshape(-1, len(line.names))
-        fit = Fit(values, self.refits.losses(self.residuals.whitened([values])[0]))
-        aliases = {}
-        for done, name in enumerate(values):
-            others = [line.names.index(other) for other in values if other != name]
-            columns = derivatives
-            if others:
-                basis = np.linalg.qr(derivatives[:, others] / np.linalg.norm(derivatives[:, others], axis=0))[
-                    0
-                ]
-                columns = derivatives - basis @ (basis.T @ derivatives)
-            norms = np.linalg.norm(columns, axis=0)
-            own = columns[:, line.names.index(name)]
-            usable = norms > 1e-6 * np.maximum(np.linalg.norm(derivatives, axis=0), 1e-300)
-            cosines = np.where(usable, own @ columns / np.maximum(norms * np.linalg.norm(own), 1e-300), 0.0)
-            rest = {other: value for other, value in values.items() if other != name}
-            distance = values[name] - self.effects[name].neutral
-            # To first order a rival leaves this share of what the cause explains.
-            share = 1 - cosines**2
-            near = (share * np.sum((own * distance) ** 2) < FAR_APART) | (share < SIMILAR)
-            rivals = [
-                k for k in np.argsort(share) if line.names[k] not in values and share[k] < 0.75 and near[k]
-            ][:SHORTLIST]
-            starts = []
-            for k in rivals:
-                effect = self.effects[line.names[k]]
-                move = distance * cosines[k] * np.linalg.norm(own) / norms[k]
-                starts.append({**rest, effect.name: float(np.clip(effect.neutral + move, *effect.bounds))})
-            aliases[name] = ()
-            if starts:
-                swapped = self.refits.fit(starts)
-                aliases[name] = tuple(
-                    line.names[k] for k, other in zip(rivals, swapped) if as_good(other.losses, fit.losses)
-                )
-            self.progress("aliases", done + 1, len(values))
-        return aliases
 
     def _improves(self, fit, losses):
         """Whether the loss falls throughout: in episodes (blocks, where they are few), or wherever it moves at all.
@@ -457,8 +300,3 @@ def least_fall(residuals):
 
 def _by_episode(log):
     return log.consecutive and log.n_episodes >= FEWEST_EPISODES
-
-
-def _part(values, names):
-    """Return the named of some values."""
-    return {name: values[name] for name in names}

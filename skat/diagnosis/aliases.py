@@ -1,0 +1,69 @@
+"""What cannot be told apart from a named effect, by this log."""
+
+import numpy as np
+
+from skat.diagnosis.evidence import as_good
+
+# Rivals are refitted where they have at least half of the cause's direction, to first order ...
+LEAST_LIKE = 0.75
+# ... and leave less than this loss in noise units, or this share of it; so many of each cause.
+FAR_APART = 100.0
+SIMILAR = 0.1
+SHORTLIST = 8
+
+
+def find_aliases(estimates, values, line, progress):
+    """Return for each named effect those that, put in its place and refitted, explain the log as well.
+
+    Parameters
+    ----------
+    estimates : Estimates
+    values : dict of str to float
+        The final model.
+    line : Linearisation
+        There.
+    progress : callable
+        ``progress("aliases", done, total)``.
+
+    Returns
+    -------
+    dict of str to tuple of str
+    """
+    progress("aliases", 0, len(values))
+    refits = estimates.refits
+    losses = refits.losses(refits.whitened([values])[0])
+    aliases = {}
+    for done, name in enumerate(values, start=1):
+        rivals = _rivals(estimates.effects, name, values, line)
+        aliases[name] = ()
+        if rivals:
+            rest = {other: value for other, value in values.items() if other != name}
+            swapped = refits.fit([{**rest, rival: start} for rival, start in rivals.items()])
+            aliases[name] = tuple(rival for rival, fit in zip(rivals, swapped) if as_good(fit.losses, losses))
+        progress("aliases", done, len(values))
+    return aliases
+
+
+def _rivals(effects, name, values, line):
+    """Return the effects that may stand for a named one, nearest first, and the values that match it best."""
+    derivatives = line.derivatives.reshape(-1, len(line.names))
+    others = [line.names.index(other) for other in values if other != name]
+    columns = derivatives
+    if others:
+        basis = np.linalg.qr(derivatives[:, others] / np.linalg.norm(derivatives[:, others], axis=0))[0]
+        columns = derivatives - basis @ (basis.T @ derivatives)
+    norms = np.linalg.norm(columns, axis=0)
+    own = columns[:, line.names.index(name)]
+    usable = norms > 1e-6 * np.maximum(np.linalg.norm(derivatives, axis=0), 1e-300)
+    cosines = np.where(usable, own @ columns / np.maximum(norms * np.linalg.norm(own), 1e-300), 0.0)
+    distance = values[name] - effects[name].neutral
+    # To first order a rival leaves this share of what the cause explains.
+    share = 1 - cosines**2
+    near = (share * np.sum((own * distance) ** 2) < FAR_APART) | (share < SIMILAR)
+    rivals = {}
+    for k in np.argsort(share):
+        if line.names[k] not in values and share[k] < LEAST_LIKE and near[k] and len(rivals) < SHORTLIST:
+            effect = effects[line.names[k]]
+            move = distance * cosines[k] * np.linalg.norm(own) / norms[k]
+            rivals[effect.name] = float(np.clip(effect.neutral + move, *effect.bounds))
+    return rivals
