@@ -60,7 +60,7 @@ def _rivals(effects, name, values, line):
     # To first order a rival leaves this share of what the cause explains.
     share = 1 - cosines**2
     near = (share * np.sum((own * distance) ** 2) < FAR_APART) | (share < SIMILAR)
-    rivals = {}
+    rivals: dict[str, float] = {}
     for k in np.argsort(share):
         if line.names[k] not in values and share[k] < LEAST_LIKE and near[k] and len(rivals) < SHORTLIST:
             effect = effects[line.names[k]]
