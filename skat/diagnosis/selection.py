@@ -147,7 +147,7 @@ class Selection:
         present = self.refits.losses(line.residuals)
         for models in self.proposals.further(values, first, far_off=far_off):
             fits = self.refits.fit(models, race=True)
-            for index in np.argsort([fit.loss for fit in fits])[:3]:
+            for index in np.argsort([fit.loss for fit in fits]):
                 fit = fits[index]
                 (new,) = set(fit.values) - set(values)
                 p_value = min(

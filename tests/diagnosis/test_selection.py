@@ -165,6 +165,38 @@ def test_whole_ranges_are_searched_when_all_that_was_added_is_dropped(monkeypatc
     assert abs(selected.values["frequency"] - 1.503) < 0.002
 
 
+BURSTS = {"first": 20, "second": 120, "third": 220}
+
+
+def bursts_and_slope(X, slope=0.0, **sizes):
+    bursts = sum(sizes.get(name, 0.0) * (np.abs(X - row) < 3) for name, row in BURSTS.items())
+    return 0.01 * slope * (X - 150) + bursts
+
+
+def test_what_is_certain_is_added_where_what_explains_more_is_not():
+    """Three effects of five rows each explain most, none of them significantly; a slope in all rows does."""
+    rng = np.random.default_rng(0)
+    X = np.arange(300.0)[:, None]
+    y = bursts_and_slope(X, 0.6) + rng.normal(size=X.shape)
+    for row in BURSTS.values():
+        y[row - 2 : row + 3, 0] += [6, 12, 8, 11, 5]
+    effects = [Effect(name, unit="1", neutral=0.0, bounds=(-50.0, 50.0)) for name in ("slope", *BURSTS)]
+    simulator = FunctionSimulator(bursts_and_slope, input_names=("x",), output_names=("y",), effects=effects)
+    selection = Selection(
+        Residuals(simulator, check_log(simulator, X, y, None), effects, [1.0]),
+        [effect.name for effect in effects],
+        alpha=0.005,
+        max_effects=6,
+        progress=lambda *_: None,
+    )
+    line = selection.estimates.linearised({})
+    losses = {name: selection.refits.fit([{name: 0.5}])[0].loss for name in ("slope", *BURSTS)}
+    assert max(losses, key=losses.get) == "slope"
+    added = selection._add({}, line)
+    assert set(added) == {"slope"}
+    assert abs(added["slope"] - 0.6) < 0.2
+
+
 def test_exchanges_do_not_come_back_to_a_set_that_one_has_left(monkeypatch):
     selection = rippled_selection(0.0)
     polished = []
