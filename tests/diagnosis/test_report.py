@@ -19,7 +19,8 @@ from skat.diagnosis import Cause, Gain, SimulationDiagnosis
 from skat.diagnosis.comparison import EXTENDED, NOMINAL
 from skat.diagnosis.log import check_log
 from skat.diagnosis.omnibus import Remainder
-from skat.diagnosis.report import Report, gain_sentence
+from skat.diagnosis.report import Report
+from skat.diagnosis.report.sentences import gain_sentence
 from skat.effects import Effect
 from skat.simulators import FunctionSimulator
 

@@ -6,18 +6,32 @@ from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 
-from skat.diagnosis.comparison import EXTENDED, NOMINAL, ceiling_sentence, compare_transports, is_beaten
+from skat.diagnosis.comparison import ceiling_sentence, compare_transports
 from skat.diagnosis.findings import Gain
 from skat.diagnosis.log import Log, check_log
-from skat.diagnosis.omnibus import is_structured
-from skat.diagnosis.report_figures import cause_picture, log_pictures
+from skat.diagnosis.report.pictures import cause_picture, log_pictures
+from skat.diagnosis.report.sentences import (
+    capital,
+    cause_sentence,
+    counted,
+    gain_sentence,
+    remainder_sentence,
+    verdict_sentences,
+)
+from skat.diagnosis.report.tables import (
+    Table,
+    as_table,
+    cause_table,
+    channel_table,
+    error_bars,
+    error_notes,
+    identifiability_table,
+    remainder_table,
+)
 
-TEMPLATE = "report.html.jinja"
-# Longer tables are folded away.
-LONGEST_TABLE = 15
+TEMPLATE = "page.html.jinja"
 LONGEST_REPR = 120
 HEADLINES = {
     "nothing detected": "Nothing detected",
@@ -25,30 +39,6 @@ HEADLINES = {
     "ambiguous": "{} named, but the data allow other names",
     "unexplained": "Unexplained",
 }
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table of a page: texts, ready to be shown.
-
-    Attributes
-    ----------
-    title : str
-    columns : list of str
-    rows : list of list of str
-    numeric : list of bool
-        Which columns hold numbers.
-    """
-
-    title: str
-    columns: list
-    rows: list
-    numeric: list
-
-    @property
-    def is_long(self):
-        """Whether it is folded away."""
-        return len(self.rows) > LONGEST_TABLE
 
 
 @dataclass(frozen=True)
@@ -111,11 +101,11 @@ class Report:
         diagnosis = self.diagnosis
         lines = [f"Verdict: {diagnosis.verdict_}"]
         for cause in diagnosis.causes_:
-            lines.append(f"  {_cause_sentence(cause)}")
+            lines.append(f"  {cause_sentence(cause)}")
             if cause.aliases:
                 lines.append(f"    cannot be told from: {', '.join(cause.aliases)}")
         if diagnosis.verdict_ == "unexplained":
-            lines.append(f"  {_capital(_rest(diagnosis))}.")
+            lines.append(f"  {capital(remainder_sentence(diagnosis))}.")
         if diagnosis.causes_:
             lines += [f"  {test.title}: {gain_sentence(test.gain)}" for test in self._tests if test.gain]
         return "\n".join(lines)
@@ -136,7 +126,7 @@ class Report:
         from jinja2 import Environment, PackageLoader, StrictUndefined
 
         environment = Environment(
-            loader=PackageLoader("skat.diagnosis", "."),
+            loader=PackageLoader("skat.diagnosis.report", "."),
             autoescape=True,
             undefined=StrictUndefined,
             trim_blocks=True,
@@ -199,7 +189,7 @@ class Report:
         """
         if not isinstance(frame, pd.DataFrame):
             raise TypeError(f"frame must be a pandas DataFrame; it is a {type(frame).__name__}.")
-        self._tables.append(_table(title, frame))
+        self._tables.append(as_table(title, frame))
 
     def add_test(self, title, X, y, groups=None, *, gain=None, errors=None):
         """Add a log that the diagnosis was not fitted to; the page shows it instead of the rows fitted.
@@ -267,12 +257,14 @@ class Report:
         pictures = {}
         if figures:
             pictures = {index: log_pictures(diagnosis, test.log) for index, test in enumerate(shown)}
-        table, invisible = _identifiability(diagnosis)
+        table, invisible = identifiability_table(diagnosis)
         return {
             "verdict": diagnosis.verdict_,
-            "headline": HEADLINES[diagnosis.verdict_].format(_counted(diagnosis.causes_, "cause")),
-            "sentences": self._sentences(),
-            "causes": _causes(diagnosis.causes_) if diagnosis.causes_ else None,
+            "headline": HEADLINES[diagnosis.verdict_].format(counted(diagnosis.causes_, "cause")),
+            "sentences": verdict_sentences(
+                diagnosis, [test.errors for test in self._tests if test.errors is not None]
+            ),
+            "causes": cause_table(diagnosis.causes_) if diagnosis.causes_ else None,
             "cause_picture": cause_picture(diagnosis) if figures else None,
             "tests": [
                 {
@@ -283,43 +275,21 @@ class Report:
                         for gain in (test.gain, test.open_loop)
                         if gain and diagnosis.causes_
                     ],
-                    "errors": _errors(test.errors) if test.errors is not None else None,
+                    "errors": error_bars(test.errors) if test.errors is not None else None,
                     "ceiling": ceiling_sentence(test.errors) if test.errors is not None else "",
-                    "notes": _notes(test.errors) if test.errors is not None else [],
+                    "notes": error_notes(test.errors) if test.errors is not None else [],
                     "note": test.note,
-                    "channels": _channels(diagnosis, test),
+                    "channels": channel_table(diagnosis, test),
                     "pictures": pictures.get(index, []),
                 }
                 for index, test in enumerate(shown)
             ],
-            "remainder": _remainder(diagnosis),
+            "remainder": remainder_table(diagnosis),
             "identifiability": table,
             "invisible": invisible,
             "tables": self._tables,
             "facts": self._facts(),
         }
-
-    def _sentences(self):
-        """Return the verdict in sentences."""
-        diagnosis = self.diagnosis
-        unexplained = diagnosis.verdict_ == "unexplained"
-        sentences = [_cause_sentence(cause) for cause in diagnosis.causes_]
-        for cause in diagnosis.causes_:
-            if cause.aliases:
-                others, each = _listed(cause.aliases), "each of them" if len(cause.aliases) > 1 else "it"
-                sentences.append(
-                    f"These data cannot tell {cause.name} from {others}: put in its place, {each} explains "
-                    "the log as well."
-                )
-        if diagnosis.verdict_ == "nothing detected":
-            sentences.append("The log shows no difference from the simulation that noise would not explain.")
-        if unexplained:
-            rest = _rest(diagnosis)
-            sentences.insert(
-                0, f"Beside what is named below, {rest}." if diagnosis.causes_ else f"{_capital(rest)}."
-            )
-        known = [test.errors for test in self._tests if test.errors is not None]
-        return sentences + [ceiling_sentence(errors) for errors in known if unexplained or is_beaten(errors)]
 
     def _facts(self):
         diagnosis, log = self.diagnosis, self.log
@@ -340,52 +310,6 @@ class Report:
         return {name: fact for name, fact in facts.items() if fact}
 
 
-def gain_sentence(gain):
-    """Return a Gain in a sentence."""
-    if gain.horizon == 1:
-        text = (
-            f"the squared one-step error goes from {gain.nominal:.3g} to {gain.extended:.3g} times what "
-            "noise alone gives"
-        )
-    else:
-        text = f"the open-loop error of whole episodes goes from {gain.nominal:.3g} to {gain.extended:.3g}"
-    share, low, high = (f"{100 * one:.0f}" for one in (gain.explained, *gain.interval))
-    if np.ptp(gain.interval) > 1:
-        return f"{text}; that is too close to the noise to say which share of the excess is explained."
-    return f"{text}; {share} % of the excess is explained (95 %: {low} to {high} %)."
-
-
-def _rest(diagnosis):
-    """Return in words what is left: its shape, or that it has none."""
-    if is_structured(diagnosis.remainder_, diagnosis.alpha):
-        return diagnosis.remainder_.sentence
-    return "errors are larger than the noise explains, and depend on no single input in a way that would say where"
-
-
-def _cause_sentence(cause):
-    low, high = cause.interval
-    sentence = cause.sentence if cause.sentence.startswith(cause.name) else _capital(cause.sentence)
-    end = (
-        "; the estimate is at the end of the range allowed, so something else may be behind it"
-        if cause.at_bound
-        else ""
-    )
-    return f"{sentence.rstrip('.')} (95 %: {_number(low)} to {_number(high)}){end}."
-
-
-def _capital(text):
-    return text[:1].upper() + text[1:]
-
-
-def _counted(things, word):
-    return f"{len(things)} {word}{'' if len(things) == 1 else 's'}"
-
-
-def _listed(names):
-    *first, last = names
-    return f"{', '.join(first)} and {last}" if first else last
-
-
 def _short(simulator):
     text = repr(simulator)
     return text if len(text) <= LONGEST_REPR else type(simulator).__name__
@@ -398,143 +322,3 @@ def _initial_state(diagnosis):
 def _rows(log):
     """Return X, y and the episodes of a log."""
     return log.X, log.y, log.episodes if log.consecutive else None
-
-
-# -- tables ----------------------------------------------------------------------------------------------
-
-
-def _table(title, frame):
-    if frame.index.name is not None:
-        frame = frame.reset_index()
-    if "unit" in frame and not frame["unit"].any():
-        frame = frame.drop(columns="unit")
-    numeric = [
-        pd.api.types.is_numeric_dtype(dtype) and not pd.api.types.is_bool_dtype(dtype)
-        for dtype in frame.dtypes
-    ]
-    rows = [[_cell(value) for value in row] for row in frame.itertuples(index=False, name=None)]
-    return Table(str(title), [str(column) for column in frame.columns], rows, numeric)
-
-
-def _cell(value):
-    if isinstance(value, bool | np.bool_):
-        return "yes" if value else "no"
-    if isinstance(value, float | np.floating):
-        return "" if np.isnan(value) else _number(value)
-    return "" if value is None else str(value)
-
-
-def _number(value):
-    if np.isinf(value):
-        return "∞" if value > 0 else "-∞"
-    return f"{value:.4g}"
-
-
-def _p_value(value):
-    return "<\N{NO-BREAK SPACE}0.0001" if value < 1e-4 else f"{value:.2g}"
-
-
-def _unit(unit):
-    return "" if unit == "1" or unit.startswith("unit of ") else unit.replace(" ", "\N{NO-BREAK SPACE}")
-
-
-def _causes(causes):
-    return _table(
-        "Causes",
-        pd.DataFrame(
-            {
-                "cause": [cause.name for cause in causes],
-                "size": [cause.value for cause in causes],
-                "95 % interval": [
-                    "{}\N{NO-BREAK SPACE}to\N{NO-BREAK SPACE}{}".format(*map(_number, cause.interval))
-                    for cause in causes
-                ],
-                "unit": [_unit(cause.unit) for cause in causes],
-                "p": [_p_value(cause.p_value) for cause in causes],
-                "cannot be told from": [", ".join(cause.aliases) or "none" for cause in causes],
-            }
-        ),
-    )
-
-
-def _errors(errors):
-    """Return the rows of the table of errors, with each bar's length in percent."""
-    largest = errors["error"].max()
-    best = errors["error"].idxmin()
-    rows = []
-    for index, row in errors.iterrows():
-        answered = np.isfinite(row["error"])
-        interval = ""
-        if answered and row["method"] != EXTENDED:
-            interval = "{ratio:.3g} ({ratio_low:.3g} to {ratio_high:.3g})".format(**row)
-        rows.append(
-            {
-                "method": row["method"],
-                "error": f"{row['error']:.4g}" if answered else "no answer",
-                "share": f"{100 * row['error'] / largest:.1f}" if answered and largest > 0 else "0",
-                "ratio": interval,
-                "n_rows": row["n_rows"] or "",
-                "kind": {NOMINAL: "before", EXTENDED: "after"}.get(row["method"], "map"),
-                "best": index == best,
-            }
-        )
-    return rows
-
-
-def _notes(errors):
-    notes: dict[str, list] = {}
-    for method, note in zip(errors["method"], errors["note"], strict=True):
-        if note:
-            notes.setdefault(note, []).append(method)
-    return [f"{', '.join(methods)}: {note}" for note, methods in notes.items()]
-
-
-def _channels(diagnosis, test):
-    """Return the table of noise and one-step errors of each channel."""
-    names = [name for name in diagnosis.simulator.residual_names if name not in tuple(diagnosis.hidden)]
-    frame = pd.DataFrame(
-        {"noise": np.asarray(diagnosis.noise_, dtype=float)}, index=pd.Index(names, name="channel")
-    )
-    units = {
-        effect.target: effect.unit for effect in diagnosis.simulator.effects() if effect.family == "bias"
-    }
-    frame["unit"] = [_unit(units.get(name, "")) for name in names]
-    if test.gain is not None and test.gain.channels:
-        horizon = "one step" if test.gain.horizon == 1 else "open loop"
-        before, after = (
-            [test.gain.channels.get(name, (np.nan, np.nan))[k] for name in names] for k in (0, 1)
-        )
-        frame[f"error before, {horizon}"] = before
-        if diagnosis.causes_:
-            frame[f"error after, {horizon}"] = after
-    return _table("Channels", frame)
-
-
-def _remainder(diagnosis):
-    """Return the table of what is left, or None."""
-    remainder = diagnosis.remainder_
-    if diagnosis.verdict_ != "unexplained" or not is_structured(remainder, diagnosis.alpha):
-        return None
-    frame = pd.DataFrame(
-        [(direction, coordinate, _p_value(p)) for direction, coordinate, p in remainder.table[:6]],
-        columns=["acts on", "depends on", "p of this pair"],
-    )
-    return _table("What is left", frame)
-
-
-def _identifiability(diagnosis):
-    """Return the table of effects that the log would show, and the names of the others."""
-    frame = diagnosis.identifiability_
-    visible = np.isfinite(frame["smallest"])
-    named = {cause.name for cause in diagnosis.causes_}
-    shown = pd.DataFrame(
-        {
-            "smallest size": frame.loc[visible, "smallest"],
-            "unit": frame.loc[visible, "unit"].map(_unit),
-            "most similar effect": frame.loc[visible, "nearest_alias"],
-            "similarity": frame.loc[visible, "similarity"].map("{:.2f}".format),
-            "named": [("yes" if name in named else "") for name in frame.index[visible]],
-        },
-        index=frame.index[visible],
-    )
-    return _table("What these data would have shown", shown), list(frame.index[~visible])

@@ -1,0 +1,93 @@
+"""The findings in sentences."""
+
+import numpy as np
+
+from skat.diagnosis.comparison import ceiling_sentence, is_beaten
+from skat.diagnosis.omnibus import is_structured
+
+
+def verdict_sentences(diagnosis, comparisons):
+    """Return the verdict of a diagnosis in sentences.
+
+    Parameters
+    ----------
+    diagnosis : SimulationDiagnosis
+        Fitted.
+    comparisons : list of DataFrame
+        From `compare_transports`; where a transport does better, the verdict says so.
+    """
+    unexplained = diagnosis.verdict_ == "unexplained"
+    sentences = [cause_sentence(cause) for cause in diagnosis.causes_]
+    for cause in diagnosis.causes_:
+        if cause.aliases:
+            others, each = _listed(cause.aliases), "each of them" if len(cause.aliases) > 1 else "it"
+            sentences.append(
+                f"These data cannot tell {cause.name} from {others}: put in its place, {each} explains "
+                "the log as well."
+            )
+    if diagnosis.verdict_ == "nothing detected":
+        sentences.append("The log shows no difference from the simulation that noise would not explain.")
+    if unexplained:
+        rest = remainder_sentence(diagnosis)
+        sentences.insert(
+            0, f"Beside what is named below, {rest}." if diagnosis.causes_ else f"{capital(rest)}."
+        )
+    return sentences + [
+        ceiling_sentence(errors) for errors in comparisons if unexplained or is_beaten(errors)
+    ]
+
+
+def gain_sentence(gain):
+    """Return a Gain in a sentence."""
+    if gain.horizon == 1:
+        text = (
+            f"the squared one-step error goes from {gain.nominal:.3g} to {gain.extended:.3g} times what "
+            "noise alone gives"
+        )
+    else:
+        text = f"the open-loop error of whole episodes goes from {gain.nominal:.3g} to {gain.extended:.3g}"
+    share, low, high = (f"{100 * one:.0f}" for one in (gain.explained, *gain.interval))
+    if np.ptp(gain.interval) > 1:
+        return f"{text}; that is too close to the noise to say which share of the excess is explained."
+    return f"{text}; {share} % of the excess is explained (95 %: {low} to {high} %)."
+
+
+def remainder_sentence(diagnosis):
+    """Return in words what is left: its shape, or that it has none."""
+    if is_structured(diagnosis.remainder_, diagnosis.alpha):
+        return diagnosis.remainder_.sentence
+    return "errors are larger than the noise explains, and depend on no single input in a way that would say where"
+
+
+def cause_sentence(cause):
+    """Return a Cause in a sentence, with its interval."""
+    low, high = cause.interval
+    sentence = cause.sentence if cause.sentence.startswith(cause.name) else capital(cause.sentence)
+    end = (
+        "; the estimate is at the end of the range allowed, so something else may be behind it"
+        if cause.at_bound
+        else ""
+    )
+    return f"{sentence.rstrip('.')} (95 %: {number(low)} to {number(high)}){end}."
+
+
+def capital(text):
+    """Return a text that begins a sentence."""
+    return text[:1].upper() + text[1:]
+
+
+def counted(things, word):
+    """Return how many things there are, in words."""
+    return f"{len(things)} {word}{'' if len(things) == 1 else 's'}"
+
+
+def _listed(names):
+    *first, last = names
+    return f"{', '.join(first)} and {last}" if first else last
+
+
+def number(value):
+    """Return a number in four digits."""
+    if np.isinf(value):
+        return "∞" if value > 0 else "-∞"
+    return f"{value:.4g}"
