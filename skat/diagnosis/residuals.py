@@ -221,7 +221,8 @@ class Residuals:
         changes = self._changes(
             [values, *({**values, name: end} for name, end in zip(np.repeat(list(widths), 2), ends))]
         )
-        slopes = (changes[1::2] - changes[::2]) / np.subtract(ends[1::2], ends[::2])[:, None, None]
+        moves = np.subtract(ends[1::2], ends[::2])[:, None, None]
+        slopes = (changes[1::2] - changes[::2]) / np.where(moves == 0, np.inf, moves)
         return np.moveaxis(np.nan_to_num(slopes, nan=0.0, posinf=0.0, neginf=0.0), 0, -1)
 
     def _changes(self, candidates, rows=slice(None)):

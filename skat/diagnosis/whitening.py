@@ -15,6 +15,8 @@ from scipy import optimize, stats
 LARGEST_SQUARE = 9.0
 # A channel has at least this share of its residual's typical variance: other channels cannot explain it all.
 SMALLEST_SHARE = 1e-3
+# Mean of a channel's squares, cut as above and in units of their expectation, that leaves nothing unexplained.
+LARGEST_LEFT = 1.3
 
 
 @dataclass(frozen=True)
@@ -144,9 +146,10 @@ def estimate_variances(residuals, transitions, extra_variances, *, smallest, fol
 
     are linear in R: a generalised linear model with the variances that normal residuals give squares and products,
     solved by reweighted non-negative least squares. Sizes alone can trade the noise of a position for that of its
-    velocity; what a residual has in common with the one before tells the two apart. Squares and products beyond a few
-    times their expectation are cut, with the cut's own bias for Gaussian noise taken out of the squares, so that rows
-    at contacts, where the simulation is not smooth, do not pass for noise.
+    velocity; what a residual has in common with the one before tells the two apart. Where a model misses, neighbours
+    have its misses in common; products that leave the sizes unexplained are not counted. Squares and products beyond a
+    few times their expectation are cut, with the cut's own bias for Gaussian noise taken out of the squares, so that
+    rows at contacts, where the simulation is not smooth, do not pass for noise.
 
     Parameters
     ----------
@@ -159,16 +162,29 @@ def estimate_variances(residuals, transitions, extra_variances, *, smallest, fol
     follows : ndarray of bool of shape (n_rows,), optional
         True where a row is the step after the row before it; by default no row is.
     """
-    n_channels = residuals.shape[1]
-    kept_share = stats.chi2.cdf(LARGEST_SQUARE, 3) + LARGEST_SQUARE * stats.chi2.sf(LARGEST_SQUARE, 1)
     squares = residuals**2
-    after = np.flatnonzero(np.zeros(len(residuals), dtype=bool) if follows is None else follows)
-    products = residuals[after, :, None] * residuals[after - 1, None, :]
     # Cutting is relative to the model's own expectation: start from the middle of the squares.
-    design = transitions**2
-    design[:, np.arange(n_channels), np.arange(n_channels)] += 1
     typical = np.median(squares, axis=0) / stats.chi2.median(1)
     smallest = np.maximum(smallest, SMALLEST_SHARE * typical)
+    if follows is not None and follows.any():
+        variances, expected = _solved(residuals, transitions, extra_variances, typical, smallest, follows)
+        sizes = np.mean(np.minimum(squares / expected, LARGEST_SQUARE), axis=0)
+        if (sizes < LARGEST_LEFT).all():
+            return variances
+    return _solved(residuals, transitions, extra_variances, typical, smallest, None)[0]
+
+
+def _solved(residuals, transitions, extra_variances, typical, smallest, follows):
+    """Return variances, and the squares (n_rows, n_channels) that they let expect."""
+    n_channels = residuals.shape[1]
+    diagonal = np.arange(n_channels)
+    kept_share = stats.chi2.cdf(LARGEST_SQUARE, 3) + LARGEST_SQUARE * stats.chi2.sf(LARGEST_SQUARE, 1)
+    squares = residuals**2
+    if follows is not None:
+        after = np.flatnonzero(follows)
+        products = residuals[after, :, None] * residuals[after - 1, None, :]
+    design = transitions**2
+    design[:, diagonal, diagonal] += 1
     expected = np.maximum(typical + extra_variances, smallest)
     scale = np.sqrt(np.maximum(typical, smallest))
     variances = None
@@ -177,19 +193,18 @@ def estimate_variances(residuals, transitions, extra_variances, *, smallest, fol
         weights = 1.0 / expected
         rows = (design * weights[..., None]).reshape(-1, n_channels) * scale**2
         information, score = rows.T @ rows, rows.T @ (cut * weights).ravel()
-        if len(after):
+        if follows is not None:
             own, told = _neighbours(
                 products, -transitions[after], expected[after], expected[after - 1], scale**2
             )
-            information[np.arange(n_channels), np.arange(n_channels)] += own
+            information[diagonal, diagonal] += own
             score += told
-        solution = optimize.nnls(information, score)[0]
-        new = np.maximum(solution * scale**2, smallest)
+        new = np.maximum(optimize.nnls(information, score)[0] * scale**2, smallest)
+        expected = np.maximum(design @ new + extra_variances, smallest)
         if variances is not None and np.allclose(new, variances, rtol=1e-4):
             break
         variances = new
-        expected = np.maximum(design @ variances + extra_variances, smallest)
-    return new
+    return new, expected
 
 
 def _neighbours(products, slopes, expected, expected_before, scale):

@@ -205,6 +205,15 @@ def test_neighbours_tell_apart_what_sizes_cannot():
     np.testing.assert_allclose(ratios, 1, atol=0.4)
 
 
+def test_misses_that_neighbours_have_in_common_do_not_pass_for_the_absence_of_noise():
+    residuals, transitions, variances = simulated(0)
+    residuals += 5 * np.sqrt(variances) * np.sin(np.arange(800) / 20)[:, None]
+    extra, smallest = np.zeros_like(residuals), 1e-12 * variances
+    follows = np.arange(800) % 50 > 0
+    found = estimate_variances(residuals, transitions, extra, smallest=smallest, follows=follows)
+    np.testing.assert_array_equal(found, estimate_variances(residuals, transitions, extra, smallest=smallest))
+
+
 def test_estimated_noise_is_never_below_the_smallest():
     residuals = np.zeros((30, 2))
     smallest = np.array([1e-6, 1e-3])
