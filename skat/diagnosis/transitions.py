@@ -12,8 +12,8 @@ FARTHEST_SMOOTHED = 3.0
 # A model that misses less than this share beyond the noise counts as right where states are smoothed.
 NEGLIGIBLE_MISFIT = 1.3
 # The noise is first estimated from about so many residuals, in runs of so many rows. From the first rows alone, an
-# impact among them passed for noise of a velocity, and left none for the position; so it did in one of six struck pucks
-# from 960 residuals, and no later estimate came back from there.
+# impact among them passed for noise of a velocity, and left none for the position; so it did in a puck from
+# 960 residuals, and no later estimate came back from there.
 RESIDUALS_FOR_FIRST_NOISE = 2400
 RUN_FOR_FIRST_NOISE = 12
 

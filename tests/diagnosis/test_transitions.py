@@ -82,7 +82,8 @@ def test_what_curvature_adds_on_average_does_not_pass_for_a_bias(worlds):
 def test_impacts_do_not_pass_for_noise(worlds, seed, n_episodes, part):
     """The noise of the height once came out a twentieth, that of its rate 5 times the truth.
 
-    The first log has an impact in its first 96 rows; of the second, 120 rows spread over it began there.
+    The first log has an impact in its first 96 rows; of the second, the benchmark's clean puck 33, 120 rows
+    spread over it began there.
     """
     simulator = MujocoSimulator(worlds.nominal_mjcf("puck"), frame_skip=worlds.FRAME_SKIP["puck"])
     log = worlds.measure("puck", [], seed=seed, n_episodes=n_episodes)
