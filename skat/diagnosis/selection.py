@@ -16,6 +16,9 @@ MOST_EXCHANGES = 4
 WORTH_AN_EXCHANGE = 1.0
 # Misfit of the typical row, in noise units, beyond which a derivative says little of what is far away.
 FAR_OFF = 2.0
+# There a further effect must explain this share of the loss beyond noise: in a log that is like none of the models,
+# what explains little may stand for anything.
+LEAST_SHARE = 0.1
 # An effect on all is taken apart into so many elements at most, where that leaves less than this share of the loss.
 MOST_ELEMENTS = 16
 APART_LOSS = 0.7
@@ -143,8 +146,10 @@ class Selection:
         gram = grams(line.residuals, line.derivatives, self.estimates.clusters(len(line.names)))
         first = screen(gram, line.names, values, self.effects, list(values))
         misfit = np.median(np.sum(line.residuals**2, axis=-1)) / line.residuals.shape[1]
-        far_off |= bool(misfit > FAR_OFF)
         present = self.refits.losses(line.residuals)
+        least_explained = 0.0
+        if misfit > FAR_OFF:
+            far_off, least_explained = True, LEAST_SHARE * (present.sum() - line.residuals.size)
         for models in self.proposals.further(values, first, far_off=far_off):
             fits = self.refits.fit(models, race=True)
             for index in np.argsort([fit.loss for fit in fits]):
@@ -155,7 +160,9 @@ class Selection:
                     self.estimates.p_values(fit.values)[new],
                     fall_p_value(present, fit.losses),
                 )
-                if family_p_value(p_value, len(self.names)) < self.alpha and self._improves(fit, present):
+                significant = family_p_value(p_value, len(self.names)) < self.alpha
+                matters = present.sum() - fit.loss > least_explained
+                if significant and matters and self._improves(fit, present):
                     return fit.values
         return None
 

@@ -197,6 +197,27 @@ def test_what_is_certain_is_added_where_what_explains_more_is_not():
     assert abs(added["slope"] - 0.6) < 0.2
 
 
+@pytest.mark.parametrize(("slope", "added"), [(0.5, set()), (2.0, {"slope"})])
+def test_what_explains_little_of_a_log_that_is_like_no_model_is_not_named(slope, added):
+    """A wave five times as large as the noise is in no list; a slope explains a fiftieth of that, or a fifth."""
+    rng = np.random.default_rng(0)
+    X = np.linspace(0, 300, 3000)[:, None]
+    y = bursts_and_slope(X, slope) + 5 * np.sin(40 * X) + rng.normal(size=X.shape)
+    effects = [Effect("slope", unit="1", neutral=0.0, bounds=(-50.0, 50.0))]
+    simulator = FunctionSimulator(bursts_and_slope, input_names=("x",), output_names=("y",), effects=effects)
+    selection = Selection(
+        Residuals(simulator, check_log(simulator, X, y, None), effects, [1.0]),
+        ["slope"],
+        alpha=0.005,
+        max_effects=6,
+        progress=lambda *_: None,
+    )
+    line = selection.estimates.linearised({})
+    fit = selection.refits.fit([{"slope": slope}])[0]
+    assert selection.estimates.p_values(fit.values)["slope"] < 1e-4
+    assert set(selection._add({}, line) or ()) == added
+
+
 def test_exchanges_do_not_come_back_to_a_set_that_one_has_left(monkeypatch):
     selection = rippled_selection(0.0)
     polished = []
