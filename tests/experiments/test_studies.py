@@ -35,7 +35,8 @@ def test_nothing_is_named_that_does_not_gain_on_the_other_drop():
 def test_friction_of_the_cube_is_named_and_tilt_is_not():
     study = study_cube_tosses(n_fit=5, n_test=12)
     causes = {cause.family: cause for cause in study.diagnosis.causes_}
-    assert set(causes) <= {"contact_friction", "restitution"}  # Much is left, but nothing that explains a tenth of it.
+    # Much is left, but nothing that explains a tenth of it.
+    assert set(causes) <= {"contact_friction", "restitution"}
     assert 0.15 < causes["contact_friction"].value < 0.25  # a factor on the default coefficient, which is 1
     assert study.gain.ratio > 3.5
 
