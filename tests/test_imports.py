@@ -13,6 +13,7 @@ PACKAGE = Path(__file__).parent.parent / "skat"
 ALLOWED = {
     "_compat": set(),
     "threads": set(),
+    "files": set(),
     "moments": set(),
     "gaussian": {"moments", "threads"},
     "alignment": {"gaussian"},
@@ -28,10 +29,11 @@ ALLOWED = {
     "affinity": {"gaussian", "marginals", "wasserstein"},
     "metrics": {"affinity", "gaussian", "wasserstein"},
     "effects": set(),
-    "simulators": {"effects"},
+    "simulators": {"effects", "files"},
     "datasets": {"effects", "simulators"},
     "diagnosis": {
         "_compat",
+        "files",
         "effects",
         "gaussian",
         "transport",
@@ -54,6 +56,7 @@ ALLOWED = {
         "diagnosis",
     },
     "cli": {
+        "files",
         "gaussian",
         "transport",
         "baselines",

@@ -10,11 +10,11 @@ from skat.cli.terminal import (
     clear_errors,
     existing_file,
     output_console,
+    output_file,
     print_line,
     progress_bars,
     table_of,
     unused,
-    writable,
 )
 
 app = typer.Typer(
@@ -133,7 +133,9 @@ def diagnose(
         existing_file(model, "a MuJoCo model")
         existing_file(log, "a log in CSV")
         path = _report_path(output, f"{log.stem}-report.html", force)
-        extended = None if extended is None else writable(extended, force=force)
+        if extended is not None:
+            extended = output_file(extended, force=force)
+            output_file(extended.with_suffix(".effects.json"), force=force)
         data = load_log(log, MujocoSimulator(model), frame_skip=frame_skip)
         with progress_bars() as progress:
             study = study_log(
@@ -150,8 +152,8 @@ def diagnose(
         _show(study)
         _write_report(study, path, force)
         if extended is not None:
-            study.diagnosis.extended_simulator_.to_mjcf(extended)
-            print_line(f"Extended model: {extended}")
+            for path in study.diagnosis.extended_simulator_.to_mjcf(extended, force=force):
+                print_line(f"Extended model: {path}")
 
 
 PUCKS_ARE_SIMULATED = (
@@ -187,7 +189,7 @@ def transport(
         from skat import CORAL, AffineTransport, ExactTransport, ProcrustesAffineTransport
         from skat.datasets.logs import numeric_columns, with_same_columns
 
-        path = writable(output, force=force)
+        path = output_file(output, force=force)
         rows = numeric_columns(existing_file(source, "simulated rows in CSV"))
         measured = with_same_columns(numeric_columns(existing_file(target, "measured rows in CSV")), rows)
         estimators = {
@@ -236,8 +238,8 @@ def experiment(
         from skat import experiments
         from skat.experiments.summaries import figure, method_summary, verdict
 
-        output = None if output is None else writable(output, force=force)
-        plot = None if plot is None else writable(plot, force=force)
+        output = None if output is None else output_file(output, force=force)
+        plot = None if plot is None else output_file(plot, force=force)
         options: dict[str, Any] = {"random_state": seed}
         if n_repeats is not None:
             options["n_repeats"] = n_repeats
@@ -310,7 +312,7 @@ def _moments(**tables):
 
 
 def _report_path(given, default, force):
-    return unused(default) if given is None else writable(given, force=force)
+    return unused(default) if given is None else output_file(given, force=force)
 
 
 def _write_report(study, path, force):

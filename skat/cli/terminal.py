@@ -11,6 +11,8 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from skat.files import writable
+
 EXIT_BAD_INPUT = 2
 
 
@@ -52,25 +54,9 @@ def existing_file(path, what):
     return Path(path)
 
 
-def writable(path, *, force):
-    """Return a path that the user named for output, before the work begins that would be lost otherwise.
-
-    Raises
-    ------
-    FileExistsError
-        If the file exists and may not be overwritten.
-
-    FileNotFoundError
-        If its folder does not exist.
-    """
-    path = Path(path)
-    if path.is_dir():
-        raise FileExistsError(f"{path} is a folder; expected the name of a file to write.")
-    if path.exists() and not force:
-        raise FileExistsError(f"{path} exists. Choose another name, or overwrite it with --force.")
-    if not path.parent.is_dir():
-        raise FileNotFoundError(f"There is no folder {path.parent} to write {path.name} into. Make it first.")
-    return path
+def output_file(path, *, force):
+    """Return a path that the user named for output, after a check that nothing is lost by writing to it."""
+    return writable(path, force=force, remedy="--force")
 
 
 def unused(path):

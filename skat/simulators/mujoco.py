@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skat.effects import Effect
+from skat.files import writable
 from skat.simulators.anatomy import EXPLICIT_INTEGRATOR, Anatomy, actuator_name
 from skat.simulators.base import Simulator
 from skat.simulators.catalogue import Listing, effect_listing
@@ -173,7 +174,7 @@ class MujocoSimulator(Simulator):
         moved[..., :n_states] = self._layout.displaced(states, tangent)
         return moved
 
-    def to_mjcf(self, path: str | PathLike) -> tuple[Path, ...]:
+    def to_mjcf(self, path: str | PathLike, *, force: bool = False) -> tuple[Path, ...]:
         """Write the model, with the effects that are built in, for any user of MuJoCo.
 
         Numbers are written with all digits: plain MuJoCo predicts what this simulator predicts. What MJCF
@@ -184,14 +185,23 @@ class MujocoSimulator(Simulator):
         Parameters
         ----------
         path : path
-            Where to write the MJCF; assets are written into the same folder. What is there is overwritten.
+            Where to write the MJCF; assets are written into the same folder.
+        force : bool, default=False
+            Whether to overwrite files that exist. Assets that are there with the same content are left as they are.
 
         Returns
         -------
         tuple of Path
-            The files written.
+            The files of the model.
+
+        Raises
+        ------
+        FileExistsError
+            If one of the files exists and `force` is False; nothing is written then.
+        FileNotFoundError
+            If the folder does not exist.
         """
-        target = Path(path)
+        target = writable(path, force=force)
         values = self._built_in()
         spec = self.model.spec()
         write_down(spec)
@@ -210,15 +220,19 @@ class MujocoSimulator(Simulator):
         said += [self._all_by_name[name].describe(value) + "." for name, value in values.items()]
         spec.comment = " ".join(said)
         spec.compile()
-        target.write_text(write_xml(spec), encoding="utf-8")
-        written = [target]
-        for name, content in self.model.assets.items():
-            written.append(target.parent / name)
-            written[-1].write_bytes(content)
+        files = {target: write_xml(spec).encode()}
+        files |= {target.parent / name: content for name, content in self.model.assets.items()}
+        notes = writable(target.with_suffix(".effects.json"), force=force)
         if beside:
-            written.append(target.with_suffix(".effects.json"))
-            written[-1].write_text(json.dumps(self._beside(beside), indent=2) + "\n", encoding="utf-8")
-        return tuple(written)
+            files[notes] = (json.dumps(self._beside(beside), indent=2) + "\n").encode()
+        changed = [file for file, content in files.items() if not _holds(file, content)]
+        for file in changed:
+            writable(file, force=force)
+        if not beside:
+            notes.unlink(missing_ok=True)  # of another model that had this name
+        for file in changed:
+            file.write_bytes(files[file])
+        return tuple(files)
 
     def compiled(self, effects: Mapping[str, float] | None = None) -> mujoco.MjModel:
         """Return a compiled model with effects, for example to render it or to look at its numbers.
@@ -428,6 +442,10 @@ class MujocoSimulator(Simulator):
     @property
     def _own_by_name(self) -> dict[str, Effect]:
         return self._cached("own_by_name", lambda: {effect.name: effect for effect in self._own_effects()})
+
+
+def _holds(file: Path, content: bytes) -> bool:
+    return file.is_file() and file.read_bytes() == content
 
 
 def _sensor_effects(layout: StateLayout) -> list[Effect]:

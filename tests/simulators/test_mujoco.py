@@ -321,6 +321,46 @@ def test_delay_of_mujoco_agrees_with_ours(bot, tmp_path, integrator, delay):
             np.testing.assert_allclose(found, 0, atol=1e-6)
 
 
+def test_no_file_is_overwritten_unless_that_is_asked_for(bot, tmp_path):
+    path, notes = tmp_path / "mine.xml", tmp_path / "mine.effects.json"
+    windy = bot.extended({"wind[x]": 1.0})
+    path.write_text("mine")
+    with pytest.raises(FileExistsError, match=r"mine\.xml exists\..*force=True"):
+        windy.to_mjcf(path)
+    path.unlink()
+    notes.write_text("mine")
+    with pytest.raises(FileExistsError, match=r"mine\.effects\.json exists"):
+        bot.to_mjcf(path)
+    assert notes.read_text() == "mine"
+    assert not path.exists()
+    assert windy.to_mjcf(path, force=True) == (path, notes)
+    assert windy.to_mjcf(path, force=True) == (path, notes)
+    assert notes.exists()
+    # What was written beside the windy model is not true of this one.
+    assert bot.to_mjcf(path, force=True) == (path,)
+    assert not notes.exists()
+    with pytest.raises(FileNotFoundError, match="Make it first"):
+        bot.to_mjcf(tmp_path / "nowhere" / "mine.xml")
+
+
+def test_asset_of_another_model_is_not_overwritten(tmp_path):
+    block = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
+    (tmp_path / "block.obj").write_text(block)
+    text = """<mujoco><asset><mesh name="block" file="block.obj" inertia="convex"/></asset><worldbody><body>
+        <freejoint/><geom type="mesh" mesh="block"/></body></worldbody></mujoco>"""
+    (tmp_path / "model.xml").write_text(text)
+    simulator = MujocoSimulator(tmp_path / "model.xml")
+    there = tmp_path / "there"
+    there.mkdir()
+    (there / "block.obj").write_text(block)
+    simulator.to_mjcf(there / "same.xml")
+    (there / "block.obj").write_text(block.replace("1", "2"))
+    with pytest.raises(FileExistsError, match="block"):
+        simulator.to_mjcf(there / "other.xml")
+    assert not (there / "other.xml").exists()
+    assert "2" in (there / "block.obj").read_text()
+
+
 def test_delay_under_runge_kutta_is_written_beside(tmp_path):
     simulator = MujocoSimulator(BOT.replace("<option", '<option integrator="RK4"'), frame_skip=5)
     _, beside = simulator.extended({"delay[action]": 0.01}).to_mjcf(tmp_path / "late.xml")

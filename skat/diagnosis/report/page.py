@@ -4,7 +4,6 @@ import copy
 import warnings
 from dataclasses import dataclass, replace
 from importlib.metadata import version
-from pathlib import Path
 
 import pandas as pd
 
@@ -30,6 +29,7 @@ from skat.diagnosis.report.tables import (
     identifiability_table,
     remainder_table,
 )
+from skat.files import writable
 
 TEMPLATE = "page.html.jinja"
 LONGEST_REPR = 120
@@ -154,19 +154,11 @@ class Report:
         Raises
         ------
         FileExistsError
-            If the file exists and `force` is False.
+            If the file exists and `force` is False, or is a folder.
         FileNotFoundError
             If its folder does not exist.
         """
-        path = Path(path)
-        if path.is_dir():
-            raise FileExistsError(f"{path} is a folder; expected the name of a file to write.")
-        if path.exists() and not force:
-            raise FileExistsError(f"{path} exists. Choose another name, or overwrite it with force=True.")
-        if not path.parent.is_dir():
-            raise FileNotFoundError(
-                f"There is no folder {path.parent} to write {path.name} into. Make it first."
-            )
+        path = writable(path, force=force)
         body = self.html()
         page = (
             '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
