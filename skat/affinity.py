@@ -19,10 +19,11 @@ pairs.
 
 from dataclasses import dataclass, field
 from functools import partial
+from numbers import Integral
 
 import numpy as np
 from joblib import Parallel, delayed
-from sklearn.utils import check_array, check_random_state
+from sklearn.utils import check_array, check_random_state, check_scalar
 
 from skat.gaussian import AffineMap, optimal_map, root_of_moments, row_moments
 from skat.marginals import halves, marginal_squares, orders
@@ -173,8 +174,8 @@ def affinity_test(
     Raises
     ------
     ValueError
-        As `affinity_score`; if `paired` and the numbers of rows differ; or if `in_sample` and a shuffle
-        leaves fewer source directions than target directions.
+        As `affinity_score`; if `paired` and the numbers of rows differ; if `in_sample` and a shuffle leaves fewer
+        source directions than target directions; or without a shuffle.
 
     Notes
     -----
@@ -202,6 +203,7 @@ def affinity_test(
             f"pairs need as many source rows as target rows; there are {len(X_transported)} and {len(y)}. "
             "Give the rows in pairs, or paired=False."
         )
+    check_scalar(n_permutations, "n_permutations", Integral, min_val=1)
     rng = check_random_state(random_state)
     score = affinity_score(X_transported, y)
     seeds = rng.randint(np.iinfo(np.int32).max, size=n_permutations)
@@ -256,7 +258,7 @@ def debiased_affinity_score(
     Raises
     ------
     ValueError
-        As `affinity_score`; or with fewer than four rows on a side.
+        As `affinity_score`; with fewer than four rows on a side; or without a split, or blocks of one row.
 
     Notes
     -----
@@ -285,6 +287,8 @@ def debiased_affinity_score(
             f"halves of at least two rows are compared; there are {len(X_transported)} source and {len(y)} "
             "target rows. Give at least four of each."
         )
+    check_scalar(n_repeats, "n_repeats", Integral, min_val=1)
+    check_scalar(n_block_rows, "n_block_rows", Integral, min_val=2)
     n_block_rows = min(n_rows // 2, n_block_rows)
     splits = _splits(len(X_transported), len(y), n_block_rows, n_repeats, check_random_state(random_state))
     squares = Parallel(n_jobs=n_jobs, prefer="threads")(
@@ -442,7 +446,7 @@ def affinity_estimate(
     Raises
     ------
     ValueError
-        As `affinity_score`; or with fewer than eight rows on a side.
+        As `affinity_score`; with fewer than eight rows on a side; or with one block, or blocks of one row.
 
     Notes
     -----
@@ -475,6 +479,8 @@ def affinity_estimate(
             "at least two pairs of blocks of two rows are compared; there are "
             f"{len(X_transported)} source and {len(y)} target rows. Give at least eight of each."
         )
+    check_scalar(n_block_rows, "n_block_rows", Integral, min_val=2)
+    check_scalar(n_blocks, "n_blocks", Integral, min_val=2)  # The standard error is theirs.
     spread = _twice_the_spread(y)
     rng = check_random_state(random_state)
     n_block_rows = min(n_block_rows, n_rows // 4)

@@ -262,3 +262,19 @@ def test_estimate_names_what_it_needs():
         affinity_test(np.ones((10, 9)), np.eye(9), paired=True)
     with pytest.raises(ValueError, match="all 9 target rows are equal"):
         affinity_estimate(np.eye(9), np.ones((9, 9)))
+
+
+@pytest.mark.parametrize(
+    ("function", "parameter", "value"),
+    [
+        (affinity_test, "n_permutations", 0),
+        (debiased_affinity_score, "n_repeats", 0),
+        (debiased_affinity_score, "n_block_rows", 1),
+        (affinity_estimate, "n_blocks", 1),
+        (affinity_estimate, "n_block_rows", 1),
+    ],
+)
+def test_numbers_that_no_statistic_can_be_made_of_are_refused(function, parameter, value):
+    rows = np.random.default_rng(0).normal(size=(40, 2))
+    with pytest.raises(ValueError, match=rf"{parameter} == {value}, must be >= "):
+        function(rows, rows, **{parameter: value})
