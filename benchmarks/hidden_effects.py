@@ -179,12 +179,11 @@ def _tasks(arguments):
                 }
             )
 
-    for seed in range(n_seeds):
-        for row in cut() if arguments.cut else causes():
-            add("cause", row.label, seed)
-    for seed in range(arguments.small):
-        for row in causes():
-            add("small", row.label, seed)
+    rows = cut() if arguments.cut else causes()
+    for table, count in (("cause", n_seeds), ("small", arguments.small)):
+        for seed in range(count):
+            for row in rows:
+                add(table, row.label, seed)
     for seed in range(arguments.pairs):
         for kind in KINDS:
             add("pair", kind, seed)
