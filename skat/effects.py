@@ -74,6 +74,8 @@ class Effect:
                 f"bounds of {self.name} must enclose the neutral value {self.neutral:g}; got ({low:g}, "
                 f"{high:g})"
             )
+        if not math.isfinite(high - low):
+            raise ValueError(f"bounds of {self.name} must be finite; got ({low:g}, {high:g})")
         object.__setattr__(self, "family", match["family"])
         object.__setattr__(self, "target", match["target"])
         given: Callable[[float], str] | None = self.describe

@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 from sklearn.linear_model import Ridge
 from sklearn.preprocessing import FunctionTransformer
+from sklearn.utils import Bunch
 
 from skat.plotting import (
     CauseDisplay,
@@ -16,6 +17,7 @@ from skat.plotting import (
     TrajectoryDisplay,
     TransportDisplay,
 )
+from skat.simulators import FunctionSimulator
 
 
 @pytest.fixture(autouse=True)
@@ -174,7 +176,8 @@ def test_curve_says_what_is_wrong():
 class Growth:
     """A simulation whose state grows by a rate and its input."""
 
-    state_names = ("mass", "clock")
+    state_names = output_names = ("mass", "clock")
+    input_names = (*state_names, "feed")
     dt = 0.5
 
     def __init__(self, rate):
@@ -259,3 +262,17 @@ def test_causes_without_neutral_value_are_an_error():
         ValueError, match=r"no value for \['mass\[leg\]'\]; it has values for \['wind\[x\]'\]"
     ):
         CauseDisplay.from_causes([cause("mass[leg]", 1.5, 1.2, 2.0)], neutral={"wind[x]": 0.0})
+
+
+def test_trajectory_takes_tables_by_name_and_steps_where_there_is_no_time():
+    names = ("angle", "rate")
+    simulator = FunctionSimulator(
+        lambda X: X @ [[1.0, 0.0], [0.1, 1.0]], input_names=names, output_names=names, state_names=names
+    )
+    states = simulator.rollout([[0.0, 1.0]], n_steps=10)[0]
+    diagnosis = Bunch(simulator=simulator, extended_simulator_=simulator)
+    X, y = (pd.DataFrame(part, columns=names) for part in (states[:-1], states[1:]))
+    display = TrajectoryDisplay.from_estimator(diagnosis, X[["rate", "angle"]], y[["rate", "angle"]])
+    np.testing.assert_allclose(display.measured, states)
+    np.testing.assert_allclose(display.before, states)
+    assert display.ax_[-1].get_xlabel() == "step"

@@ -1,5 +1,7 @@
 """What cannot be told apart from a named effect, by this log."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from skat.diagnosis.evidence import as_good
@@ -34,20 +36,41 @@ def find_aliases(estimates, values, line, progress):
     losses = refits.losses(refits.whitened([values])[0])
     aliases = {}
     for done, name in enumerate(values, start=1):
-        rivals = _rivals(estimates.effects, name, values, line)
+        rest = {other: value for other, value in values.items() if other != name}
+        rivals = _rivals(
+            estimates.effects, name, values, _with_directions(estimates, name, values, rest, line)
+        )
         aliases[name] = ()
         if rivals:
-            rest = {other: value for other, value in values.items() if other != name}
             swapped = refits.fit([{**rest, rival: start} for rival, start in rivals.items()])
             aliases[name] = tuple(rival for rival, fit in zip(rivals, swapped) if as_good(fit.losses, losses))
         progress("aliases", done, len(values))
     return aliases
 
 
+def _with_directions(estimates, name, values, rest, line):
+    """Return the linearisation with directions for what is flat at a model in which a named effect is flat, too.
+
+    Friction so high that nothing slides has no derivative, nor has what could stand for it: directions are then taken
+    at the model without the cause, or that of the cause is what it explains, where it has none there either.
+    """
+    flat = [k for k in range(len(line.names)) if not line.derivatives[..., k].any()]
+    own = line.names.index(name)
+    if own not in flat:
+        return line
+    derivatives = line.derivatives.copy()
+    derivatives[..., flat] = estimates.residuals.derivatives(rest, [line.names[k] for k in flat])
+    if not derivatives[..., own].any():
+        without, present = estimates.refits.whitened([rest, values])
+        derivatives[..., own] = (without - present) / (values[name] - estimates.effects[name].neutral)
+    return replace(line, derivatives=derivatives)
+
+
 def _rivals(effects, name, values, line):
     """Return the effects that may stand for a named one, nearest first, and the values that match it best."""
     derivatives = line.derivatives.reshape(-1, len(line.names))
     others = [line.names.index(other) for other in values if other != name]
+    others = [k for k in others if derivatives[:, k].any()]
     columns = derivatives
     if others:
         basis = np.linalg.qr(derivatives[:, others] / np.linalg.norm(derivatives[:, others], axis=0))[0]

@@ -11,6 +11,7 @@ from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted
 
 from skat.baselines import CORAL, ExactTransport
+from skat.diagnosis.gains import FEWEST_PIECES
 from skat.diagnosis.log import check_log
 from skat.diagnosis.open_loop import Episodes
 from skat.transport import AffineTransport, ConditionalAffineTransport, ProcrustesAffineTransport
@@ -73,8 +74,8 @@ def compare_transports(
     DataFrame
         A row for each method: `method`; `error`, NaN where a method has no answer, which `note` then
         explains; `ratio` of the error to the extended simulation's, with its 95 % interval `ratio_low`,
-        `ratio_high`; `n_rows` it was fitted to, 0 for the simulations; `note`; and for each output, under its
-        name, the root mean squared error in the output's unit.
+        `ratio_high`, NaN where there is none; `n_rows` it was fitted to, 0 for the simulations; `note`; and for
+        each output, under its name, the root mean squared error in the output's unit.
 
     Raises
     ------
@@ -91,7 +92,7 @@ def compare_transports(
     so that 1 is the error of predicting the mean. The interval comes from a bootstrap over the same blocks of
     time for both methods. Orientations are compared as rotation vectors. If channels are hidden, the rows are
     those of whole episodes simulated in open loop from fitted initial states; their inputs are the step and
-    the actions.
+    the actions, and the bootstrap is over episodes. Fewer than five blocks or episodes give no interval.
 
     If the simulated rows vary in fewer directions than the measured ones (a linear simulation), no linear map
     carries one onto the other; they are then fitted with noise of the size of what the extended simulation
@@ -138,7 +139,9 @@ def ceiling_sentence(frame):
     if maps.empty:
         return "No transport could be fitted to these data."
     best = maps.loc[maps["error"].idxmin()]
-    size = f"{best['ratio']:.3g} times its error (95 %: {best['ratio_low']:.3g} to {best['ratio_high']:.3g})"
+    size = f"{best['ratio']:.3g} times its error"
+    if np.isfinite(best["ratio_low"]):
+        size += f" (95 %: {best['ratio_low']:.3g} to {best['ratio_high']:.3g})"
     if is_beaten(frame):
         return (
             f"{best['method']} beats the extended simulation on data not used: {size}. "
@@ -279,7 +282,7 @@ def _trajectory_rows(diagnosis, log, what):
         lambda prediction: measured - prediction,
         _spread(measured),
         tuple(np.array(diagnosis.simulator.residual_names)[episodes.measured]),
-        log.blocks()[there],
+        log.episodes[there],  # In open loop an error lasts through its episode.
         int((~there).sum()),
     )
 
@@ -353,6 +356,7 @@ def _table(rows, scale, test, random_state):
         if row.errors is not None
     }
     reference = sums[EXTENDED]
+    enough = len(draws[0]) >= FEWEST_PIECES
     records = []
     for row in rows:
         record = {
@@ -365,7 +369,9 @@ def _table(rows, scale, test, random_state):
         if row.errors is not None:
             own = sums[row.method]
             sampled = _ratio(own[draws].sum(axis=1), reference[draws].sum(axis=1))
-            low, high = np.quantile(sampled, [0.025, 0.975], method="inverted_cdf")
+            low, high = (
+                np.quantile(sampled, [0.025, 0.975], method="inverted_cdf") if enough else (np.nan, np.nan)
+            )
             record["error"] = float(np.sqrt(own.sum() / row.errors.size))
             record["ratio"] = float(_ratio(own.sum(), reference.sum()))
             record |= {"ratio_low": float(low), "ratio_high": float(high)}

@@ -173,8 +173,9 @@ class Estimates:
         by_block, block_freedom = wald(
             grams(residuals, derivatives, self.blocks, self.refits.weights(residuals))
         )
-        enough = np.isfinite(np.diag(covariance)) & (block_freedom > FEWEST_BLOCKS_TO_WIDEN)
-        ratio = np.where(enough, np.diag(by_block), np.diag(covariance)) / np.diag(covariance)
+        variances = np.diag(covariance)
+        enough = np.isfinite(variances) & (variances > 0) & (block_freedom > FEWEST_BLOCKS_TO_WIDEN)
+        ratio = np.where(enough, np.diag(by_block), 1.0) / np.where(enough, variances, 1.0)
         widen = np.sqrt(np.maximum(np.nan_to_num(ratio, nan=1.0), 1.0))
         return names, covariance * np.outer(widen, widen), np.where(widen > 1, block_freedom, freedom)
 

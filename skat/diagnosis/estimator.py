@@ -11,7 +11,7 @@ from sklearn.utils.validation import check_is_fitted
 from skat.diagnosis.findings import Cause
 from skat.diagnosis.gains import episode_gain, one_step_gain
 from skat.diagnosis.identifiability import identifiability, preflight
-from skat.diagnosis.log import check_log
+from skat.diagnosis.log import check_log, check_matrix, measured_channels
 from skat.diagnosis.omnibus import find_remainder, is_structured
 from skat.diagnosis.plausibility import warn_of_doubts
 from skat.diagnosis.report import Report
@@ -25,6 +25,7 @@ from skat.effects import Effect, unknown_name_message
 CLEAN_EXCESS = 1.3
 # Squared error of a row, in noise units, beyond which it counts no more.
 LARGEST_ERROR = 9.0
+QUATERNION = ("qw", "qx", "qy", "qz")
 # An estimate within this share of its range from a bound is at it.
 AT_BOUND = 1e-6
 
@@ -48,7 +49,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         over whole episodes. 0: all rows are fitted and `gain_` is None.
     hidden : sequence of str, default=()
         State channels that were not measured. Their columns in X hold first guesses only; whole episodes are then
-        compared in open loop, each from an initial state of its own that is fitted.
+        compared in open loop, each from an initial state of its own that is fitted. What no effect explains then
+        passes for noise: whether anything is left is not tested, and no verdict is "unexplained".
     n_jobs : int or None, default=None
         Processes of joblib that share the simulations of a fit; ``joblib.parallel_config(backend="dask")`` takes them
         to a cluster. None means one, whose own threads take all cores where the simulator is a `MujocoSimulator`. The
@@ -160,18 +162,17 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         self._values = dict(selected.values)
         if held_out is not None:
             progress("gain", 0, 1)
-            if hidden:
-                self.gain_ = self._episode_gain(held_out, "fitted", None, random_state)
-            else:
-                residuals = self._differentiated(held_out)
-                self.gain_ = one_step_gain(residuals, self._values, random_state)
-                n_diverged += residuals.diverged.sum()
-        if n_diverged:
-            warnings.warn(
-                f"The simulation diverges in {n_diverged} of {len(log)} rows, which were left out; check that they are "
-                "physical.",
-                stacklevel=2,
-            )
+            try:
+                if hidden:
+                    self.gain_ = self._episode_gain(held_out, "fitted", None, random_state)
+                else:
+                    tested = self._differentiated(held_out)
+                    self.gain_ = one_step_gain(tested, self._values, random_state)
+                    n_diverged += tested.diverged.sum()
+                    residuals = tested
+            except RuntimeError as error:
+                warnings.warn(f"The gain could not be measured on the rows held out. {error}", stacklevel=2)
+        _warn_of_diverged(n_diverged, len(log))
         self.excess_p_value_ = self._excess(residuals, len(fitted))
         self.verdict_ = self._verdict()
         self.report_ = Report(self, fitted, held_out)
@@ -197,6 +198,13 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         Returns
         -------
         Gain
+
+        Raises
+        ------
+        ValueError
+            As in `fit`; if a channel or an argument is none of those that it may be.
+        RuntimeError
+            If the simulation diverges in every row, or in open loop in an episode.
         """
         check_is_fitted(self, "verdict_")
         if horizon not in (1, "episode"):
@@ -212,7 +220,10 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         log = check_log(self.simulator, X, y, groups, fewest_rows=1, hidden=hidden)
         random_state = check_random_state(self.random_state)
         if horizon == 1 and not hidden:
-            return one_step_gain(self._differentiated(log), self._values, random_state)
+            residuals = self._differentiated(log)
+            gain = one_step_gain(residuals, self._values, random_state)
+            _warn_of_diverged(residuals.diverged.sum(), len(log))
+            return gain
         if not log.consecutive:
             raise ValueError(
                 "horizon='episode' needs a simulation with a state, and groups=, the episode of each row."
@@ -234,6 +245,22 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         """
         check_is_fitted(self, "verdict_")
         return self.extended_simulator_.predict(X, groups=groups)
+
+    def score(self, X, y, sample_weight=None):
+        """Return the coefficient of determination of `predict`.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_rows, n_inputs)
+        y : array-like of shape (n_rows, n_outputs)
+            Columns of a data frame are matched by name.
+        sample_weight : array-like of shape (n_rows,), optional
+
+        Returns
+        -------
+        float
+        """
+        return super().score(X, check_matrix(y, "y", self.simulator.output_names), sample_weight)
 
     def preflight(self, X, groups=None):
         """Say, before measuring, what transitions like these could show.
@@ -300,6 +327,13 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             raise ValueError(
                 f"hidden names {', '.join(unknown)}; state channels are {', '.join(self.simulator.state_names)}."
             )
+        for joint in {name.rpartition(".")[0] for name in hidden if name.rpartition(".")[2] in QUATERNION}:
+            missing = [part for part in QUATERNION if f"{joint}.{part}" not in hidden]
+            if missing:
+                raise ValueError(
+                    f"hidden names a part of the orientation {joint}; name all of its quaternion, also "
+                    f"{', '.join(f'{joint}.{part}' for part in missing)}."
+                )
         return hidden
 
     def _given_deviations(self):
@@ -309,7 +343,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
                     f"noise must be 'estimate' or one standard deviation per channel; it is {self.noise!r}."
                 )
             return None
-        names = [name for name in self.simulator.residual_names if name not in self.hidden]
+        measured = measured_channels(self.simulator, self._checked_hidden())
+        names = np.array(self.simulator.residual_names)[measured]
         deviations = np.asarray(self.noise, dtype=float)
         if deviations.shape != (len(names),) or not (deviations > 0).all():
             raise ValueError(
@@ -381,6 +416,15 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             at_bound=bool(
                 np.min(np.abs(np.subtract(effect.bounds, value))) < AT_BOUND * np.ptp(effect.bounds)
             ),
+        )
+
+
+def _warn_of_diverged(count, n_rows):
+    if count:
+        warnings.warn(
+            f"The simulation as given or with its causes diverges in {count} of {n_rows} rows, which were left out; "
+            "check that they are physical.",
+            stacklevel=3,
         )
 
 

@@ -27,17 +27,17 @@ class Screen:
         Best change of the effect, in its unit, within its bounds; the effects in the model adapt.
     gains : ndarray
         By which the loss (weighted squared residuals in noise units) falls.
-    statistics : ndarray
-        Wald statistics: the unconstrained change over its standard error.
     p_values : ndarray
         Two-sided, of a single effect.
+    flat : ndarray of bool
+        Where an effect changes nothing at the model: a limit that is not reached, for example.
     """
 
     names: tuple
     moves: np.ndarray
     gains: np.ndarray
-    statistics: np.ndarray
     p_values: np.ndarray
+    flat: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -102,21 +102,20 @@ def screen(gram, names, values, effects, fitted=()):
     )
     adjusted = scores - scores[:, inside] @ carry
     total = within.sum(axis=0)
-    usable = total > 1e-9 * np.diag(information)
-    usable &= np.diag(information) > 0
+    flat = np.diag(information) == 0
+    usable = (total > 1e-9 * np.diag(information)) & ~flat
     usable[inside] = False
     safe = np.where(usable, total, 1.0)
     change = np.where(usable, adjusted.sum(axis=0) / safe, 0.0)
     errors, freedom = block_errors(adjusted - change * within, within, safe)
-    statistics = np.where(usable, change / errors, 0.0)
-    p_values = np.where(usable, 2 * stats.t.sf(np.abs(statistics), freedom), 1.0)
+    p_values = np.where(usable, 2 * stats.t.sf(np.abs(change) / errors, freedom), 1.0)
     moves, gains = np.zeros(len(names)), np.zeros(len(names))
     for k in np.flatnonzero(usable):
         low, high = effects[names[k]].bounds
         at = values.get(names[k], effects[names[k]].neutral)
         moves[k] = np.clip(change[k], low - at, high - at)
         gains[k] = moves[k] * (2 * change[k] - moves[k]) * total[k]
-    return Screen(tuple(names), moves, gains, statistics, p_values)
+    return Screen(tuple(names), moves, gains, p_values, flat)
 
 
 def lone_statistics(gram):

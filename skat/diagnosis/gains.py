@@ -6,6 +6,8 @@ from skat.diagnosis.findings import Gain
 from skat.diagnosis.open_loop import Episodes
 
 N_BOOTSTRAP = 999
+# Fewer pieces do not say how much the gain varies from one to the next.
+FEWEST_PIECES = 5
 
 
 def one_step_gain(residuals, values, random_state):
@@ -17,8 +19,15 @@ def one_step_gain(residuals, values, random_state):
         Of the held-out log, linearised at `values` with the noise known.
     values : dict of str to float
     random_state : numpy.random.RandomState
+
+    Raises
+    ------
+    RuntimeError
+        If one of the simulations diverges in every row.
     """
     nominal, extended = residuals.noise_errors([{}, values])
+    if not len(nominal):
+        raise RuntimeError("The simulation diverges in every row; check that these rows are physical.")
     blocks = residuals.blocks[residuals.present] if len(nominal) < len(residuals.blocks) else residuals.blocks
     before, after = residuals.channel_errors({}), residuals.channel_errors(values)
     channels = {name: (error, after[name]) for name, error in before.items()}
@@ -40,6 +49,11 @@ def episode_gain(simulator, log, values, deviations, *, hidden, initial_state, o
     outputs : sequence of str or None
         Channels that make up the distance; None: all that were measured.
     random_state : numpy.random.RandomState
+
+    Raises
+    ------
+    RuntimeError
+        If an episode diverges.
     """
     episodes = Episodes(simulator, log, hidden)
     names = [name for name, there in zip(simulator.residual_names, episodes.measured) if there]
@@ -56,7 +70,7 @@ def episode_gain(simulator, log, values, deviations, *, hidden, initial_state, o
         if lost.any():
             raise RuntimeError(
                 f"In open loop the {'extended' if model else 'nominal'} simulation diverges in episode "
-                f"{log.episodes[lost][0]}; take horizon=1, or leave that episode out."
+                f"{log.label(log.episodes[lost][0])}: cut it into shorter ones, or leave it out."
             )
         errors.append(residuals)
     nominal, extended = (np.sum(one**2, axis=1) for one in errors)
@@ -76,14 +90,16 @@ def _gain(nominal, extended, floor, blocks, random_state, *, horizon, channels, 
     transform = np.sqrt if root else np.asarray
     labels = np.unique(blocks, return_inverse=True)[1]
     counts = np.bincount(labels)
-    sums = np.stack([np.bincount(labels, one) for one in (nominal, extended)])
-    draws = random_state.randint(len(counts), size=(N_BOOTSTRAP, len(counts)))
-    totals = counts[draws].sum(axis=1)
-    sampled = [
-        _explained(a, b, float(transform(floor)))
-        for a, b in (transform(sums[:, draw].sum(axis=1) / total) for draw, total in zip(draws, totals))
-    ]
-    low, high = np.quantile(sampled, [0.025, 0.975])
+    low = high = np.nan
+    if len(counts) >= FEWEST_PIECES:
+        sums = np.stack([np.bincount(labels, one) for one in (nominal, extended)])
+        draws = random_state.randint(len(counts), size=(N_BOOTSTRAP, len(counts)))
+        totals = counts[draws].sum(axis=1)
+        sampled = [
+            _explained(a, b, float(transform(floor)))
+            for a, b in (transform(sums[:, draw].sum(axis=1) / total) for draw, total in zip(draws, totals))
+        ]
+        low, high = np.quantile(sampled, [0.025, 0.975])
     nominal, extended, floor = (float(transform(one)) for one in (nominal.mean(), extended.mean(), floor))
     return Gain(
         nominal,

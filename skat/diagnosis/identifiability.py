@@ -4,13 +4,15 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from skat.diagnosis.evidence import grams
+from skat.diagnosis.evidence import grams, solve_scaled
 from skat.diagnosis.log import Log, check_log
 from skat.diagnosis.selection import least_fall
 
 COMMON_NOISE = 0.01
 # Effects whose derivatives make a smaller angle than this cosine are worth a warning before measuring.
 NEARLY_ALIKE = 0.95
+# An effect of which the causes found leave a smaller share is not seen beside them.
+LEAST_SHARE = 1e-9
 
 
 def identifiability(selected, residuals, alpha):
@@ -22,16 +24,18 @@ def identifiability(selected, residuals, alpha):
         Indexed by effect: `smallest` (size that would be named with a chance of one half, in the effect's unit; inf
         where the log does not show it), `unit`, `nearest_alias`, `similarity` (cosine, 0 to 1).
     """
-    return _table(selected.gram, selected.linearisation.names, residuals, alpha)
+    return _table(selected.gram, selected.linearisation.names, residuals, alpha, list(selected.values))
 
 
-def _table(gram, names, residuals, alpha):
+def _table(gram, names, residuals, alpha, found=()):
     effects = residuals.effects
     information = gram.information.sum(axis=0)
     size = np.sqrt(np.diag(information))
     shown = size > 0
     cosines = np.abs(information) / np.where(shown, size, np.inf)[:, None] / np.where(shown, size, np.inf)
     np.fill_diagonal(cosines, 0.0)
+    size = size * np.sqrt(_shares_left(information, [names.index(name) for name in found]))
+    shown &= size > 0
     # A named effect is significant among all and lowers the loss throughout the log, which has half the effect's t.
     threshold = max(stats.norm.isf(alpha / len(names) / 2), 2 * least_fall(residuals))
     nearest = cosines.argmax(axis=1)
@@ -49,6 +53,18 @@ def _table(gram, names, residuals, alpha):
         },
         index=pd.Index(names, name="effect"),
     )
+
+
+def _shares_left(information, found):
+    """Return of each effect's information the share that the causes found, but itself, leave."""
+    own = np.maximum(np.diag(information), 1e-300)
+    shares = np.ones(len(own))
+    for k in range(len(own)):
+        others = [j for j in found if j != k]
+        if others:
+            carry = solve_scaled(information[np.ix_(others, others)], information[others, k][:, None])[:, 0]
+            shares[k] = 1 - information[k, others] @ carry / own[k]
+    return np.where(shares > LEAST_SHARE, shares, 0.0)
 
 
 def preflight(diagnosis, X, groups):

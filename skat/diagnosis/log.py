@@ -29,12 +29,15 @@ class Log:
         0, 1, ... in the order of the rows.
     consecutive : bool
         Whether the rows of an episode follow each other in time.
+    labels : tuple or None
+        What the user calls each episode.
     """
 
     X: np.ndarray
     y: np.ndarray
     episodes: np.ndarray
     consecutive: bool
+    labels: tuple | None = None
 
     def __len__(self):
         return len(self.X)
@@ -43,6 +46,10 @@ class Log:
     def n_episodes(self):
         """Number of episodes."""
         return int(self.episodes[-1]) + 1 if len(self) else 0
+
+    def label(self, episode):
+        """Return what the user calls an episode."""
+        return int(episode) if self.labels is None else self.labels[episode]
 
     @property
     def steps(self):
@@ -57,7 +64,11 @@ class Log:
         episodes = (
             np.cumsum(apart) if self.consecutive else np.unique(self.episodes[chosen], return_inverse=True)[1]
         )
-        return Log(self.X[chosen], self.y[chosen], episodes, self.consecutive)
+        labels = None
+        if self.labels is not None:
+            first = np.unique(episodes, return_index=True)[1]
+            labels = tuple(self.labels[episode] for episode in self.episodes[chosen][first])
+        return Log(self.X[chosen], self.y[chosen], episodes, self.consecutive, labels)
 
     def part(self, n_rows, length):
         """Return about so many rows that stand for the log: runs of a length, spread over it."""
@@ -124,6 +135,13 @@ class Log:
         return chosen or [int(np.argmin(sizes))]
 
 
+def measured_channels(simulator, hidden):
+    """Return for each residual channel whether it was measured, (n_channels,): a rotation as its quaternion was."""
+    turned = [name[: -len(".qw")] for name in hidden if name.endswith(".qw")]
+    unmeasured = {*hidden, *(f"{joint}.{axis}" for joint in turned for axis in ("rx", "ry", "rz"))}
+    return np.array([name not in unmeasured for name in simulator.residual_names])
+
+
 def check_log(simulator, X, y, groups, *, fewest_rows=FEWEST_ROWS, hidden=()):
     """Return the Log of checked rows.
 
@@ -143,8 +161,8 @@ def check_log(simulator, X, y, groups, *, fewest_rows=FEWEST_ROWS, hidden=()):
     ValueError
         Where the rows cannot be what the simulator takes and gives, with the row and the column.
     """
-    X = _check_matrix(X, "X", simulator.input_names)
-    y = _check_matrix(y, "y", simulator.output_names)
+    X = check_matrix(X, "X", simulator.input_names)
+    y = check_matrix(y, "y", simulator.output_names)
     if len(X) != len(y):
         raise ValueError(
             f"X has {len(X)} rows and y {len(y)}: each row of y is what followed the same row of X."
@@ -180,7 +198,8 @@ def check_log(simulator, X, y, groups, *, fewest_rows=FEWEST_ROWS, hidden=()):
             f"groups tells {n_groups} groups of rows apart, and each counts as one piece of evidence: a diagnosis "
             f"needs at least {FEWEST_GROUPS}. Pass groups=None if the rows are independent of each other."
         )
-    log = Log(X, y, episodes, bool(simulator.state_names))
+    labels = tuple(groups[starts].tolist()) if simulator.state_names else None
+    log = Log(X, y, episodes, bool(simulator.state_names), labels)
     if log.consecutive:
         _check_continuity(simulator, log, hidden)
         if (np.bincount(episodes) == 1).all():
@@ -193,7 +212,14 @@ def check_log(simulator, X, y, groups, *, fewest_rows=FEWEST_ROWS, hidden=()):
     return log
 
 
-def _check_matrix(values, what, names):
+def check_matrix(values, what, names):
+    """Return rows as an array, the columns of a data frame in the order of the names.
+
+    Raises
+    ------
+    ValueError
+        If a column is missing or a value is no finite number.
+    """
     if hasattr(values, "columns") and hasattr(values, "to_numpy"):
         known = set(names) & set(values.columns)
         if known and len(known) < len(names):
@@ -234,11 +260,11 @@ def _check_continuity(simulator, log, hidden):
         return
     state = len(simulator.state_names)
     gap = np.abs(simulator.residual(log.X[follows + 1][:, :state], log.y[follows]))
-    measured = [index for index, name in enumerate(simulator.residual_names) if name not in hidden]
+    measured = np.flatnonzero(measured_channels(simulator, hidden))
     spread = simulator.residual(log.y, np.broadcast_to(log.y[:1], log.y.shape)).std(axis=0)
     wrong = np.argwhere(gap[:, measured] > 1e-4 * spread[measured] + 1e-9)
     if len(wrong):
-        row, channel = int(follows[wrong[0, 0]]), measured[wrong[0, 1]]
+        row, channel = int(follows[wrong[0, 0]]), int(measured[wrong[0, 1]])
         raise ValueError(
             f"y of row {row} is not the state in row {row + 1} of X: {simulator.residual_names[channel]} differs by "
             f"{gap[wrong[0, 0], channel]:.3g}. The rows of an episode must be in time order, y the next row's state; "

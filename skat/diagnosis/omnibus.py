@@ -23,6 +23,8 @@ LONGEST_TABLE = 10
 LAGS = range(4, 16)
 LARGEST_RESIDUAL = 4.0
 TIME = "time"
+# Pairs count as seen below this p-value, corrected for their number.
+CLEAR = 0.01
 
 
 @dataclass(frozen=True)
@@ -34,11 +36,12 @@ class Remainder:
     p_value : float
         Family-wise chance of so much structure where nothing is left.
     direction : str
-        Where the error acts that explains most: a joint, which a force acts on, or an output.
+        Where the error acts that explains most of those that are clear: a joint, which a force acts on, or an output.
     coordinate : str
         The input it depends on.
     table : tuple of (direction, coordinate, p_value)
-        The most telling pairs, those first that explain most; p-values are not corrected for the number of pairs.
+        The most telling pairs; of those that are clear, the one first that explains most. p-values are not corrected
+        for the number of pairs.
     """
 
     p_value: float
@@ -101,7 +104,9 @@ def find_remainder(residuals, line, fitted):
     pairs = sorted(own_laws + others, key=lambda pair: pair.p_value)[:LONGEST_TABLE]
     if pairs[0].coordinate != TIME:
         # Where p-values are tiny, which one is the tiniest says little of what is left.
-        pairs.sort(key=lambda pair: -pair.explained)
+        level = CLEAR / len(own_laws + others)
+        clear, rest = ([pair for pair in pairs if (pair.p_value < level) is one] for one in (True, False))
+        pairs = sorted(clear, key=lambda pair: -pair.explained) + rest
     table = tuple((pair.direction, pair.coordinate, pair.p_value) for pair in pairs)
     return Remainder(p_value, *table[0][:2], table)
 
@@ -111,6 +116,8 @@ class _ScoreTests:
 
     def __init__(self, residuals, line, fitted):
         self.residuals = residuals
+        # Rows without time order that were given in groups may have something in common.
+        self.groups = None if residuals.log.consecutive else residuals.blocks
         weights = robust_weights(line.residuals)[:, None]
         derivatives = line.derivatives[..., [line.names.index(name) for name in fitted]]
         self.weighted_residuals = line.residuals * weights
@@ -135,8 +142,14 @@ class _ScoreTests:
             information -= cross[:, part].T @ carry[:, part]
             total = scores[:, part].sum(axis=0)
             explained = float(total @ solve_scaled(information, total[:, None])[:, 0])
-            found.append((_score_test(scores[:, part]), explained))
+            found.append((_score_test(self._pieces(scores[:, part])), explained))
         return found
+
+    def _pieces(self, scores):
+        """Return the scores of rows, or of groups where rows are not independent."""
+        if self.groups is None:
+            return scores
+        return np.add.reduceat(scores, np.flatnonzero(np.r_[True, np.diff(self.groups) > 0]), axis=0)
 
 
 def _persistence(residuals, white):
@@ -177,7 +190,7 @@ def odd_functions(values):
 
 
 def _score_test(scores):
-    """Return the p-value of the scores of rows having mean zero (Hotelling)."""
+    """Return the p-value of the scores of rows, or of groups of them, having mean zero (Hotelling)."""
     scores = scores[np.abs(scores).max(axis=1) > 0]
     count = len(scores)
     if not count:

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from skat.diagnosis.log import measured_channels
+
 FIT_STEPS = 12
 # Of an episode's residuals, what fitted initial states leave is never taken for a smaller share than this.
 LEAST_FREE = 0.1
@@ -23,7 +25,7 @@ class Episodes:
     def __init__(self, simulator, log, hidden=()):
         self.simulator, self.log = simulator, log
         n_states = len(simulator.state_names)
-        self.measured = np.array([name not in hidden for name in simulator.residual_names])
+        self.measured = measured_channels(simulator, hidden)
         lengths = np.bincount(log.episodes)
         self.place = log.episodes, log.steps
         self.n_steps = int(lengths.max())
@@ -133,9 +135,9 @@ class Episodes:
             if np.all(np.abs(moves) < steps) or damping.min() > 1e6:
                 break
         if not np.isfinite(best_loss).all():
-            lost = int(np.flatnonzero(~np.isfinite(best_loss))[0])
+            lost = self.log.label(np.flatnonzero(~np.isfinite(best_loss))[0])
             raise RuntimeError(
-                f"The simulation of episode {lost} diverges from its measured initial state; take horizon=1, or "
-                "shorter episodes."
+                f"The simulation of episode {lost} diverges from the initial state in its first row: cut the episode "
+                "into shorter ones, or leave it out."
             )
         return best

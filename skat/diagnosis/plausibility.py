@@ -1,4 +1,4 @@
-"""Signs that a log is not what it seems: channels that never change, clipped commands, other units, made velocities."""
+"""Signs that a log is not what it seems: stuck channels, clipped commands, other units, jumps, made velocities."""
 
 import warnings
 
@@ -29,6 +29,7 @@ def warn_of_doubts(simulator, log, hidden=()):
         *_constant(simulator, log, hidden),
         *_clipped(simulator, log),
         *_degrees(simulator, log, hidden),
+        *_wrapped(simulator, log, hidden),
         *_differenced(simulator, log, hidden),
     ):
         warnings.warn(doubt, UserWarning, stacklevel=4)
@@ -96,6 +97,25 @@ def _degrees(simulator, log, hidden):
         )
 
 
+def _wrapped(simulator, log, hidden):
+    """Name angles that jump by a full turn where the simulation turns on."""
+    for name in simulator.angle_names:
+        if not name.startswith("qpos.") or name in hidden:
+            continue
+        before, after = simulator.input_names.index(name), simulator.output_names.index(name)
+        jumps = np.flatnonzero(np.abs(log.y[:, after] - log.X[:, before]) > np.pi)
+        if not len(jumps):
+            continue
+        some = log.rows(jumps)
+        predicted = simulator.predict_many(some.X, [{}], groups=_groups(some))[0][:, after]
+        count = int(np.sum(np.abs(some.y[:, after] - predicted) > np.pi))
+        if count:
+            yield (
+                f"{name} jumps by about a full turn in {count} of {len(log)} rows, where the simulation turns on: an "
+                "angle that starts anew at a full turn. Unwrap it within each episode (numpy.unwrap)."
+            )
+
+
 def _differenced(simulator, log, hidden):
     """Name velocities that were not measured but are differences of the log's positions."""
     names, half = simulator.residual_names, len(simulator.residual_names) // 2
@@ -109,7 +129,7 @@ def _differenced(simulator, log, hidden):
     ]
     some = log.rows(np.arange(min(len(log), ROWS_TRIED)))
     follows = np.flatnonzero(np.diff(some.episodes) == 0)
-    if not log.consecutive or not pairs or not len(follows):
+    if not log.consecutive or simulator.dt is None or not pairs or not len(follows):
         return
     columns, state = np.array(pairs).T, len(simulator.state_names)
     simulated_now = some.X[follows + 1].copy()

@@ -40,6 +40,8 @@ class Proposals:
     def __init__(self, estimates):
         self.residuals, self.refits, self.effects = estimates.residuals, estimates.refits, estimates.effects
         self.n_screened = len(estimates.names)
+        # Effects that change nothing anywhere in their range.
+        self.dead: set[str] = set()
 
     # -- one effect more -------------------------------------------------------------------------------------------
 
@@ -63,6 +65,7 @@ class Proposals:
             steps = []
         if far_off or not values:
             grid = self._grid(values, [first.names[k] for k in np.flatnonzero(first.p_values < 1)])
+            grid += self._asleep(values, [first.names[k] for k in np.flatnonzero(first.flat)])
         if steps or grid:
             yield self._contenders(values, steps + grid)
 
@@ -86,6 +89,8 @@ class Proposals:
         for name in names:
             if name not in values:
                 candidates += [{name: point} for point in _points(self.effects[name])]
+        if not candidates:
+            return []
         rough = self.residuals.error_sizes(
             [{**values, **one} for one in candidates], ROWS_OF_GRID // ROUGH_SHARE
         )
@@ -99,6 +104,25 @@ class Proposals:
                 best[name] = (loss, candidate)
         ranked = sorted(best.values(), key=lambda pair: pair[0])
         return [candidate for size, candidate in ranked[:LONGEST_GRID] if size < sizes[0] - WORTH_A_REFIT]
+
+    def _asleep(self, values, names):
+        """Return the best starting value of each effect that has no derivative at a model but acts elsewhere.
+
+        A limit that is not reached is one. What acts nowhere, such as the friction of what never touches anything, is
+        asked once.
+        """
+        best = []
+        for name in names:
+            if name in values or name in self.dead:
+                continue
+            models = [{**values, name: point} for point in _points(self.effects[name])]
+            moved = self.residuals.moved(values, models, ROWS_OF_GRID) if models else []
+            models = [model for model, moves in zip(models, moved) if moves]
+            if models:
+                best.append({name: models[int(np.argmin(self._losses(models)))][name]})
+            else:
+                self.dead.add(name)
+        return best
 
     def _contenders(self, values, starts):
         """Return the best model of each effect that is new, and of those the best few."""
@@ -116,12 +140,13 @@ class Proposals:
         """Yield (number of effects dropped, models with another effect in their place), two dropped before one.
 
         What a model without them misses is simulated, since far from neutral a derivative says little of it; what
-        another effect explains of that is a matter of the Grams.
+        another effect explains of that is a matter of the Grams, or of its range where a derivative says nothing.
         """
         names = list(line.names)
         weighted = line.derivatives * self.refits.weights(line.residuals)[:, None, None]
         information = np.einsum("ndk,ndl->kl", weighted, line.derivatives, optimize=True)
         fresh = [k for k in range(len(names)) if names[k] not in values and information[k, k] > 0]
+        flat = [name for k, name in enumerate(names) if information[k, k] == 0]
         for n_dropped in (2, 1) if len(values) > 1 else (1,):
             subsets = [
                 {name: values[name] for name in kept}
@@ -141,6 +166,7 @@ class Proposals:
                     {**kept, effect.name: float(np.clip(effect.neutral + move, *effect.bounds))}
                     for _, effect, move in explained[:EXCHANGES]
                 ]
+                models += [{**kept, **start} for start in self._asleep(kept, flat)]
             if models:
                 yield n_dropped, models
 

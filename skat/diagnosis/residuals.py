@@ -182,6 +182,12 @@ class Residuals:
                     )
         return np.array(sizes)
 
+    def moved(self, values, candidates, n_rows):
+        """Return for each candidate whether any of about so many rows is predicted otherwise than by a model."""
+        rows = np.unique(np.linspace(0, len(self.log) - 1, n_rows).astype(int))
+        changes = np.abs(self._changes([values, *candidates], rows)) / self._typical_deviations()
+        return np.max(np.nan_to_num(changes), axis=(1, 2)) >= LEAST_CHANGE
+
     def derivatives(self, values, names):
         """Return the whitened derivatives (n_rows, n_channels, n_effects) at a model."""
         return self.whiten(self._derivatives(values, names))

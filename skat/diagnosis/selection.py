@@ -1,6 +1,6 @@
 """Which effects explain the residuals: add the best, exchange what a better one explains, prune what does not stand."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
@@ -58,7 +58,6 @@ class Selected:
     aliases: dict
     linearisation: object
     gram: object
-    history: list = field(default_factory=list)
 
 
 class Selection:
@@ -99,7 +98,7 @@ class Selection:
             values, line, spread = self.estimates.averaged(values, line)
             kept, line = self._prune(values, line, spread)
             if kept.keys() == values.keys():
-                return self._result(values, line, spread, history)
+                return self._result(values, line, spread)
             values = kept
 
     def _grown(self, line, *, far_off=False):
@@ -259,10 +258,10 @@ class Selection:
             self.fall_p_values, spread = {}, None
         return values, line
 
-    def _result(self, values, line, spread, history):
+    def _result(self, values, line, spread):
         gram = grams(line.residuals, line.derivatives, self.estimates.clusters(len(line.names)))
         if not values:
-            return Selected({}, {}, {}, {}, line, gram, history)
+            return Selected({}, {}, {}, {}, line, gram)
         names, covariance, freedom = self.estimates.covariance(values)
         p_values, intervals, telling = {}, {}, {}
         for k, name in enumerate(names):
@@ -278,9 +277,7 @@ class Selection:
                 intervals[name] = self.estimates.profile_interval(name, values, line)
         order = sorted(names, key=lambda name: telling[name], reverse=True)
         aliases = find_aliases(self.estimates, {name: values[name] for name in order}, line, self.progress)
-        return Selected(
-            {name: values[name] for name in order}, p_values, intervals, aliases, line, gram, history
-        )
+        return Selected({name: values[name] for name in order}, p_values, intervals, aliases, line, gram)
 
     def _improves(self, fit, losses):
         """Whether the loss falls throughout: in episodes (blocks, where they are few), or wherever it moves at all.

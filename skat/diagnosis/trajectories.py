@@ -30,7 +30,6 @@ class TrajectoryResiduals(Residuals):
         self.present = np.ones(len(log), dtype=bool)
         self.correlation = np.zeros(self.n_channels)
         self.nuisance = None
-        self.channel_names = tuple(name for name in simulator.residual_names if name not in hidden)
 
     @property
     def n_channels(self):
@@ -41,7 +40,7 @@ class TrajectoryResiduals(Residuals):
         """Fit the initial states to the model."""
         if self.variances is None:
             raw = self.episodes.residuals([values])[0]
-            self.variances = np.maximum(raw.var(axis=0), self.smallest)
+            self.variances = np.maximum(np.nan_to_num(np.nanvar(raw, axis=0), nan=1.0), self.smallest)
         self.initial = self.episodes.fit_initial_states(values, self.deviations)
         _, self.nuisance = self.episodes.sensitivities(values, self.initial, 1e-4 * self._spread())
 

@@ -75,15 +75,18 @@ class TrajectoryDisplay:
                 "a trajectory needs a simulation with a state; this one maps inputs to outputs in one step. "
                 "Compare its outputs by TransportDisplay instead."
             )
-        X, y = np.asarray(X, dtype=float), np.asarray(y, dtype=float)
+        X, y = _in_order(X, simulator.input_names), _in_order(y, simulator.output_names)
         states, inputs = X[:, : len(names)], X[np.newaxis, :, len(names) :]
         measured = np.vstack([states[:1], y])
         before, after = (
             each.rollout(states[:1], inputs, n_steps=len(X))[0]
             for each in (simulator, diagnosis.extended_simulator_)
         )
-        time = simulator.dt * np.arange(len(measured))
-        return cls.from_predictions(time, measured, before, after, names=names, channels=channels, ax=ax)
+        time = np.arange(len(measured)) * (1.0 if simulator.dt is None else simulator.dt)
+        display = cls.from_predictions(time, measured, before, after, names=names, channels=channels, ax=ax)
+        if simulator.dt is None:
+            display.ax_[-1].set_xlabel("step")
+        return display
 
     @classmethod
     def from_predictions(cls, time, measured, before, after=None, *, names, channels=None, ax=None):
@@ -308,3 +311,10 @@ class CauseDisplay:
         self.ax_.spines["bottom"].set_visible(False)
         self.ax_.spines["left"].set_visible(False)
         return self
+
+
+def _in_order(rows, names):
+    """Return rows as an array, the columns of a data frame in the order of the names."""
+    if hasattr(rows, "columns") and set(names) <= set(rows.columns):
+        rows = rows[list(names)]
+    return np.asarray(rows, dtype=float)

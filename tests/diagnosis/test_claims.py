@@ -129,6 +129,7 @@ def test_noise_in_common_within_a_group_is_no_effect(bending):
         y = X[:, :1] + 0.1 * rng.normal(size=(15, 1))[groups] + 0.02 * rng.normal(size=(150, 1))
         diagnosis = SimulationDiagnosis(bending, effects=["b"], random_state=0).fit(X, y, groups)
         assert diagnosis.causes_ == []
+        assert diagnosis.verdict_ == "nothing detected"
     fitted, held_out = check_log(bending, X, y, groups).split(0.3, check_random_state(0))
     assert not set(fitted.X[:, 0]) & set(held_out.X[:, 0])
     assert fitted.n_episodes + held_out.n_episodes == 15
@@ -258,3 +259,99 @@ def test_rows_in_which_an_action_from_before_the_log_acts_are_no_evidence(delay)
     low, high = diagnosis.causes_[0].interval
     assert low - 1e-4 < delay * 0.02 < high + 1e-4
     assert diagnosis.gain_.extended < 1.5
+
+
+def limited(X, limit=10.0, gain=1.0, offset=0.0):
+    return gain * np.clip(X[:, :1], -limit, limit) + offset
+
+
+@pytest.mark.parametrize("neutral", [10.0, 8.0])
+def test_limit_that_the_simulation_never_reaches_is_named_where_the_real_one_is(neutral):
+    """No derivative tells of it; a gain, which has one, would explain a part."""
+    simulator = simulation(
+        limited, ("u",), ("y",), limit=(neutral, 1.0, 20.0), gain=(1.0, 0.1, 5.0), offset=(0.0, -5.0, 5.0)
+    )
+    rng = np.random.default_rng(0)
+    u = rng.uniform(-8, 8, size=(200, 1))
+    y = np.where(np.abs(u) < 5, u, 5 * np.sign(u)) + 0.05 * rng.normal(size=u.shape)
+    diagnosis = SimulationDiagnosis(simulator, random_state=0).fit(u, y)
+    (cause,) = diagnosis.causes_
+    assert (cause.name, diagnosis.verdict_) == ("limit", "named")
+    assert cause.interval[0] <= 5 <= cause.interval[1]
+
+
+def stuck(X, grip=0.2, hold=0.2, shift=0.0):
+    """Moves by what pulls more than two grips hold."""
+    pull = X[:, :1] + shift
+    return np.sign(pull) * np.maximum(np.abs(pull) - grip - hold, 0.0)
+
+
+def test_what_could_stand_for_a_cause_is_said_where_nothing_moves_any_more():
+    """At the value found neither it nor its like has a derivative."""
+    bounds = (0.2, 0.0, 50.0)
+    simulator = simulation(stuck, ("u",), ("y",), grip=bounds, hold=bounds, shift=(0.0, -1.0, 1.0))
+    rng = np.random.default_rng(0)
+    u = rng.uniform(-8, 8, size=(200, 1))
+    diagnosis = SimulationDiagnosis(simulator, random_state=0).fit(u, 0.05 * rng.normal(size=u.shape))
+    (cause,) = diagnosis.causes_
+    assert {cause.name, *cause.aliases} == {"grip", "hold"}
+    assert diagnosis.verdict_ == "ambiguous"
+
+
+def two_slopes(X, a=0.0, b=0.0):
+    return (a * X[:, 0] + b * X[:, 1])[:, None]
+
+
+def test_smallest_size_of_an_effect_is_that_beside_the_causes_found():
+    simulator = simulation(two_slopes, ("u", "v"), ("y",), a=(0.0, -5.0, 5.0), b=(0.0, -5.0, 5.0))
+    rng = np.random.default_rng(0)
+    u = rng.normal(size=200)
+    X = np.column_stack([u, u + 0.1 * rng.normal(size=200)])
+    noise = 0.1 * rng.normal(size=(200, 1))
+    clean, named = (
+        SimulationDiagnosis(simulator, noise=[0.1], random_state=0).fit(X, y + noise).identifiability_
+        for y in (np.zeros((200, 1)), X[:, :1])
+    )
+    assert named.loc["b", "smallest"] / clean.loc["b", "smallest"] == pytest.approx(10, rel=0.2)
+
+
+@pytest.mark.parametrize("bounds", [(0.0, np.inf), (-np.inf, 1.0)])
+def test_bounds_without_end_are_refused(bounds):
+    with pytest.raises(ValueError, match="bounds of k must be finite"):
+        Effect("k", unit="1", neutral=0.0, bounds=bounds)
+
+
+def test_interval_of_a_gain_needs_several_episodes():
+    simulator = make_simulator()
+    X, y, groups, _ = measure(0, bob=1.3, n_episodes=8)
+    diagnosis = SimulationDiagnosis(simulator, effects=["bob"], test_size=0, random_state=0).fit(X, y, groups)
+    for episodes, known in ((1, False), (4, False), (8, True)):
+        rows = groups < episodes
+        gain = diagnosis.evaluate(X[rows], y[rows], groups[rows], horizon="episode")
+        assert np.isfinite(gain.interval).all() == known
+        assert np.isfinite(gain.explained)
+
+
+def lost(X, k=0.0):
+    return np.where(X[:, :1] > 1, np.nan, (1 + k) * X[:, :1])
+
+
+def test_rows_in_which_the_simulation_diverges_are_counted_when_it_is_evaluated():
+    simulator = simulation(lost, ("u",), ("y",), k=(0.0, -1.0, 1.0))
+    rng = np.random.default_rng(0)
+    u = rng.uniform(-1, 1, size=(100, 1))
+    diagnosis = SimulationDiagnosis(simulator, random_state=0).fit(u, u + 0.1 * rng.normal(size=u.shape))
+    new = rng.uniform(0, 2, size=(100, 1))
+    with pytest.warns(UserWarning, match=rf"diverges in {np.sum(new > 1)} of 100 rows"):
+        diagnosis.evaluate(new, new)
+    with pytest.raises(RuntimeError, match="diverges in every row"):
+        diagnosis.evaluate(new + 1, new)
+
+
+def test_score_matches_the_columns_of_both_tables_by_name():
+    simulator = simulation(hitting, ("x", "v"), ("p", "w"), k=(1.0, 0.1, 10.0), c=(0.0, -5.0, 5.0))
+    rng = np.random.default_rng(0)
+    X = pd.DataFrame(rng.normal(size=(100, 2)), columns=["x", "v"])
+    y = pd.DataFrame(simulator.predict(X) + 0.01 * rng.normal(size=(100, 2)), columns=["p", "w"])
+    diagnosis = SimulationDiagnosis(simulator, random_state=0).fit(X, y)
+    assert diagnosis.score(X[["v", "x"]], y[["w", "p"]]) == diagnosis.score(X, y) > 0.99

@@ -258,6 +258,10 @@ def test_where_channels_are_hidden_whole_trajectories_are_compared():
     extended = frame.set_index("method").loc[EXTENDED]
     assert extended["angle"] == pytest.approx(0.01, rel=0.15)  # the noise, and nothing else
     assert frame["ratio"][0] > 5
+    # Four episodes do not say how much the ratio varies from one to the next, and nothing is claimed of it.
+    assert frame[["ratio_low", "ratio_high"]].isna().all(axis=None)
+    assert not is_beaten(frame)
+    assert "(95 %" not in ceiling_sentence(frame)
 
 
 def test_hidden_channels_need_episodes():

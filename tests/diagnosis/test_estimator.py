@@ -9,7 +9,7 @@ from sklearn.base import clone
 
 from skat.diagnosis import SimulationDiagnosis
 from skat.effects import Effect
-from skat.simulators import FunctionSimulator
+from skat.simulators import FunctionSimulator, MujocoSimulator
 from tests.diagnosis.cart_pole import (
     NEUTRAL,
     STATES,
@@ -381,6 +381,65 @@ def test_hidden_channels_are_carried_not_filled_in(simulator):
     gain = diagnosis.evaluate(X, y, groups, horizon="episode", initial_state="fitted")
     assert set(gain.channels) == {"x", "angle"}
     assert gain.extended < gain.nominal
+
+
+def spinning_log():
+    """A box that spins; its orientation was not measured, and stands as a guess in the log."""
+    text = """<mujoco><option gravity="0 0 -9"/><worldbody><body name="box" pos="0 0 9"><freejoint name="box"/>
+        <geom type="box" size=".1 .2 .3" mass="1"/></body></worldbody></mujoco>"""
+    box = MujocoSimulator(text, frame_skip=5)
+    rng = np.random.default_rng(0)
+    start = np.concatenate(
+        [rng.normal(size=(6, 3)), np.tile([1.0, 0, 0, 0], (6, 1)), rng.normal(size=(6, 6))], axis=1
+    )
+    states = box.rollout(start, n_steps=20, effects={"gravity": 1.1})
+    states[..., 3:7] = [1, 0, 0, 0]
+    noise = 0.001 * rng.normal(size=states.shape)
+    noise[..., 3:7] = 0.0
+    states += noise
+    return box, states[:, :-1].reshape(-1, 13), states[:, 1:].reshape(-1, 13), np.repeat(np.arange(6), 20)
+
+
+def test_orientation_that_was_not_measured_is_no_evidence():
+    box, X, y, groups = spinning_log()
+    quaternion = [f"qpos.box.{part}" for part in ("qw", "qx", "qy", "qz")]
+    options = {"effects": ["gravity", "tilt[x]"], "random_state": 0}
+    diagnosis = SimulationDiagnosis(box, hidden=quaternion, **options).fit(X, y, groups)
+    (cause,) = diagnosis.causes_
+    assert cause.name == "gravity"
+    assert cause.interval[0] <= 1.1 <= cause.interval[1]
+    assert set(diagnosis.gain_.channels) == {name for name in box.residual_names if ".r" not in name}
+    with pytest.raises(ValueError, match=r"name all of its quaternion, also qpos\.box\.qx, qpos\.box\.qy"):
+        SimulationDiagnosis(box, hidden=quaternion[:1], **options).fit(X, y, groups)
+
+
+def test_episode_that_diverges_in_open_loop_is_named_as_the_user_names_it(simulator):
+    X, y, groups, _ = measure(8, pole=1.1, n_episodes=4)
+    names = np.array(["run a", "run b", "run c", "run d"])[groups]
+    diagnosis = SimulationDiagnosis(simulator, effects=["pole"], test_size=0, random_state=0).fit(X, y, names)
+    far = X.copy()
+    far[names == "run c", 3] = 1e200
+    with pytest.raises(ValueError, match="in time order"):
+        diagnosis.evaluate(far, y, names, horizon="episode")
+    first = np.r_[True, names[1:] != names[:-1]]
+    far = np.where((first & (names == "run c"))[:, None], [0, 0, 0, 1e200, 0], X)
+    with pytest.raises(RuntimeError, match="diverges in episode run c"), np.errstate(all="ignore"):
+        diagnosis.evaluate(far, y, names, horizon="episode")
+
+
+def test_what_was_found_is_not_lost_where_the_gain_cannot_be_measured(simulator, monkeypatch):
+    def diverging(*_, **__):
+        raise RuntimeError("In open loop the nominal simulation diverges in episode 3: leave it out.")
+
+    monkeypatch.setattr("skat.diagnosis.estimator.episode_gain", diverging)
+    X, y, groups, _ = measure(8, pole=1.1, n_episodes=6)
+    with pytest.warns(UserWarning, match="The gain could not be measured on the rows held out"):
+        diagnosis = SimulationDiagnosis(simulator, hidden=("v", "w"), effects=["pole"], random_state=0).fit(
+            X, y, groups
+        )
+    assert diagnosis.causes_[0].name == "pole"
+    assert diagnosis.gain_ is None
+    assert "pole" in diagnosis.report_.text()
 
 
 def test_sensors_of_hidden_channels_are_no_candidates(simulator):

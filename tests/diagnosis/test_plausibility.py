@@ -7,7 +7,7 @@ import pytest
 
 from skat.diagnosis.log import check_log
 from skat.diagnosis.plausibility import warn_of_doubts
-from skat.simulators import MujocoSimulator
+from skat.simulators import FunctionSimulator, MujocoSimulator
 
 ARM = """
 <mujoco>
@@ -56,6 +56,27 @@ def test_angle_of_many_turns_in_radians_is_sound(simulator):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warn_of_doubts(simulator, check_log(simulator, X, states[1:], np.zeros(60)))
+
+
+def test_angle_that_starts_anew_at_a_full_turn_is_noticed(simulator):
+    states = simulator.rollout([[0.0, 40.0]], n_steps=60, inputs=np.zeros((1, 60, 1)))[0]
+    states[:, 0] = np.angle(np.exp(1j * states[:, 0]))
+    X = np.hstack([states[:-1], np.zeros((60, 1))])
+    count = np.sum(np.abs(np.diff(states[:, 0])) > np.pi)
+    assert count > 1
+    with pytest.warns(UserWarning, match=rf"qpos\.shoulder jumps by about a full turn in {count} of 60 rows"):
+        warn_of_doubts(simulator, check_log(simulator, X, states[1:], np.zeros(60)))
+
+
+def test_simulation_without_a_time_step_is_not_asked_for_rates():
+    names = ("qpos.z", "qvel.z")
+    falling = FunctionSimulator(
+        lambda X: X @ [[1.0, 0.0], [0.1, 1.0]], input_names=names, output_names=names, state_names=names
+    )
+    states = falling.rollout([[0.0, 1.0]], n_steps=40)[0]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warn_of_doubts(falling, check_log(falling, states[:-1], states[1:], np.zeros(40)))
 
 
 def test_commands_that_the_simulation_clips_are_noticed(simulator, log):

@@ -20,6 +20,7 @@ from skat.diagnosis.comparison import EXTENDED, NOMINAL
 from skat.diagnosis.log import check_log
 from skat.diagnosis.omnibus import Remainder
 from skat.diagnosis.report import Report
+from skat.diagnosis.report.page import _rows
 from skat.diagnosis.report.sentences import gain_sentence
 from skat.effects import Effect
 from skat.simulators import FunctionSimulator
@@ -180,6 +181,24 @@ def test_a_cause_is_said_with_its_interval_in_text_and_page():
     assert "1 cause named" in text
 
 
+def test_rows_in_groups_are_said_to_be_so_and_compared_by_group():
+    X, y, _ = thrown_log()
+    report = reported(thrower(), (X, y, np.arange(len(X)) // 10))
+    assert f"in {report.log.n_episodes} groups" in Page(report.html(figures=False)).text
+    _, _, groups = _rows(report.log)
+    assert len(np.unique(groups)) == report.log.n_episodes < len(report.log)
+
+
+def test_where_channels_were_not_measured_no_more_is_claimed_than_was_tested():
+    log = pendulum_log()
+    for array in log[:2]:
+        array[:, 1] = 0.0
+    for findings in ({"value": None, "verdict": "nothing detected"}, {}):
+        text = Page(reported(log=log, hidden=("rate",), held_out=False, **findings).html(figures=False)).text
+        assert "whether anything is left was not tested" in text
+        assert "no difference from the simulation" not in text
+
+
 def test_a_sentence_begins_with_a_capital_unless_it_begins_with_the_name_of_an_effect():
     assert "\n  drag is 0.5 (95 %" in reported(thrower(), thrown_log(), value=0.5).text()
     report = reported()
@@ -238,6 +257,10 @@ def test_an_unexplained_verdict_says_what_is_left_and_how_far_a_transport_comes(
         (
             Gain(2.6, 0.1, 0.05, 0.98, (0.9, 0.99), "episode"),
             "open-loop error of whole episodes goes from 2.6 to",
+        ),
+        (
+            Gain(2.6, 0.1, 0.05, 0.98, (np.nan, np.nan), "episode"),
+            "98 % of the excess is explained, in too few episodes for an interval.",
         ),
     ],
 )

@@ -286,7 +286,9 @@ class Report:
     def _facts(self):
         diagnosis, log = self.diagnosis, self.log
         simulator = diagnosis.simulator
-        episodes = f" in {log.n_episodes} episodes" if log.consecutive else ", independent of each other"
+        episodes = f" in {log.n_episodes} {'episodes' if log.consecutive else 'groups'}"
+        if not log.consecutive and log.n_episodes == len(log):
+            episodes = ", independent of each other"
         effects = len(diagnosis.identifiability_)
         facts = {
             "Simulator": _short(simulator),
@@ -313,4 +315,4 @@ def _initial_state(diagnosis):
 
 def _rows(log):
     """Return X, y and the episodes of a log."""
-    return log.X, log.y, log.episodes if log.consecutive else None
+    return log.X, log.y, log.episodes if log.consecutive or log.n_episodes < len(log) else None

@@ -26,7 +26,16 @@ def verdict_sentences(diagnosis, comparisons):
                 "the log as well."
             )
     if diagnosis.verdict_ == "nothing detected":
-        sentences.append("The log shows no difference from the simulation that noise would not explain.")
+        sentences.append(
+            "No effect is seen in the log."
+            if tuple(diagnosis.hidden)
+            else "The log shows no difference from the simulation that noise would not explain."
+        )
+    if tuple(diagnosis.hidden):
+        sentences.append(
+            "With channels that were not measured, what no effect explains passes for noise: whether anything is left "
+            "was not tested."
+        )
     if unexplained:
         rest = remainder_sentence(diagnosis)
         sentences.insert(
@@ -46,10 +55,17 @@ def gain_sentence(gain):
         )
     else:
         text = f"the open-loop error of whole episodes goes from {gain.nominal:.3g} to {gain.extended:.3g}"
+    return f"{text}; {share_sentence(gain)}"
+
+
+def share_sentence(gain):
+    """Return in a sentence which share of the excess a Gain explains."""
     share, low, high = (f"{100 * one:.0f}" for one in (gain.explained, *gain.interval))
     if np.ptp(gain.interval) > 1:
-        return f"{text}; that is too close to the noise to say which share of the excess is explained."
-    return f"{text}; {share} % of the excess is explained (95 %: {low} to {high} %)."
+        return "that is too close to the noise to say which share of the excess is explained."
+    if np.isnan(gain.interval[0]):
+        return f"{share} % of the excess is explained, in too few episodes for an interval."
+    return f"{share} % of the excess is explained (95 %: {low} to {high} %)."
 
 
 def remainder_sentence(diagnosis):

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 
 from skat.diagnosis.comparison import EXTENDED, NOMINAL
+from skat.diagnosis.log import measured_channels
 from skat.diagnosis.omnibus import is_structured
 from skat.diagnosis.report.sentences import number
 
@@ -96,7 +97,9 @@ def error_bars(errors):
         answered = np.isfinite(row["error"])
         interval = ""
         if answered and row["method"] != EXTENDED:
-            interval = "{ratio:.3g} ({ratio_low:.3g} to {ratio_high:.3g})".format(**row)
+            interval = "{ratio:.3g}".format(**row)
+            if np.isfinite(row["ratio_low"]):
+                interval += " ({ratio_low:.3g} to {ratio_high:.3g})".format(**row)
         rows.append(
             {
                 "method": row["method"],
@@ -122,7 +125,8 @@ def error_notes(errors):
 
 def channel_table(diagnosis, test):
     """Return the table of noise and one-step errors of each channel."""
-    names = [name for name in diagnosis.simulator.residual_names if name not in tuple(diagnosis.hidden)]
+    simulator = diagnosis.simulator
+    names = np.array(simulator.residual_names)[measured_channels(simulator, tuple(diagnosis.hidden))]
     frame = pd.DataFrame(
         {"noise": np.asarray(diagnosis.noise_, dtype=float)}, index=pd.Index(names, name="channel")
     )
