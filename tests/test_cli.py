@@ -97,7 +97,8 @@ def test_help_loads_nothing_heavy():
 def test_diagnose_names_the_hidden_friction_and_writes_a_report(here):
     result = skat("diagnose", "model.xml", "log.csv", "--effect", "damping[rail]", "--effect", "mass[cart]")
     assert result.exit_code == 0, result.output
-    assert "damping[rail]" in result.stdout
+    assert "(95 %: " in result.stdout
+    assert "% of the excess is explained (95 %: " in result.stdout
     for method in ("AffineTransport", "ProcrustesAffineTransport", "CORAL", "ExactTransport", "extended"):
         assert method in result.stdout
     report = (here / "log-report.html").read_text()
@@ -257,3 +258,19 @@ def test_transport_refuses_bad_input(here):
     )
     assert "There is no folder" in refused("transport", "source.csv", "target.csv", "-o", "no/new.csv")
     assert not (here / "new.csv").exists()
+
+
+def test_a_picture_needs_a_name_that_says_its_kind_and_is_not_overwritten(here):
+    for name in ("picture", "picture.xyz"):
+        assert "expected a name that ends in .png, .svg, .pdf" in refused(
+            "experiment", "puck", "--plot", name
+        )
+    (here / "picture.png").write_text("mine")
+    assert "picture.png exists" in refused("experiment", "puck", "--plot", "picture.png")
+
+
+def test_notes_beside_the_extended_model_are_not_overwritten(here):
+    (here / "better.effects.json").write_text("mine")
+    message = refused("diagnose", "model.xml", "log.csv", "--extended", "better.xml")
+    assert "better.effects.json exists" in message
+    assert "--force" in message

@@ -211,6 +211,9 @@ def transport(
         print_line(f"Transported rows: {path}")
 
 
+PICTURES = (".png", ".svg", ".pdf")
+
+
 class Experiment(StrEnum):
     """The experiments of the paper."""
 
@@ -239,6 +242,8 @@ def experiment(
         from skat.experiments.summaries import figure, method_summary, verdict
 
         output = None if output is None else output_file(output, force=force)
+        if plot is not None and plot.suffix.lower() not in PICTURES:
+            raise ValueError(f"--plot {plot}: expected a name that ends in {', '.join(PICTURES)}.")
         plot = None if plot is None else output_file(plot, force=force)
         options: dict[str, Any] = {"random_state": seed}
         if n_repeats is not None:
@@ -265,24 +270,27 @@ def experiment(
 
 
 def _show(study):
+    from skat.diagnosis.report.sentences import capital, share_sentence, verdict_sentences
+
     console = output_console()
     diagnosis, gain = study.diagnosis, study.gain
     print_line("")
     print_line(f"{study.title}: {diagnosis.verdict_}", style="bold")
-    for cause in diagnosis.causes_:
-        print_line(f"  {cause.sentence}")
+    for sentence in verdict_sentences(diagnosis, [] if study.errors is None else [study.errors]):
+        print_line(f"  {sentence}")
     if diagnosis.causes_:
         console.print(table_of(_causes(diagnosis.causes_)))
-    whose = "Error of whole episodes" if tuple(diagnosis.hidden) else "One-step error"
-    console.print(table_of(study.errors[["method", "error", "ratio"]], title=f"{whose} on data not used"))
-    noted = study.errors[study.errors["note"] != ""]
-    for note, rows in noted.groupby("note", sort=False):
-        print_line(f"  {', '.join(rows['method'])}: {note}")
-    print_line(
-        f"{study.error_name}, on data not used: {gain.nominal:.3g} before, {gain.extended:.3g} after, "
-        f"{gain.ratio:.3g} times smaller"
-    )
-    print_line("gain: {:.1%} explained, interval {:.1%} to {:.1%}".format(gain.explained, *gain.interval))
+    if gain is not None:
+        whose = "Error of whole episodes" if tuple(diagnosis.hidden) else "One-step error"
+        console.print(table_of(study.errors[["method", "error", "ratio"]], title=f"{whose} on data not used"))
+        noted = study.errors[study.errors["note"] != ""]
+        for note, rows in noted.groupby("note", sort=False):
+            print_line(f"  {', '.join(rows['method'])}: {note}")
+        print_line(
+            f"{study.error_name}, on data not used: {gain.nominal:.3g} before, {gain.extended:.3g} after, "
+            f"{gain.ratio:.3g} times smaller"
+        )
+        print_line(capital(share_sentence(gain)))
     if study.truth is not None:
         print_line(f"Now the answer: {study.truth}")
 

@@ -1,5 +1,6 @@
 """Read a robot's log from a CSV file as transitions of a simulator."""
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,13 @@ from sklearn.utils import Bunch, check_random_state
 
 # The clock of a log may deviate by this much of a transition; more cannot be told from a lost row.
 CLOCK_TOLERANCE = 0.01
+# The mean transition is known better, and what it misses of a whole number of steps acts in every row.
+STEP_TOLERANCE = 1e-3
 FEWEST_ROWS = 20
+# Of the rows that a split should leave to fit, episodes of unequal length leave at least this share.
+LEAST_FITTED = 0.5
+# Positions that move by so many times more or less than velocities say are not seconds apart.
+OTHER_CLOCK = 30.0
 
 
 def load_log(path, simulator, *, frame_skip=None):
@@ -89,6 +96,7 @@ def load_log(path, simulator, *, frame_skip=None):
     timestep = simulator.dt / simulator.frame_skip
     if frame_skip is None:
         frame_skip = _steps_per_row(_numbers(table, ["time"], path)[:, 0], arrivals, timestep, path)
+        _doubt_clock(values, arrivals, simulator, frame_skip * timestep, path)
     episode = np.cumsum(~inside) - 1
     parameters = {**simulator.get_params(deep=False), "frame_skip": frame_skip}
     n_states = len(simulator.state_names)
@@ -241,14 +249,39 @@ def _steps_per_row(time, arrivals, timestep, path):
         )
     dt = float(np.mean(intervals))
     steps = round(dt / timestep)
-    if steps < 1 or abs(dt / timestep - steps) > CLOCK_TOLERANCE * dt / timestep:
+    if steps < 1 or abs(dt / timestep - steps) > STEP_TOLERANCE * dt / timestep:
         raise ValueError(
             f"{path}: {dt:g} s from row to row is {dt / timestep:.4g} of the model's time steps of "
             f"{timestep:g} s, "
             "not a whole number. Set the model's timestep so that it divides the log's step, "
-            f"for example {dt / max(int(np.ceil(dt / timestep - 1e-9)), 1):.6g}, or resample the log."
+            f"for example {dt / max(int(np.ceil(dt / timestep - 1e-9)), 1):.6g}, resample the log, or pass the "
+            "number of steps per row (frame_skip, on the command line --frame-skip) if the clock is wrong."
         )
     return steps
+
+
+def _doubt_clock(values, arrivals, simulator, dt, path):
+    """Warn where positions do not move as far from row to row as velocities say, by orders of magnitude."""
+    names = list(simulator.input_names)
+    ratios = []
+    for position, name in enumerate(names):
+        joint, _, axis = name.removeprefix("qpos.").rpartition(".")
+        twins = [f"qvel.{name.removeprefix('qpos.')}", f"qvel.{joint}.v{axis}"]
+        velocity = next((names.index(twin) for twin in twins if twin in names), None)
+        if not name.startswith("qpos.") or velocity is None:
+            continue
+        moved = np.median(np.abs(values[arrivals, position] - values[arrivals - 1, position]))
+        told = np.median(np.abs(values[arrivals - 1, velocity] + values[arrivals, velocity])) / 2 * dt
+        if moved > 0 and told > 0:
+            ratios.append(moved / told)
+    ratio = float(np.median(ratios)) if ratios else 1.0
+    if not 1 / OTHER_CLOCK < ratio < OTHER_CLOCK:
+        warnings.warn(
+            f"{path}: from row to row, {dt:g} s by the column 'time', positions move by {ratio:.2g} of what the "
+            "velocities say. Times must be in seconds, positions and velocities in the same unit of length or angle.",
+            UserWarning,
+            stacklevel=3,
+        )
 
 
 def _listed(names, limit=12):
@@ -264,8 +297,8 @@ def split_episodes(log, *, test_size, random_state=None):
         With data, target and, unless its rows are independent, groups.
 
     test_size : float
-        Part of the episodes that the second log gets, between 0 and 1. A single episode is cut, and its end
-        is the second log. Independent rows are drawn one by one.
+        Part of the rows that the second log gets, between 0 and 1, in whole episodes, as far as they leave enough to
+        fit. A single episode is cut, and its end is the second log. Independent rows are drawn one by one.
 
     random_state : int, RandomState or None, default=None
         Draws the episodes.
@@ -278,17 +311,23 @@ def split_episodes(log, *, test_size, random_state=None):
     Raises
     ------
     ValueError
-        If `test_size` leaves one of them empty.
+        If `test_size` is not between 0 and 1, or leaves one of them empty.
     """
     n_rows = len(log.data)
+    most = n_rows - max(FEWEST_ROWS, LEAST_FITTED * (1 - test_size) * n_rows)
     groups = np.arange(n_rows) if log.get("groups") is None else np.asarray(log.groups)
-    names = np.unique(groups)
+    names, sizes = np.unique(groups, return_counts=True)
+    wanted = round(test_size * n_rows)
     if len(names) == 1:
-        chosen = np.arange(n_rows) >= n_rows - round(test_size * n_rows)
+        chosen = np.arange(n_rows) >= n_rows - min(wanted, max(n_rows - FEWEST_ROWS, 1))
     else:
-        drawn = check_random_state(random_state).permutation(names)[: round(test_size * len(names))]
+        drawn, held = [], 0
+        for k in check_random_state(random_state).permutation(len(names)):
+            if held < wanted and held + sizes[k] <= most:
+                drawn.append(names[k])
+                held += sizes[k]
         chosen = np.isin(groups, drawn)
-    if chosen.all() or not chosen.any():
+    if not 0 < test_size < 1 or chosen.all() or not chosen.any():
         raise ValueError(
             f"test_size={test_size} of {len(names)} episodes and {n_rows} rows leaves one side empty; "
             "choose a value between 0 and 1, such as 0.3."

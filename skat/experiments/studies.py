@@ -1,5 +1,6 @@
 """A diagnosis with its test on data that it did not use, for the data sets of skat and a user's log."""
 
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,13 +37,13 @@ class Study:
     diagnosis : SimulationDiagnosis
         Fitted.
 
-    gain : Gain
-        Measured on the data set aside.
+    gain : Gain or None
+        Measured on the data set aside; None if the simulation diverges there.
 
     error_name : str
         What the numbers of `gain` are, with their unit.
 
-    errors : DataFrame
+    errors : DataFrame or None
         Columns method and error: the error of one step on the data set aside, for the simulation, for maps
         that carry its output onto the measurement, and for the extended simulation.
 
@@ -52,9 +53,9 @@ class Study:
 
     title: str
     diagnosis: SimulationDiagnosis
-    gain: Gain
+    gain: Gain | None
     error_name: str
-    errors: pd.DataFrame
+    errors: pd.DataFrame | None
     truth: str | None = None
 
 
@@ -246,16 +247,20 @@ def _study(
     parameters = {"hidden": fit.get("hidden", ()), **parameters}
     diagnosis = SimulationDiagnosis(simulator, test_size=0, random_state=random_state, **parameters)
     diagnosis.fit(fit.data, fit.target, groups=fit.get("groups"), progress=progress)
-    gain = diagnosis.evaluate(test.data, test.target, test.get("groups"), **(evaluation or {}))
-    errors = compare_transports(
-        diagnosis,
-        fit.data,
-        fit.target,
-        test.data,
-        test.target,
-        groups_fit=fit.get("groups"),
-        groups_test=test.get("groups"),
-        random_state=random_state,
-    )
+    try:
+        gain = diagnosis.evaluate(test.data, test.target, test.get("groups"), **(evaluation or {}))
+        errors = compare_transports(
+            diagnosis,
+            fit.data,
+            fit.target,
+            test.data,
+            test.target,
+            groups_fit=fit.get("groups"),
+            groups_test=test.get("groups"),
+            random_state=random_state,
+        )
+    except RuntimeError as error:  # The simulation diverges; what was found is not lost for that.
+        warnings.warn(f"The gain could not be measured on the data set aside. {error}", stacklevel=3)
+        return Study(title, diagnosis, None, error_name, None, truth)
     diagnosis.report_.add_test(title, test.data, test.target, test.get("groups"), gain=gain, errors=errors)
     return Study(title, diagnosis, gain, error_name, errors, truth)

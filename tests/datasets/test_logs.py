@@ -35,7 +35,7 @@ def table():
             "ctrl.push": rng.normal(size=50),
             "time": np.r_[0.02 * np.arange(30), 5 + 0.02 * np.arange(20)],
             "qvel.rail": rng.normal(size=50),
-            "qpos.rail": rng.normal(size=50),
+            "qpos.rail": 0.02 * rng.normal(size=50),
             "episode": ["first"] * 30 + ["second"] * 20,
         }
     )
@@ -97,6 +97,23 @@ def test_a_step_that_is_no_multiple_is_refused_with_a_time_step_that_divides_it(
     message = refusal(tmp_path, table, cart)
     assert "0.014 s from row to row is 2.8 of the model's time steps of 0.005 s" in message
     assert "for example 0.00466667" in message
+
+
+def test_a_step_that_misses_a_multiple_by_half_a_percent_is_refused(tmp_path, table, cart):
+    """A camera at 15 frames a second is not 13 steps of 5 ms: the model would be 2.5 % short in every row."""
+    table["time"] = np.r_[np.arange(30) / 15, 5 + np.arange(20) / 15]
+    assert "0.0666667 s from row to row is 13.33 of the model's" in refusal(tmp_path, table, cart)
+    finer = MujocoSimulator(CART.replace("0.005", "0.001"))
+    assert "66.67 of the model's" in refusal(tmp_path, table, finer)
+    assert load_log(written(tmp_path, table), finer, frame_skip=67).frame_skip == 67
+
+
+def test_milliseconds_for_seconds_raise_a_warning(tmp_path, table, cart):
+    table["qpos.rail"] = np.cumsum(0.02 * table["qvel.rail"])
+    assert load_log(written(tmp_path, table), cart).frame_skip == 4
+    table["time"] *= 1000
+    with pytest.warns(UserWarning, match=r"20 s by the column 'time', positions move by 0\.00\d+ of what"):
+        load_log(written(tmp_path, table), cart)
 
 
 def test_rows_in_another_order_are_refused(tmp_path, table, cart):
@@ -163,7 +180,18 @@ def test_a_split_is_a_partition_by_whole_episodes(n_groups):
         assert not set(fit.groups) & set(test.groups)
 
 
-@pytest.mark.parametrize("test_size", [0.0, 0.01, 1.0])
+def test_a_split_counts_rows_and_leaves_enough_to_fit():
+    for seed in range(10):
+        log = Bunch(data=np.zeros((315, 1)), target=np.zeros((315, 1)), groups=np.repeat([0, 1], [300, 15]))
+        fit, test = split_episodes(log, test_size=0.3, random_state=seed)
+        assert (len(fit.data), len(test.data)) == (300, 15)
+        fit, _ = split_episodes(
+            Bunch(data=np.zeros((25, 1)), target=np.zeros((25, 1)), groups=np.zeros(25)), test_size=0.3
+        )
+        assert len(fit.data) == 20
+
+
+@pytest.mark.parametrize("test_size", [-0.3, 0.0, 0.01, 1.0])
 def test_a_split_that_leaves_a_side_empty_is_refused(test_size):
     log = Bunch(data=np.zeros((40, 1)), target=np.zeros((40, 1)), groups=np.repeat([0, 1], 20))
     with pytest.raises(ValueError, match="leaves one side empty"):
