@@ -147,6 +147,15 @@ class Refits:
         """Return the weight of each row, 1 within the scale and less beyond."""
         return np.sqrt(np.minimum(1.0, self.cut / np.maximum(np.sum(residuals**2, axis=-1), 1e-30)))
 
+    def misfit(self, residuals):
+        """Return twice the negative log likelihood, robust, of residuals whitened with their model's own noise.
+
+        Losses compare models in one whitening. Where a model misses, more passes for noise, which this counts.
+        """
+        cut, sizes = largest_of_noise(residuals.shape[1]), np.sum(residuals**2, axis=-1)
+        robust = np.where(sizes <= cut, sizes, 2 * np.sqrt(cut * sizes) - cut)
+        return float(robust.sum()) + self.residuals.log_determinant()
+
     def losses(self, residuals):
         """Return the robust loss of each block, in noise units."""
         return np.add.reduceat(self._robust(np.sum(residuals**2, axis=-1)), self.starts)

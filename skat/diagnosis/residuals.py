@@ -360,6 +360,18 @@ class Residuals:
         present, deviations = self.present.reshape(-1, 1, *extra), np.sqrt(self.variances).reshape(-1, *extra)
         return np.where(present, columns, 0.0) / deviations
 
+    def state(self):
+        """Return what `settle` and `linearise` have found, for `restore`."""
+        return {name: value for name, value in vars(self).items() if name != "n_simulated_rows"}
+
+    def restore(self, state):
+        """Go back to an earlier model's noise, whitening and points of linearisation."""
+        vars(self).update(state)
+
+    def log_determinant(self):
+        """Return the logarithm of the determinant of the residuals' covariance, as the noise now is."""
+        return float(np.count_nonzero(self.present) * np.log(self.variances).sum())
+
     def directions(self, values):
         """Return raw additive errors of the prediction that a remainder is sought along, and their names.
 

@@ -14,6 +14,8 @@ from skat.diagnosis.refits import Fit
 # Exchanges made, and the fall of the loss in noise units that makes one worth it.
 MOST_EXCHANGES = 4
 WORTH_AN_EXCHANGE = 1.0
+# Another effect explains nearly as much as a named one if it leaves this share of it.
+NEARLY = 0.1
 # Misfit of the typical row, in noise units, beyond which a derivative says little of what is far away.
 FAR_OFF = 2.0
 # There a further effect must explain this share of the loss beyond noise: in a log that is like none of the models,
@@ -126,11 +128,32 @@ class Selection:
         left none comes back to.
         """
         for _ in range(MOST_EXCHANGES if values else 0):
-            exchanged = self._exchanged(values, line)
-            if exchanged is None or frozenset(exchanged) in self.left:
+            exchanged, near = self._exchanged(values, line)
+            if exchanged is None:
+                return self._nearer(values, line, near)
+            if frozenset(exchanged) in self.left:
                 break
             self.left.add(frozenset(values))
             values, line = self.estimates.polished(exchanged)
+        return values, line
+
+    def _nearer(self, values, line, near):
+        """Return the model, or the best that explains nearly as much of the log with another effect in its place.
+
+        Each is judged at states and noise of its own: what a wrong effect leaves may have passed for noise, in which
+        the right one shows little.
+        """
+        for other in near:
+            if frozenset(other) in self.left:
+                continue
+            self.left.add(frozenset(other))
+            present = self.refits.misfit(line.residuals)
+            state = self.residuals.state()
+            found, found_line = self.estimates.polished(other)
+            if self.refits.misfit(found_line.residuals) < present - WORTH_A_JUMP:
+                return found, found_line
+            self.residuals.restore(state)
+            self.refits.set_scale(line.residuals)
         return values, line
 
     # -- one effect more -------------------------------------------------------------------------------------------
@@ -168,16 +191,21 @@ class Selection:
     def _exchanged(self, values, line):
         """Return a model with one named effect, or two, exchanged for another one, None if the present one is best.
 
-        What was found first was found without what came later, and may stand for two causes where a later one left
-        only one of them.
+        Then also the best of the others where it explains nearly as much, as a list. What was found first was found
+        without what came later, and may stand for two causes where a later one left only one of them.
         """
         present = self.refits.losses(line.residuals)
+        near: list[dict[str, float]] = []
         for n_dropped, models in self.proposals.exchanges(values, line):
             best = min(self.refits.fit(models, race=True), key=lambda fit: fit.loss)
             smaller_and_as_good = n_dropped == 2 and as_good(best.losses, present)
             if smaller_and_as_good or best.loss < present.sum() - WORTH_AN_EXCHANGE:
-                return best.values
-        return None
+                return best.values, []
+            kept = {name: value for name, value in values.items() if name in best.values}
+            without = self.refits.losses(self.refits.whitened([kept])[0]).sum()
+            if n_dropped == 1 and best.loss - present.sum() < NEARLY * (without - present.sum()):
+                near = [best.values]
+        return None, near
 
     def _apart(self, values, line):
         """Return the model with an effect on all elements taken apart into one for each, None if that is no better.

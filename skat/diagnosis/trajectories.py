@@ -116,6 +116,11 @@ class TrajectoryResiduals(Residuals):
         white = self._without_initial_states(self._decorrelated(scaled), nuisance)
         return white[..., 0] if columns.ndim == 2 else white
 
+    def log_determinant(self):
+        """Return the logarithm of the determinant of the residuals' covariance, as the noise now is."""
+        n_following = np.count_nonzero(np.diff(self.log.episodes) == 0)
+        return super().log_determinant() + float(n_following * np.log1p(-(self.correlation**2)).sum())
+
     def _decorrelated(self, columns):
         rho = self.correlation[:, None]
         white = np.array(columns)

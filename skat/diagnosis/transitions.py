@@ -190,6 +190,11 @@ class TransitionResiduals(Residuals):
         scale = self.deviations.reshape((-1,) + (1,) * (columns.ndim - 2))
         return self.whitener.whiten(_padded(columns / scale, self.places))[self.places]
 
+    def log_determinant(self):
+        """Return the logarithm of the determinant of the residuals' covariance, as the noise now is."""
+        factors = np.diagonal(self.whitener.factors, axis1=-2, axis2=-1)[self.places][self.present]
+        return super().log_determinant() + float(2 * np.log(factors).sum())
+
     def _residual_variances(self):
         return np.einsum("nij,j->ni", self.transitions**2, self.variances) + self.variances + self.extra
 

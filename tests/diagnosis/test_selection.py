@@ -44,7 +44,7 @@ def selection_of(simulator, hidden, seed=3):
 def test_wrong_causes_are_exchanged_for_the_right_ones(simulator, hidden, named):
     selection = selection_of(simulator, hidden)
     values, line = selection.estimates.polished(named)
-    while exchanged := selection._exchanged(values, line):
+    while exchanged := selection._exchanged(values, line)[0]:
         values, line = selection.estimates.polished(exchanged)
     assert set(values) == set(hidden)
     for name, value in hidden.items():
@@ -55,7 +55,7 @@ def test_right_pair_is_kept(simulator):
     hidden = {"gain": 0.9, "drag": 0.3}
     selection = selection_of(simulator, hidden)
     values, line = selection.estimates.polished(hidden)
-    assert selection._exchanged(values, line) is None
+    assert selection._exchanged(values, line)[0] is None
 
 
 def weight(X, shift_x=0.0, shift_y=0.0, turn=0.0, **pulls):
@@ -94,7 +94,7 @@ def test_sensor_turned_far_is_exchanged_for_the_shift_that_it_stands_for():
     )
     selection.estimates.linearised({})
     values, line = selection.estimates.polished({"turn": -0.8, "spring": 0.02})
-    exchanged = selection._exchanged(values, line)
+    exchanged, _ = selection._exchanged(values, line)
     assert set(exchanged) == {"shift_y", "spring"}
     assert abs(exchanged["shift_y"] + 0.1) < 0.001
 
@@ -218,12 +218,47 @@ def test_what_explains_little_of_a_log_that_is_like_no_model_is_not_named(slope,
     assert set(selection._add({}, line) or ()) == added
 
 
+def offset_and_scale(X, offset=0.0, scale=1.0):
+    return scale * X + offset
+
+
+@pytest.mark.parametrize(
+    ("values", "near", "best"),
+    [({"offset": 0.07}, {"scale": 1.05}, "scale"), ({"scale": 1.075}, {"offset": 0.05}, "scale")],
+)
+def test_what_explains_nearly_as_much_is_judged_with_noise_of_its_own(values, near, best):
+    rng = np.random.default_rng(0)
+    X = rng.uniform(0.6, 1.2, size=(300, 1))
+    y = 1.075 * X + 0.005 * rng.normal(size=X.shape)
+    effects = [
+        Effect("offset", unit="1", neutral=0.0, bounds=(-1.0, 1.0)),
+        Effect("scale", unit="1", neutral=1.0, bounds=(0.5, 2.0)),
+    ]
+    simulator = FunctionSimulator(offset_and_scale, input_names=("x",), output_names=("y",), effects=effects)
+    residuals = Residuals(simulator, check_log(simulator, X, y, None), effects)
+    selection = Selection(
+        residuals, ["offset", "scale"], alpha=0.005, max_effects=6, progress=lambda *_: None
+    )
+    values, line = selection.estimates.polished(values)
+    before = residuals.state()
+    found, found_line = selection._nearer(values, line, [near])
+    assert set(found) == {best}
+    assert abs(found[best] - 1.075) < 0.002
+    if found is values:
+        assert found_line is line
+        assert all(vars(residuals)[name] is value for name, value in before.items())
+    else:
+        assert set(found_line.values) == {best}
+    # What was left is not tried again.
+    assert selection._nearer(found, found_line, [near]) == (found, found_line)
+
+
 def test_exchanges_do_not_come_back_to_a_set_that_one_has_left(monkeypatch):
     selection = rippled_selection(0.0)
     polished = []
 
     def other_one(values, line):
-        return {"ripple": 0.1} if "frequency" in values else {"frequency": 1.5}
+        return ({"ripple": 0.1} if "frequency" in values else {"frequency": 1.5}), []
 
     def remember(values):
         polished.append(set(values))
