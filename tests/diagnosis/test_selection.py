@@ -239,6 +239,7 @@ def test_what_explains_nearly_as_much_is_judged_with_noise_of_its_own(values, ne
     selection = Selection(
         residuals, ["offset", "scale"], alpha=0.005, max_effects=6, progress=lambda *_: None
     )
+    selection.estimates.linearised({})
     values, line = selection.estimates.polished(values)
     before = residuals.state()
     found, found_line = selection._nearer(values, line, [near])
