@@ -100,6 +100,11 @@ class Estimates:
 
     def polished(self, values):
         """Return a model at the optimum of its own smoothed states and noise, and its linearisation."""
+        values, settled = self.fitted(values)
+        return values, self.linearised(values, settled=settled)
+
+    def fitted(self, values):
+        """Return a model at the optimum of its own smoothed states and noise, and whether these are settled there."""
         nearly_there = False
         for _ in range(POLISH_STEPS):
             self.residuals.settle(values, roughly=nearly_there)
@@ -111,7 +116,7 @@ class Estimates:
             if max(moves) < SETTLED:
                 break
             nearly_there = max(moves) < CLOSE
-        return values, self.linearised(values, settled=max(moves) < SETTLED and not nearly_there)
+        return values, max(moves) < SETTLED and not nearly_there
 
     def averaged(self, values, line):
         """Return the mean of values settled and fitted again and again, its linearisation, and their spread.

@@ -15,7 +15,7 @@ from skat.diagnosis.refits import Fit
 MOST_EXCHANGES = 4
 WORTH_AN_EXCHANGE = 1.0
 # Another effect explains nearly as much as a named one if it leaves this share of it.
-NEARLY = 0.1
+NEARLY = 0.05
 # Misfit of the typical row, in noise units, beyond which a derivative says little of what is far away.
 FAR_OFF = 2.0
 # There a further effect must explain this share of the loss beyond noise: in a log that is like none of the models,
@@ -149,9 +149,9 @@ class Selection:
             self.left.add(frozenset(other))
             present = self.refits.misfit(line.residuals)
             state = self.residuals.state()
-            found, found_line = self.estimates.polished(other)
-            if self.refits.misfit(found_line.residuals) < present - WORTH_A_JUMP:
-                return found, found_line
+            found, settled = self.estimates.fitted(other)
+            if self.refits.misfit(self.refits.whitened([found])[0]) < present - WORTH_A_JUMP:
+                return found, self.estimates.linearised(found, settled=settled)
             self.residuals.restore(state)
             self.refits.set_scale(line.residuals)
         return values, line
