@@ -274,3 +274,16 @@ def test_notes_beside_the_extended_model_are_not_overwritten(here):
     message = refused("diagnose", "model.xml", "log.csv", "--extended", "better.xml")
     assert "better.effects.json exists" in message
     assert "--force" in message
+
+
+def test_findings_are_shown_where_the_gain_cannot_be_measured(here, monkeypatch):
+    def diverging(*_, **__):
+        raise RuntimeError("The simulation diverges in every row.")
+
+    monkeypatch.setattr("skat.diagnosis.SimulationDiagnosis.evaluate", diverging)
+    result = skat("diagnose", "model.xml", "log.csv", "--effect", "damping[rail]", "--extended", "better.xml")
+    assert result.exit_code == 0, result.output
+    assert "damping[rail]" in result.stdout
+    assert "% of the excess" not in result.stdout
+    assert (here / "log-report.html").exists()
+    assert (here / "better.xml").exists()

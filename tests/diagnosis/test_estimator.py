@@ -442,6 +442,14 @@ def test_what_was_found_is_not_lost_where_the_gain_cannot_be_measured(simulator,
     assert "pole" in diagnosis.report_.text()
 
 
+def test_effect_that_initial_states_make_up_for_is_not_named_even_alone(simulator):
+    X, y, groups, _ = measure(8, n_episodes=4, n_steps=25)
+    diagnosis = SimulationDiagnosis(simulator, hidden=("v", "w"), effects=["bias[x]"], random_state=0)
+    diagnosis.fit(X, y, groups)
+    assert diagnosis.verdict_ == "nothing detected"
+    assert np.isinf(diagnosis.identifiability_.loc["bias[x]", "smallest"])
+
+
 def test_sensors_of_hidden_channels_are_no_candidates(simulator):
     log = measure(8, n_episodes=4, n_steps=25)
     diagnosis = SimulationDiagnosis(simulator, hidden=("v", "w"), random_state=0).fit(*log[:2], groups=log[2])
