@@ -45,7 +45,7 @@ class Proposals:
 
     # -- one effect more -------------------------------------------------------------------------------------------
 
-    def further(self, values, first, *, far_off):
+    def further(self, values, first, *, far_off, some_far_off):
         """Yield lists of models with a further effect, to be refitted in turn until one of a list stands.
 
         Parameters
@@ -56,6 +56,8 @@ class Proposals:
             Of all effects, at the present model.
         far_off : bool
             Whether derivatives say little of what the present model misses.
+        some_far_off : bool
+            Whether they do in some rows, as at impacts; the most telling effects are tried over their whole range then.
         """
         steps, grid = [], []
         if far_off or family_p_value(first.p_values.min(), self.n_screened) < WORTH_A_LOOK:
@@ -63,8 +65,12 @@ class Proposals:
         if steps and not far_off:
             yield self._contenders(values, steps)
             steps = []
+        if some_far_off and not far_off:
+            telling = [k for k in np.argsort(first.p_values) if first.p_values[k] < WORTH_A_STEP][:SHORTLIST]
+            for name in (first.names[k] for k in telling):
+                grid += [{name: point} for point in _points(self.effects[name]) if name not in values]
         if far_off or not values:
-            grid = self._grid(values, [first.names[k] for k in np.flatnonzero(first.p_values < 1)])
+            grid += self._grid(values, [first.names[k] for k in np.flatnonzero(first.p_values < 1)])
             grid += self._asleep(values, [first.names[k] for k in np.flatnonzero(first.flat)])
         if steps or grid:
             yield self._contenders(values, steps + grid)

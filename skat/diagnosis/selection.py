@@ -86,6 +86,8 @@ class Selection:
         self.proposals = Proposals(self.estimates)
         # Sets of effects that were exchanged for better ones.
         self.left: set[frozenset] = set()
+        # Of each set that was exchanged, the one that it was left for.
+        self.better: dict[frozenset, frozenset] = {}
 
     def run(self):
         """Return the Selected effects."""
@@ -134,6 +136,7 @@ class Selection:
             if frozenset(exchanged) in self.left:
                 break
             self.left.add(frozenset(values))
+            self.better[frozenset(values)] = frozenset(exchanged)
             values, line = self.estimates.polished(exchanged)
         return values, line
 
@@ -151,6 +154,7 @@ class Selection:
             state = self.residuals.state()
             found, settled = self.estimates.fitted(other)
             if self.refits.misfit(self.refits.whitened([found])[0]) < present - WORTH_A_JUMP:
+                self.better[frozenset(values)] = frozenset(found)
                 return found, self.estimates.linearised(found, settled=settled)
             self.residuals.restore(state)
             self.refits.set_scale(line.residuals)
@@ -172,7 +176,8 @@ class Selection:
         least_explained = 0.0
         if misfit > FAR_OFF:
             far_off, least_explained = True, LEAST_SHARE * (present.sum() - line.residuals.size)
-        for models in self.proposals.further(values, first, far_off=far_off):
+        some_far_off = present.sum() > FAR_OFF * line.residuals.size
+        for models in self.proposals.further(values, first, far_off=far_off, some_far_off=some_far_off):
             fits = self.refits.fit(models, race=True)
             for index in np.argsort([fit.loss for fit in fits]):
                 fit = fits[index]
@@ -257,17 +262,17 @@ class Selection:
 
     def _prune(self, values, line, spread=None):
         """Drop effects that are no longer significant beside the others, given by how much their values vary."""
-        self.fall_p_values: dict[str, float] = {}
+        # Family-wise p-values that the effects stand by, and those of them that are of the loss.
+        self.stands: dict[str, float] = {}
+        self.stands_by_fall: set[str] = set()
         while values:
             self.refits.set_scale(line.residuals)
             losses = self.refits.losses(line.residuals)
-            p_values = {
-                name: family_p_value(p, len(self.names))
-                for name, p in self.estimates.p_values(values, spread).items()
-                if name not in self.fall_p_values
-            }
-            worst = max(p_values, key=lambda name: p_values[name], default=None)
-            if worst is None or p_values[worst] < self.alpha:
+            for name, p_value in self.estimates.p_values(values, spread).items():
+                if name not in self.stands_by_fall:
+                    self.stands[name] = family_p_value(p_value, len(self.names))
+            worst = max(self.stands, key=lambda name: self.stands[name])
+            if self.stands[worst] < self.alpha:
                 break
             kept = {name: value for name, value in values.items() if name != worst}
             without = (
@@ -275,15 +280,16 @@ class Selection:
                 if kept
                 else Fit({}, self.refits.losses(self.refits.whitened([{}])[0]))
             )
-            p_value = fall_p_value(without.losses, losses)
-            if family_p_value(p_value, len(self.names)) < self.alpha:
-                self.fall_p_values[worst] = p_value
+            p_value = family_p_value(fall_p_value(without.losses, losses), len(self.names))
+            if p_value < self.alpha:
+                self.stands[worst] = p_value
+                self.stands_by_fall.add(worst)
                 continue
             if kept:
                 values, line = self._simplified(*self.estimates.polished(without.values))
             else:
                 values, line = {}, self.estimates.linearised({})
-            self.fall_p_values, spread = {}, None
+            self.stands, self.stands_by_fall, spread = {}, set(), None
         return values, line
 
     def _result(self, values, line, spread):
@@ -296,16 +302,28 @@ class Selection:
             error = np.hypot(np.sqrt(covariance[k, k]), spread[name])
             distance = values[name] - self.effects[name].neutral
             telling[name] = abs(distance) / error
-            p_value = min(2 * stats.t.sf(telling[name], freedom[k]), self.fall_p_values.get(name, 1.0))
-            p_values[name] = family_p_value(p_value, len(self.names))
+            by_value = family_p_value(2 * stats.t.sf(telling[name], freedom[k]), len(self.names))
+            p_values[name] = min(by_value, self.stands[name])
             reach = stats.t.ppf(0.975, freedom[k]) * error
             low, high = self.effects[name].bounds
             intervals[name] = (max(values[name] - reach, low), min(values[name] + reach, high))
-            if name in self.fall_p_values:
+            # The error of an effect at a kink may be another one from one secant to the next.
+            if name in self.stands_by_fall or by_value >= self.alpha:
                 intervals[name] = self.estimates.profile_interval(name, values, line)
         order = sorted(names, key=lambda name: telling[name], reverse=True)
         aliases = find_aliases(self.estimates, {name: values[name] for name in order}, line, self.progress)
+        for cause, rival in self._better(values):
+            aliases[cause] = tuple(dict.fromkeys((*aliases[cause], rival)))
         return Selected({name: values[name] for name in order}, p_values, intervals, aliases, line, gram)
+
+    def _better(self, values):
+        """Return (cause, effect) where the effect explained the log better in the cause's place, but did not stand.
+
+        Such as friction that stops whatever moves: it has no size that is certain.
+        """
+        better = self.better.get(frozenset(values), frozenset(values))
+        gone, new = values.keys() - better, better - values.keys()
+        return [(*gone, *new)] if len(gone) == len(new) == 1 else []
 
     def _improves(self, fit, losses):
         """Whether the loss falls throughout: in episodes (blocks, where they are few), or wherever it moves at all.

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from skat.diagnosis.evidence import family_p_value, grams, screen, wald
+from skat.diagnosis.evidence import fall_p_value, family_p_value, grams, screen, wald
 from skat.diagnosis.omnibus import _score_test, hat_functions
 from skat.effects import Effect
 
@@ -151,6 +151,32 @@ def test_family_p_value_keeps_its_digits():
     assert family_p_value(1e-20, 50) == pytest.approx(50e-20, rel=1e-12)
     assert family_p_value(1.0, 50) == pytest.approx(1.0)
     assert family_p_value(0.5, 2) == pytest.approx(0.75, rel=1e-12)
+
+
+@pytest.mark.parametrize("degrees_of_freedom", [3, np.inf])
+def test_fall_of_the_loss_by_an_effect_that_is_not_there_is_rarely_significant(degrees_of_freedom):
+    """The effect is fitted to the noise, as a refit does."""
+    rng = np.random.default_rng(0)
+    noise = stats.t.rvs(degrees_of_freedom, size=(4000, 20, 30), random_state=rng)
+    noise /= np.std(noise)
+    direction = rng.normal(size=noise.shape) * rng.choice([0.1, 1.0, 5.0], size=(4000, 20, 1))
+    size = np.sum(noise * direction, axis=(1, 2)) / np.sum(direction**2, axis=(1, 2))
+    without = np.sum(noise**2, axis=2)
+    losses = np.sum((noise - size[:, None, None] * direction) ** 2, axis=2)
+    p_values = np.array([fall_p_value(*one) for one in zip(without, losses)])
+    for level in (0.1, 0.01, 0.001):
+        assert np.mean(p_values < level) <= level + 3 * np.sqrt(level / len(p_values))
+
+
+def test_fall_counts_where_few_blocks_miss_by_very_different_amounts():
+    rng = np.random.default_rng(1)
+    losses = rng.chisquare(100, size=40)
+    missed = np.where(np.arange(40) % 4 == 0, 10 ** rng.uniform(1.5, 3.5, size=40), 0.0)
+    of_falls = stats.ttest_1samp(missed, 0.0, alternative="greater").pvalue
+    assert fall_p_value(losses + missed, losses) < 0.2 * of_falls
+    assert fall_p_value(losses, losses + missed) > 0.5
+    assert fall_p_value(losses, losses) > 0.4
+    assert fall_p_value(losses[:1] + 1e4, losses[:1]) == 1.0
 
 
 def test_hat_functions_sum_to_one_and_span_straight_lines():

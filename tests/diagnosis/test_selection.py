@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from sklearn.utils import check_random_state
 
+from skat.diagnosis.evidence import grams, screen
 from skat.diagnosis.log import check_log
 from skat.diagnosis.residuals import Residuals
 from skat.diagnosis.selection import Selection
@@ -250,8 +251,15 @@ def test_what_explains_nearly_as_much_is_judged_with_noise_of_its_own(values, ne
         assert all(vars(residuals)[name] is value for name, value in before.items())
     else:
         assert set(found_line.values) == {best}
-    # What was left is not tried again.
+    # What was left is not tried again; named all the same, it has what was better as an alias.
     assert selection._nearer(found, found_line, [near]) == (found, found_line)
+    assert selection._better(found) == []
+    if found is not values:
+        ((cause,), (rival,)) = values, found
+        assert selection._better(values) == [(cause, rival)]
+        kept, line = selection._prune(values, line)
+        assert kept == values
+        assert rival in selection._result(values, line, {cause: 0.0}).aliases[cause]
 
 
 def test_exchanges_do_not_come_back_to_a_set_that_one_has_left(monkeypatch):
@@ -283,3 +291,74 @@ def test_an_effect_that_averaging_makes_uncertain_is_dropped(monkeypatch):
 
     monkeypatch.setattr(selection.estimates, "averaged", uncertain)
     assert set(selection.run().values) == {"frequency"}
+
+
+def slowed(X, damping=0.0, dry_friction=0.0):
+    """Return the next place and speed of a block that is pushed off and slides: both effects slow it down."""
+    place, speed = X.T
+    left = speed * np.exp(-damping)
+    left = np.sign(left) * np.maximum(np.abs(left) - dry_friction, 0.0)
+    return np.stack([place + 0.1 * left, left], 1)
+
+
+def test_friction_that_stops_at_once_is_named_with_its_p_value_and_an_interval():
+    """How large it is hardly any row shows, so that a derivative there says now this and now that."""
+    rng = np.random.default_rng(0)
+    n_episodes, n_rows = 10, 20
+    states = np.zeros((n_episodes, n_rows + 1, 2))
+    states[:, 0] = rng.normal(size=(n_episodes, 2))
+    for row in range(n_rows):
+        states[:, row + 1] = slowed(states[:, row], dry_friction=10.0)
+    states += 0.01 * rng.normal(size=states.shape)
+    effects = [
+        Effect("damping", unit="1", neutral=0.0, bounds=(0.0, 2.0)),
+        Effect("dry_friction", unit="m/s", neutral=0.0, bounds=(0.0, 20.0)),
+    ]
+    names = ("place", "speed")
+    simulator = FunctionSimulator(
+        slowed, input_names=names, output_names=names, state_names=names, effects=effects
+    )
+    X, y = states[:, :-1].reshape(-1, 2), states[:, 1:].reshape(-1, 2)
+    log = check_log(simulator, X, y, np.repeat(np.arange(n_episodes), n_rows))
+    selection = Selection(
+        TransitionResiduals(simulator, log, effects),
+        ["damping", "dry_friction"],
+        alpha=1e-4,
+        max_effects=6,
+        progress=lambda *_: None,
+    )
+    selected = selection.run()
+    assert set(selected.values) == {"dry_friction"}
+    assert selected.p_values["dry_friction"] < 1e-4
+    low, high = selected.intervals["dry_friction"]
+    assert 0.2 < low < np.abs(states[:, 0, 1]).max() < high == 20.0
+
+
+def bouncing(X, stiffness=1.0):
+    """Return a response in a tenth of the rows that falls towards softer springs, rises, and falls again."""
+    response = stiffness + 0.5 * np.sin(12 * stiffness)
+    return np.where(X[:, :1] % 10 == 0, 20 * response * X[:, 1:], 0.0)
+
+
+@pytest.mark.parametrize(("some_far_off", "tried"), [(False, []), (True, [0.33])])
+def test_whole_range_of_what_tells_is_tried_where_some_rows_are_far_off(some_far_off, tried, monkeypatch):
+    rng = np.random.default_rng(0)
+    X = np.stack([np.arange(300.0), rng.uniform(1, 2, 300)], 1)
+    effects = [Effect("stiffness", unit="1", neutral=1.0, bounds=(0.2, 5.0))]
+    simulator = FunctionSimulator(
+        bouncing, input_names=("row", "speed"), output_names=("force",), effects=effects
+    )
+    log = check_log(simulator, X, bouncing(X, 0.35) + rng.normal(size=(300, 1)), None)
+    selection = Selection(
+        Residuals(simulator, log, effects, [1.0]),
+        ["stiffness"],
+        alpha=0.005,
+        max_effects=6,
+        progress=lambda *_: None,
+    )
+    line = selection.estimates.linearised({})
+    first = screen(grams(line.residuals, line.derivatives, np.arange(300)), line.names, {}, selection.effects)
+    monkeypatch.setattr(selection.proposals, "_grid", lambda values, names: [])
+    steps, *rest = selection.proposals.further({}, first, far_off=False, some_far_off=some_far_off)
+    assert steps[0]["stiffness"] > 0.8
+    assert [model["stiffness"] for models in rest for model in models] == tried
