@@ -127,7 +127,8 @@ def _edited(model, family, rng):
     if family == "gain":
         actuator = int(rng.integers(model.nu))
         model.actuator_gear[actuator] *= factor
-        return f"gain[{model.joint(model.actuator_trnid[actuator, 0]).name}]", factor
+        joint = model.actuator_trnid[actuator, 0]
+        return f"gain[{model.actuator(actuator).name or model.joint(joint).name}]", factor
     if family == "gravity":
         factor = 1 + 0.3 * (factor - 1)
         model.opt.gravity[:] *= factor
