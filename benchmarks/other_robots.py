@@ -96,9 +96,9 @@ def run(robot, family, seed):
     told = {"nothing detected": "nothing", "unexplained": "unexplained"}.get(diagnosis.verdict_, "false")
     covered = ""
     if len(causes) == 1 and causes[0].name == name:
-        told = "right"
+        told = told if told == "unexplained" else "right"
         covered = " in" if causes[0].interval[0] <= value <= causes[0].interval[1] else " OUT"
-    elif len(causes) == 1 and name in causes[0].aliases:
+    elif diagnosis.verdict_ == "ambiguous" and len(causes) == 1 and name in causes[0].aliases:
         told = "alias"
     which = "nothing hidden" if value is None else f"s >= {VISIBLE}" if s >= VISIBLE else f"s < {VISIBLE}"
     if value is not None and name not in {effect.name for effect in simulator.effects()}:
