@@ -235,14 +235,20 @@ def _log(diagnosis, X, y, groups, what):
             f"{', '.join(hidden)} were not measured, so that whole episodes are compared: pass "
             f"groups_{what}=, the episode of each row."
         )
+    if groups is None and diagnosis.extended_simulator_.n_lags():
+        raise ValueError(
+            f"An action was found to be delayed, so that earlier rows count: pass groups_{what}=, the episode of each "
+            "row; its rows are consecutive and in time order."
+        )
     return check_log(diagnosis.simulator, X, y, groups, fewest_rows=1, hidden=hidden)
 
 
 def _one_step_rows(diagnosis, log, what):
     simulator = diagnosis.simulator
-    groups = log.episodes if log.consecutive else None
-    nominal = simulator.predict_many(log.X, [{}], groups=groups)[0]
-    extended = diagnosis.extended_simulator_.predict_many(log.X, [{}], groups=groups)[0]
+    nominal, extended = (
+        one.predict_many(log.X, [{}], groups=log.groups)[0]
+        for one in (simulator, diagnosis.extended_simulator_)
+    )
     there = _there(nominal, extended, what)
     X, y, nominal, extended = log.X[there], log.y[there], nominal[there], extended[there]
     if tuple(simulator.residual_names) == tuple(simulator.output_names):

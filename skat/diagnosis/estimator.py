@@ -25,6 +25,8 @@ from skat.effects import Effect, unknown_name_message
 CLEAN_EXCESS = 1.3
 # Squared error of a row, in noise units, beyond which it counts no more.
 LARGEST_ERROR = 9.0
+# Where fewer blocks were held out, errors of the rows fitted are judged in their place.
+FEWEST_BLOCKS_OF_EXCESS = 3
 QUATERNION = ("qw", "qx", "qy", "qz")
 # An estimate within this share of its range from a bound is at it.
 AT_BOUND = 1e-6
@@ -131,6 +133,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         ValueError
             If the rows do not fit the simulator, are fewer than 20, hold a value that is not finite, or are not in
             time order; if an effect is unknown.
+        RuntimeError
+            If the simulation diverges in every row.
         """
         progress = progress or _silent
         self._check_parameters()
@@ -169,7 +173,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
                     tested = self._differentiated(held_out)
                     self.gain_ = one_step_gain(tested, self._values, random_state)
                     n_diverged += tested.diverged.sum()
-                    residuals = tested
+                    if len(np.unique(tested.blocks)) >= FEWEST_BLOCKS_OF_EXCESS:
+                        residuals = tested
             except RuntimeError as error:
                 warnings.warn(f"The gain could not be measured on the rows held out. {error}", stacklevel=2)
         _warn_of_diverged(n_diverged, len(log))
@@ -346,9 +351,10 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         measured = measured_channels(self.simulator, self._checked_hidden())
         names = np.array(self.simulator.residual_names)[measured]
         deviations = np.asarray(self.noise, dtype=float)
-        if deviations.shape != (len(names),) or not (deviations > 0).all():
+        if deviations.shape != (len(names),) or not ((deviations > 0) & (deviations < np.inf)).all():
             raise ValueError(
-                f"noise must hold a positive standard deviation for each of {', '.join(names)}; it is {self.noise!r}."
+                f"noise must hold a finite positive standard deviation for each of {', '.join(names)}; it is "
+                f"{self.noise!r}."
             )
         return deviations
 
@@ -385,7 +391,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         (errors,) = np.minimum(residuals.noise_errors([self._values]), LARGEST_ERROR)
         blocks = np.unique(residuals.blocks[residuals.present], return_inverse=True)[1]
         means = np.bincount(blocks, errors) / np.bincount(blocks)
-        spread = means.std(ddof=1) / np.sqrt(len(means)) if len(means) > 2 else np.inf
+        spread = means.std(ddof=1) / np.sqrt(len(means)) if len(means) >= FEWEST_BLOCKS_OF_EXCESS else np.inf
         if isinstance(self.noise, str):
             # The noise itself is known from so many residuals only.
             spread = np.hypot(spread, np.sqrt(2 / (n_fitted * residuals.n_channels)))

@@ -14,8 +14,12 @@ from skat.diagnosis.residuals import robust_weights
 
 # Models within this quantile of each other's loss (paired over blocks, one-sided) cannot be told apart.
 ALIAS_LEVEL = 0.05
-# In noise units: an effect moves the loss of a block where it changes it by more.
+# In noise units: an effect moves the loss of a block where it changes it by more. What so few blocks agree on may be
+# chance, however well they agree.
 LEAST_MOVED = 1.0
+FEWEST_MOVED = 5
+# Loss in noise units that a refit may leave of what it could explain.
+LEFT_BY_A_REFIT = 0.01
 
 
 @dataclass(frozen=True)
@@ -50,12 +54,10 @@ class Grams:
     ----------
     scores : ndarray of shape (n_blocks, n_effects)
     information : ndarray of shape (n_blocks, n_effects, n_effects)
-    losses : ndarray of shape (n_blocks,)
     """
 
     scores: np.ndarray
     information: np.ndarray
-    losses: np.ndarray
 
 
 def grams(residuals, derivatives, blocks, weights=None):
@@ -71,8 +73,7 @@ def grams(residuals, derivatives, blocks, weights=None):
             for begin, end in zip(starts, np.r_[starts[1:], len(blocks)])
         ]
     )
-    losses = np.add.reduceat(weights * np.sum(residuals**2, axis=-1), starts)
-    return Grams(scores, information, losses)
+    return Grams(scores, information)
 
 
 def screen(gram, names, values, effects, fitted=()):
@@ -173,7 +174,9 @@ def _scaled_wald(scores, informations):
     bread = np.linalg.pinv(total, rcond=1e-12, hermitian=True)
     n_effects = len(total)
     hats = informations @ bread
-    leverages = np.clip(np.einsum("bkk->bk", hats), 0, 1)
+    # Of the whole that an effect shows beside the others, which are projected out of it: these shares sum to 1.
+    shown = np.maximum(np.diag(bread), 1e-300)
+    leverages = np.einsum("kl,blm,mk->bk", bread, informations, bread, optimize=True) / shown
     inverses = np.linalg.pinv(np.eye(n_effects) - np.clip(hats, -0.999, 0.999), rcond=1e-8)
     corrected = np.einsum("bkl,bl->bk", inverses, scores)
     meat = corrected.T @ corrected
@@ -202,7 +205,9 @@ def fall_p_value(without, losses):
 
     With noise alone t is half the Wald statistic, so this test rarely counts; where a simulation has kinks, which widen
     the errors of the effect but do not keep it from explaining the log, it does. Of the logarithm it does where few
-    blocks miss, by very different amounts, and the effect explains each of them.
+    blocks miss, by very different amounts, and the effect explains each of them. The smaller counts, corrected for
+    there being two. Neither takes the blocks to vary by less than noise makes them, so that a few that happen to agree,
+    as quantised measurements do, prove nothing.
 
     Parameters
     ----------
@@ -211,19 +216,24 @@ def fall_p_value(without, losses):
     """
     fall = without - losses
     moved = (np.abs(fall) > LEAST_MOVED) & (losses > 0) & (without > 0)
-    return min(_above_zero(fall), _above_zero(np.log(without[moved] / losses[moved])))
+    of_falls = _above_zero(fall, LEAST_MOVED * np.sqrt(max(moved.sum(), 1)))
+    of_logarithms = 1.0
+    if moved.sum() >= FEWEST_MOVED:
+        logarithms = np.log(without[moved] / losses[moved])
+        of_logarithms = _above_zero(logarithms, LEAST_MOVED * np.linalg.norm(1 / losses[moved]))
+    return family_p_value(min(of_falls, of_logarithms), 2)
 
 
-def _above_zero(values):
-    """Return the p-value of a mean above zero."""
+def _above_zero(values, least_error):
+    """Return the p-value of a sum above zero, the error of which is not below the least one."""
     if len(values) < 2:
         return 1.0
-    error = np.sqrt(len(values) * values.var(ddof=1))
-    return float(stats.t.sf(values.sum() / max(error, 1e-300), len(values) - 1))
+    error = max(np.sqrt(len(values) * values.var(ddof=1)), least_error)
+    return float(stats.t.sf(values.sum() / error, len(values) - 1))
 
 
 def as_good(losses, reference, level=ALIAS_LEVEL):
     """Whether a model's losses (n_blocks,) are not significantly higher than another's, paired by block (Vuong)."""
     worse = losses - reference
     error = np.sqrt(len(worse) * worse.var(ddof=1))
-    return bool(worse.sum() <= stats.t.isf(level, len(worse) - 1) * error + 1e-9 * reference.sum())
+    return bool(worse.sum() <= stats.t.isf(level, len(worse) - 1) * error + LEFT_BY_A_REFIT)

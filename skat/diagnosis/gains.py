@@ -26,9 +26,7 @@ def one_step_gain(residuals, values, random_state):
         If one of the simulations diverges in every row.
     """
     nominal, extended = residuals.noise_errors([{}, values])
-    if not len(nominal):
-        raise RuntimeError("The simulation diverges in every row; check that these rows are physical.")
-    blocks = residuals.blocks[residuals.present] if len(nominal) < len(residuals.blocks) else residuals.blocks
+    blocks = residuals.blocks[residuals.present]
     before, after = residuals.channel_errors({}), residuals.channel_errors(values)
     channels = {name: (error, after[name]) for name, error in before.items()}
     return _gain(nominal, extended, 1.0, blocks, random_state, horizon=1, channels=channels)

@@ -15,6 +15,9 @@ FEWEST_BLOCKS = 20
 FEWEST_GROUPS = 5
 # Of the rows that a split should leave to fit, episodes of unequal length leave at least this share.
 LEAST_FITTED = 0.5
+# It leaves so many rows that are independent, or groups of rows.
+FEWEST_FITTED_ROWS = 10
+FEWEST_FITTED_GROUPS = 4
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,11 @@ class Log:
         """Place of each row in its episode, from 0."""
         starts = np.flatnonzero(np.r_[True, np.diff(self.episodes) > 0])
         return np.arange(len(self)) - starts[self.episodes]
+
+    @property
+    def groups(self):
+        """Episode of each row as a simulator is told it: without time order each row is one."""
+        return self.episodes if self.consecutive else np.arange(len(self))
 
     def rows(self, chosen):
         """Return the log of the chosen rows; a gap in time starts a new episode."""
@@ -104,7 +112,7 @@ class Log:
         if not test_size:
             return self, None
         if self.n_episodes == len(self) and not self.consecutive:
-            count = int(np.clip(round(test_size * len(self)), 1, len(self) - 1))
+            count = int(np.clip(round(test_size * len(self)), 1, max(1, len(self) - FEWEST_FITTED_ROWS)))
             held_out = random_state.permutation(len(self)) < count
             return self.rows(~held_out), self.rows(held_out)
         if self.n_episodes > 1:
@@ -126,11 +134,13 @@ class Log:
     def _held_out(self, test_size, random_state):
         """Return episodes that make up the share, as far as enough remains to be fitted; at least one."""
         sizes = np.bincount(self.episodes)
+        most_chosen = self.n_episodes - (1 if self.consecutive else FEWEST_FITTED_GROUPS)
         most = len(self) - max(FEWEST_ROWS, LEAST_FITTED * (1 - test_size) * len(self))
         chosen: list[int] = []
         for episode in random_state.permutation(self.n_episodes):
             held = sizes[chosen].sum()
-            if held < test_size * len(self) and held + sizes[episode] <= most:
+            fits = len(chosen) < most_chosen and held + sizes[episode] <= most
+            if held < test_size * len(self) and fits:
                 chosen.append(int(episode))
         return chosen or [int(np.argmin(sizes))]
 

@@ -25,6 +25,8 @@ LARGEST_RESIDUAL = 4.0
 TIME = "time"
 # Pairs count as seen below this p-value, corrected for their number.
 CLEAR = 0.01
+# In noise units: an error that explains less is rounding, however regular.
+LEAST_EXPLAINED = 1.0
 
 
 @dataclass(frozen=True)
@@ -142,7 +144,8 @@ class _ScoreTests:
             information -= cross[:, part].T @ carry[:, part]
             total = scores[:, part].sum(axis=0)
             explained = float(total @ solve_scaled(information, total[:, None])[:, 0])
-            found.append((_score_test(self._pieces(scores[:, part])), explained))
+            p_value = _score_test(self._pieces(scores[:, part])) if explained > LEAST_EXPLAINED else 1.0
+            found.append((p_value, explained))
         return found
 
     def _pieces(self, scores):

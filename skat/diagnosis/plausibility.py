@@ -32,7 +32,7 @@ def warn_of_doubts(simulator, log, hidden=()):
         *_wrapped(simulator, log, hidden),
         *_differenced(simulator, log, hidden),
     ):
-        warnings.warn(doubt, UserWarning, stacklevel=4)
+        warnings.warn(doubt, UserWarning, stacklevel=3)
 
 
 def _constant(simulator, log, hidden):
@@ -45,7 +45,7 @@ def _constant(simulator, log, hidden):
     moving = []
     if names:
         some = log.rows(np.arange(min(len(log), ROWS_TRIED)))
-        predicted = simulator.predict_many(some.X, [{}], groups=_groups(some))[0]
+        predicted = simulator.predict_many(some.X, [{}], groups=some.groups)[0]
         for name in names:
             column = simulator.output_names.index(name)
             if np.max(np.nan_to_num(np.abs(predicted[:, column] - some.y[:, column]))) > 1e-9:
@@ -85,7 +85,7 @@ def _degrees(simulator, log, hidden):
         X, y = some.X.copy(), some.y.copy()
         X[:, columns] *= factor
         y[:, columns] *= factor
-        predicted = simulator.predict_many(X, [{}], groups=_groups(some))[0]
+        predicted = simulator.predict_many(X, [{}], groups=some.groups)[0]
         spread = y[:, columns].std(axis=0)
         errors = np.abs(y - predicted)[:, columns] / np.where(spread > 0, spread, 1.0)
         misses.append(np.median(np.nan_to_num(errors, nan=np.inf)))
@@ -107,7 +107,7 @@ def _wrapped(simulator, log, hidden):
         if not len(jumps):
             continue
         some = log.rows(jumps)
-        predicted = simulator.predict_many(some.X, [{}], groups=_groups(some))[0][:, after]
+        predicted = simulator.predict_many(some.X, [{}], groups=some.groups)[0][:, after]
         count = int(np.sum(np.abs(some.y[:, after] - predicted) > np.pi))
         if count:
             yield (
@@ -174,7 +174,3 @@ def _misses(before, now, after, columns, dt):
         "central": (after - before) / (2 * dt),
     }
     return {kind: np.quantile(np.abs(velocity - rate), MOST_ROWS, axis=0) for kind, rate in rates.items()}
-
-
-def _groups(log):
-    return log.episodes if log.consecutive else None

@@ -152,7 +152,7 @@ class Proposals:
         weighted = line.derivatives * self.refits.weights(line.residuals)[:, None, None]
         information = np.einsum("ndk,ndl->kl", weighted, line.derivatives, optimize=True)
         fresh = [k for k in range(len(names)) if names[k] not in values and information[k, k] > 0]
-        flat = [name for k, name in enumerate(names) if information[k, k] == 0]
+        flat = [name for k, name in enumerate(names) if name not in values and information[k, k] == 0]
         for n_dropped in (2, 1) if len(values) > 1 else (1,):
             subsets = [
                 {name: values[name] for name in kept}
@@ -191,7 +191,7 @@ class Proposals:
 
 def _points(effect):
     """Return values over the whole range of an effect."""
-    if effect.neutral == 1:
+    if effect.is_factor:
         points = [*FACTORS, 0.0, -1.0] if effect.bounds[0] < 0 else FACTORS
     else:
         points = [effect.neutral + share * (end - effect.neutral) for share in GRID for end in effect.bounds]

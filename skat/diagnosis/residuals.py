@@ -92,11 +92,6 @@ class Residuals:
         return len(self.simulator.residual_names)
 
     @property
-    def groups(self):
-        """Episode of each row as the simulator is told it: without time order each row is one."""
-        return self.log.episodes if self.log.consecutive else np.arange(len(self.log))
-
-    @property
     def deviations(self):
         """Standard deviations of the measurement noise, in the channels' units."""
         return np.sqrt(self.variances)
@@ -170,11 +165,10 @@ class Residuals:
             Infinite where most rows diverge.
         """
         part = self.log.part(n_rows, ROWS_OF_RUN)
-        groups = part.episodes if part.consecutive else np.arange(len(part))
         sizes = []
         for i in range(0, len(candidates), 64):
             self.n_simulated_rows += len(part) * len(candidates[i : i + 64])
-            for one in self.simulator.predict_many(part.X, candidates[i : i + 64], groups=groups):
+            for one in self.simulator.predict_many(part.X, candidates[i : i + 64], groups=part.groups):
                 errors = np.nan_to_num(np.abs(self.simulator.residual(part.y, one)), nan=np.inf)
                 with np.errstate(divide="ignore"):
                     sizes.append(
@@ -295,6 +289,8 @@ class Residuals:
     def _leave_out_diverged(self, rows):
         self.diverged = self.diverged | rows
         self._leave_out(rows)
+        if not self.present.any():
+            raise RuntimeError("The simulation diverges in every row; check that these rows are physical.")
 
     def _leave_out_unknown(self, values):
         """Leave out the rows in which an action from before the log still acts, unless that is all."""
@@ -314,7 +310,7 @@ class Residuals:
         points = self.points[rows]
         n_rows = len(points) * len(candidates)
         self.n_simulated_rows += n_rows
-        groups = self.groups[rows]
+        groups = self.log.groups[rows]
         n_parts = min(joblib.effective_n_jobs(self.n_jobs), len(candidates))
         if n_parts == 1 or n_rows < FEWEST_ROWS_TO_SHARE:
             return self.simulator.predict_many(points, candidates, groups=groups)
@@ -335,8 +331,8 @@ class Residuals:
         return (1e-6 * np.where(spread > 0, spread, 1.0)) ** 2
 
     def _first_variances(self, values):
-        raw = self.raw_residuals([values])[0][self.present]
-        return np.maximum((1.4826 * np.nanmedian(np.abs(raw), axis=0)) ** 2, self.smallest)
+        raw = self._model_residuals(values)[self.present]
+        return np.maximum((1.4826 * np.median(np.abs(raw), axis=0)) ** 2, self.smallest)
 
     def _estimate_noise(self, raw):
         """Estimate the noise from what all regressors together, linearly, do not explain; return the residuals."""
@@ -414,14 +410,14 @@ class Residuals:
         From the measured states, not the smoothed ones; a right model has 1 on average. Rows in which a candidate
         diverges are left out, from then on.
         """
-        predictions = self.simulator.predict_many(self.log.X, candidates, groups=self.groups)
+        predictions = self.simulator.predict_many(self.log.X, candidates, groups=self.log.groups)
         errors = np.stack([self.simulator.residual(self.log.y, one) for one in predictions]) ** 2
         self._leave_out_diverged(~np.isfinite(errors).all(axis=(0, 2)))
         return np.mean(errors / self._residual_variances(), axis=-1)[:, self.present]
 
     def channel_errors(self, values):
         """Return the root mean squared one-step error of each channel, by name, in its own unit."""
-        predictions = self.simulator.predict_many(self.log.X, [values], groups=self.groups)
+        predictions = self.simulator.predict_many(self.log.X, [values], groups=self.log.groups)
         errors = self.simulator.residual(self.log.y, predictions[0])[self.present]
         return dict(zip(self.simulator.residual_names, np.sqrt(np.mean(errors**2, axis=0)).tolist()))
 

@@ -9,7 +9,6 @@ from skat.diagnosis.aliases import find_aliases
 from skat.diagnosis.estimates import Estimates
 from skat.diagnosis.evidence import as_good, fall_p_value, family_p_value, grams, screen
 from skat.diagnosis.proposals import Proposals
-from skat.diagnosis.refits import Fit
 
 # Exchanges made, and the fall of the loss in noise units that makes one worth it.
 MOST_EXCHANGES = 4
@@ -88,6 +87,9 @@ class Selection:
         self.left: set[frozenset] = set()
         # Of each set that was exchanged, the one that it was left for.
         self.better: dict[frozenset, frozenset] = {}
+        # Family-wise p-values that the effects of the model stand by, and those of them that are of the loss.
+        self.stands: dict[str, float] = {}
+        self.stands_by_fall: set[str] = set()
 
     def run(self):
         """Return the Selected effects."""
@@ -110,6 +112,7 @@ class Selection:
         values: dict[str, float] = {}
         history: list[dict[str, float]] = []
         jumps = 0
+        self.left, self.better = set(), {}
         while True:
             self.progress("select", len(values), self.max_effects)
             added = None
@@ -262,9 +265,7 @@ class Selection:
 
     def _prune(self, values, line, spread=None):
         """Drop effects that are no longer significant beside the others, given by how much their values vary."""
-        # Family-wise p-values that the effects stand by, and those of them that are of the loss.
-        self.stands: dict[str, float] = {}
-        self.stands_by_fall: set[str] = set()
+        self.stands, self.stands_by_fall = {}, set()
         while values:
             self.refits.set_scale(line.residuals)
             losses = self.refits.losses(line.residuals)
@@ -275,11 +276,7 @@ class Selection:
             if self.stands[worst] < self.alpha:
                 break
             kept = {name: value for name, value in values.items() if name != worst}
-            without = (
-                self.refits.fit([kept])[0]
-                if kept
-                else Fit({}, self.refits.losses(self.refits.whitened([{}])[0]))
-            )
+            without = self.refits.fit([kept])[0]
             p_value = family_p_value(fall_p_value(without.losses, losses), len(self.names))
             if p_value < self.alpha:
                 self.stands[worst] = p_value

@@ -106,7 +106,8 @@ class TransitionResiduals(Residuals):
             self.n_simulated_rows += inner.n_simulated_rows
             return variances
         raw = super().raw_residuals([values])[0]
-        deviation = 1.4826 * np.nanmedian(np.abs(raw[self.present]), axis=0) / np.sqrt(2)
+        self._leave_out_diverged(~np.isfinite(raw).all(axis=-1))
+        deviation = 1.4826 * np.median(np.abs(raw[self.present]), axis=0) / np.sqrt(2)
         self.variances = np.maximum(np.minimum(deviation, 0.02 * spread) ** 2, self.smallest)
         self.differentiate(values)
         self.regressors = self._derivatives(values, self.effects)

@@ -355,3 +355,81 @@ def test_score_matches_the_columns_of_both_tables_by_name():
     y = pd.DataFrame(simulator.predict(X) + 0.01 * rng.normal(size=(100, 2)), columns=["p", "w"])
     diagnosis = SimulationDiagnosis(simulator, random_state=0).fit(X, y)
     assert diagnosis.score(X[["v", "x"]], y[["w", "p"]]) == diagnosis.score(X, y) > 0.99
+
+
+def test_identical_effects_are_aliases_in_a_log_without_noise():
+    """Without noise the smallest rest that a refit leaves is more than the other's."""
+    simulator = simulation(
+        lambda X, a=1.0, b=1.0: a * b * X, ("x",), ("y",), a=(1.0, 0.1, 5.0), b=(1.0, 0.1, 5.0)
+    )
+    X = np.random.default_rng(0).normal(size=(100, 1))
+    for noise in ("estimate", [0.1]):
+        diagnosis = SimulationDiagnosis(simulator, effects=["a", "b"], noise=noise, random_state=0).fit(
+            X, 1.3 * X
+        )
+        assert diagnosis.verdict_ == "ambiguous"
+        (cause,) = diagnosis.causes_
+        assert {cause.name, *cause.aliases} == {"a", "b"}
+        assert cause.value == pytest.approx(1.3, rel=1e-6)
+
+
+def test_rounding_is_no_remainder():
+    simulator = simulation(lambda X, a=1.0: a * X, ("x",), ("y",), a=(1.0, 0.1, 5.0))
+    for seed in range(8):
+        X = np.random.default_rng(seed).normal(size=(100, 1))
+        diagnosis = SimulationDiagnosis(simulator, effects=["a"], noise=[0.1], random_state=0).fit(X, 1.3 * X)
+        assert diagnosis.verdict_ == "named"
+
+
+def test_bias_and_scale_far_from_zero_are_both_named():
+    """Of an input between 10 and 11 a slope and an offset differ little, but 300 rows tell them apart."""
+    simulator = simulation(
+        lambda X, slope=1.0, offset=0.0: slope * X + offset,
+        ("x",),
+        ("y",),
+        slope=(1.0, 0.1, 5.0),
+        offset=(0.0, -50.0, 50.0),
+    )
+    rng = np.random.default_rng(0)
+    X = rng.uniform(10, 11, size=(300, 1))
+    y = 1.5 * X + 3.0 + 0.02 * rng.normal(size=X.shape)
+    diagnosis = SimulationDiagnosis(
+        simulator, effects=["slope", "offset"], noise=[0.02], test_size=0, random_state=0
+    ).fit(X, y)
+    assert diagnosis.verdict_ == "named"
+    found = {cause.name: cause for cause in diagnosis.causes_}
+    design = np.column_stack([X, np.ones(300)])
+    errors = 0.02 * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
+    for name, error in zip(("slope", "offset"), errors):
+        low, high = found[name].interval
+        assert (high - low) / 2 == pytest.approx(1.96 * error, rel=0.2)
+
+
+@pytest.mark.parametrize("n_groups", [5, 6, 8])
+def test_misfit_of_few_groups_is_seen(bending, n_groups):
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(200, 2))
+    y = X[:, :1] + 3 * np.sin(5 * X[:, :1]) + 0.1 * rng.normal(size=(200, 1))
+    diagnosis = SimulationDiagnosis(bending, noise=[0.1], effects=["b"], random_state=0)
+    assert diagnosis.fit(X, y, np.arange(200) * n_groups // 200).verdict_ == "unexplained"
+
+
+def test_simulation_that_diverges_everywhere_is_an_error():
+    simulator = simulation(lambda X, k=0.0: np.nan * k + X * np.nan, ("u",), ("y",), k=(0.0, -1.0, 1.0))
+    u = np.random.default_rng(0).normal(size=(50, 1))
+    for noise in ("estimate", [0.1]):
+        with pytest.raises(RuntimeError, match="diverges in every row"):
+            SimulationDiagnosis(simulator, effects=["k"], noise=noise, random_state=0).fit(u, u)
+
+
+def test_infinite_noise_is_refused(bending):
+    X = np.random.default_rng(0).normal(size=(50, 2))
+    with pytest.raises(ValueError, match="finite positive"):
+        SimulationDiagnosis(bending, noise=[np.inf]).fit(X, X[:, :1])
+
+
+def test_warning_of_a_doubt_names_the_line_of_the_fit(bending):
+    X = np.random.default_rng(0).normal(size=(50, 2))
+    with pytest.warns(UserWarning, match="same value in every row") as caught:
+        SimulationDiagnosis(bending, effects=["b"], test_size=0, random_state=0).fit(X, np.zeros((50, 1)))
+    assert caught[0].filename == __file__

@@ -15,6 +15,18 @@ from skat.effects import Effect
 from skat.simulators import FunctionSimulator, MujocoSimulator
 
 UNITS = np.array([1.0, 1e3])
+SLIDER = """
+<mujoco>
+  <option timestep="0.005"/>
+  <worldbody>
+    <body name="cart">
+      <joint name="slide" type="slide" axis="1 0 0" damping="1"/>
+      <geom size="0.1" mass="1"/>
+    </body>
+  </worldbody>
+  <actuator><motor joint="slide" gear="5"/></actuator>
+</mujoco>
+"""
 
 
 def throw(Z, drag):
@@ -268,6 +280,36 @@ def test_hidden_channels_need_episodes():
     X, y, _ = pendulum_log(2, 0)
     with pytest.raises(ValueError, match=r"rate were not measured.*groups_fit="):
         compare_transports(diagnosed(pendulum(), hidden=("rate",)), X, y, X, y)
+
+
+def test_delay_needs_episodes():
+    simulator = MujocoSimulator(SLIDER, frame_skip=4)
+    rng = np.random.default_rng(0)
+    commands = rng.normal(size=(8, 60, 1))
+    states = simulator.rollout(
+        0.1 * rng.normal(size=(8, 2)), commands, n_steps=60, effects={"delay[action]": 0.02}
+    )
+    states += 1e-4 * rng.normal(size=states.shape)
+    X, y = np.concatenate([states[:, :-1], commands], axis=-1).reshape(-1, 3), states[:, 1:].reshape(-1, 2)
+    groups = np.repeat(np.arange(8), 60)
+    diagnosis = SimulationDiagnosis(simulator, effects=["delay[action]", "mass[cart]"], random_state=0).fit(
+        X, y, groups
+    )
+    assert [cause.name for cause in diagnosis.causes_] == ["delay[action]"]
+    table = compare_transports(
+        diagnosis,
+        X,
+        y,
+        X,
+        y,
+        groups_fit=groups,
+        groups_test=groups,
+        methods=["AffineTransport"],
+        random_state=0,
+    )
+    assert not is_beaten(table)
+    with pytest.raises(ValueError, match="pass groups_fit="):
+        compare_transports(diagnosis, X, y, X, y, methods=["AffineTransport"])
 
 
 def test_orientations_are_compared_as_rotations():

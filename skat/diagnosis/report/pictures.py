@@ -153,14 +153,14 @@ class _OneStep:
 def _one_step(diagnosis, log):
     simulator, extended = diagnosis.simulator, diagnosis.extended_simulator_
     rows = np.arange(min(len(log), MOST_ROWS))
-    groups = log.episodes[rows] if log.consecutive else None
+    groups = log.groups[rows]
     X, y = log.X[rows], log.y[rows]
     before, after = (each.predict_many(X, [{}], groups=groups)[0] for each in (simulator, extended))
     there = np.isfinite(before).all(axis=1) & np.isfinite(after).all(axis=1)
     if not there.any():
         return None
     residuals = tuple(simulator.residual(y[there], each[there]) for each in (before, after))
-    noise = _noise_of_residuals(diagnosis, X[there], None if groups is None else groups[there])
+    noise = _noise_of_residuals(diagnosis, X[there], groups[there])
     return _OneStep(log, rows[there], before[there], after[there], residuals, noise)
 
 
@@ -174,7 +174,7 @@ def _noise_of_residuals(diagnosis, X, groups):
     moved, still = simulator.predict_many(
         np.concatenate([simulator.displace(X, first), X]),
         [{}],
-        groups=None if groups is None else np.concatenate([groups, groups + groups.max() + 1]),
+        groups=np.concatenate([groups, groups + groups.max() + 1]),
     )[0].reshape(2, len(X), -1)
     noise = simulator.residual(moved, still) + second
     return np.maximum(np.sqrt(np.nanmean(noise**2, axis=0)), 1e-300)
