@@ -26,6 +26,8 @@ ROWS_FOR_STEPS = 40
 ROWS_OF_RUN = 3
 # Fewer simulated rows are not worth sending to other processes.
 FEWEST_ROWS_TO_SHARE = 5000
+# Squared error of a row, in noise units, in which a simulation diverges.
+DIVERGED = 1e6
 # Effects regressed out before the noise is estimated: at most one for so many residuals.
 RESIDUALS_PER_REGRESSOR = 10
 
@@ -146,7 +148,7 @@ class Residuals:
         diverged = ~np.isfinite(raw).all(axis=-1)
         raw[diverged] = 0
         white = np.moveaxis(self.whiten(np.moveaxis(raw, 0, -1)), -1, 0)
-        white[diverged & self.present] = 1e3
+        white[diverged & self.present] = np.sqrt(DIVERGED)
         return white
 
     def error_sizes(self, candidates, n_rows):
@@ -414,6 +416,16 @@ class Residuals:
         errors = np.stack([self.simulator.residual(self.log.y, one) for one in predictions]) ** 2
         self._leave_out_diverged(~np.isfinite(errors).all(axis=(0, 2)))
         return np.mean(errors / self._residual_variances(), axis=-1)[:, self.present]
+
+    def log_errors(self, candidates):
+        """Return log(1 + e) of the errors e of `noise_errors` (n_candidates, n_rows): few that are huge do not decide.
+
+        Rows in which a candidate diverges stay, as far off.
+        """
+        predictions = self.simulator.predict_many(self.log.X, candidates, groups=self.log.groups)
+        errors = np.stack([self.simulator.residual(self.log.y, one) for one in predictions]) ** 2
+        means = np.mean(errors / self._residual_variances(), axis=-1)[:, self.present]
+        return np.log1p(np.nan_to_num(means, nan=DIVERGED, posinf=DIVERGED))
 
     def channel_errors(self, values):
         """Return the root mean squared one-step error of each channel, by name, in its own unit."""

@@ -192,7 +192,12 @@ class Selection:
                 )
                 significant = family_p_value(p_value, len(self.names)) < self.alpha
                 matters = present.sum() - fit.loss > least_explained
-                if significant and matters and self._improves(fit, present):
+                if (
+                    significant
+                    and matters
+                    and self._improves(fit, present)
+                    and self._predicts(fit.values, values)
+                ):
                     return fit.values
         return None
 
@@ -264,7 +269,10 @@ class Selection:
     # -- decisions -------------------------------------------------------------------------------------------------
 
     def _prune(self, values, line, spread=None):
-        """Drop effects that are no longer significant beside the others, given by how much their values vary."""
+        """Drop effects that mislead, or are no longer significant beside the others.
+
+        `spread` is by how much their values vary from one settling to the next.
+        """
         self.stands, self.stands_by_fall = {}, set()
         while values:
             self.refits.set_scale(line.residuals)
@@ -273,12 +281,15 @@ class Selection:
                 if name not in self.stands_by_fall:
                     self.stands[name] = family_p_value(p_value, len(self.names))
             worst = max(self.stands, key=lambda name: self.stands[name])
-            if self.stands[worst] < self.alpha:
-                break
+            significant = self.stands[worst] < self.alpha
+            if significant:
+                worst = self._misleading(values)
+                if worst is None:
+                    break
             kept = {name: value for name, value in values.items() if name != worst}
             without = self.refits.fit([kept])[0]
             p_value = family_p_value(fall_p_value(without.losses, losses), len(self.names))
-            if p_value < self.alpha:
+            if not significant and p_value < self.alpha:
                 self.stands[worst] = p_value
                 self.stands_by_fall.add(worst)
                 continue
@@ -288,6 +299,22 @@ class Selection:
                 values, line = {}, self.estimates.linearised({})
             self.stands, self.stands_by_fall, spread = {}, set(), None
         return values, line
+
+    def _predicts(self, values, less):
+        """Whether a model predicts the next states better than one with less, from the states as they were measured.
+
+        The loss is of states smoothed by the model with the noise that it leaves. A channel in which something else
+        is missed passes for noisy there, and may then be given any scale.
+        """
+        present, without = self.residuals.log_errors([values, less]).sum(axis=1)
+        return present < without
+
+    def _misleading(self, values):
+        """Return the effect of a model without which it predicts best, and better than with it; None if none is."""
+        models = {name: {other: values[other] for other in values if other != name} for name in values}
+        present, *without = self.residuals.log_errors([values, *models.values()]).sum(axis=1)
+        best = int(np.argmin(without))
+        return list(models)[best] if without[best] < present else None
 
     def _result(self, values, line, spread):
         gram = grams(line.residuals, line.derivatives, self.estimates.clusters(len(line.names)))

@@ -116,6 +116,10 @@ class TrajectoryResiduals(Residuals):
         white = self._without_initial_states(self._decorrelated(scaled), nuisance)
         return white[..., 0] if columns.ndim == 2 else white
 
+    def log_errors(self, candidates):
+        """Return log(1 + e) of the squared whitened residuals e of each row (n_candidates, n_rows)."""
+        return np.log1p(np.mean(self.whitened(candidates) ** 2, axis=-1))
+
     def log_determinant(self):
         """Return the logarithm of the determinant of the residuals' covariance, as the noise now is."""
         n_following = np.count_nonzero(np.diff(self.log.episodes) == 0)

@@ -433,3 +433,47 @@ def test_warning_of_a_doubt_names_the_line_of_the_fit(bending):
     with pytest.warns(UserWarning, match="same value in every row") as caught:
         SimulationDiagnosis(bending, effects=["b"], test_size=0, random_state=0).fit(X, np.zeros((50, 1)))
     assert caught[0].filename == __file__
+
+
+ARM = """
+<mujoco>
+  <option timestep="0.01"/>
+  <worldbody>
+    <body>
+      <joint name="shoulder" axis="0 1 0" damping="0.5" stiffness="3"/>
+      <geom type="capsule" fromto="0 0 0 0.5 0 0" size="0.04" mass="1"/>
+      <body pos="0.5 0 0">
+        <joint name="elbow" axis="0 1 0" damping="0.3" stiffness="2"/>
+        <geom type="capsule" fromto="0 0 0 0.4 0 0" size="0.03" mass="0.5"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor joint="shoulder" gear="8"/><motor joint="elbow" gear="4"/></actuator>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize(("seed", "limit"), [(3, 0.5), (1, 0.3)])
+def test_channel_in_which_something_is_missed_is_given_no_scale(seed, limit):
+    """A saturated motor passes for noise of its joint's speed; of what is that noisy, any scale explains some."""
+    model, rng = mujoco.MjModel.from_xml_string(ARM), np.random.default_rng(seed)
+    commands = np.empty((4, 50, 2))
+    states = np.empty((4, 51, 4))
+    for episode in range(4):
+        data = mujoco.MjData(model)
+        data.qpos[:] = 0.3 * rng.normal(size=2)
+        commands[episode] = rng.uniform(-1, 1, size=(50, 2))
+        states[episode, 0] = *data.qpos, *data.qvel
+        for step, (shoulder, elbow) in enumerate(commands[episode]):
+            data.ctrl[:] = shoulder, np.clip(elbow, -limit, limit)
+            mujoco.mj_step(model, data, nstep=5)
+            states[episode, step + 1] = *data.qpos, *data.qvel
+    deviations = 0.01 * states.std(axis=(0, 1))
+    states = np.stack([one + deviations * rng.normal(size=one.shape) for one in states])
+    X = np.concatenate([states[:, :-1], commands], axis=-1).reshape(200, 6)
+    diagnosis = SimulationDiagnosis(MujocoSimulator(ARM, frame_skip=5), random_state=0)
+    diagnosis.fit(X, states[:, 1:].reshape(200, 4), groups=np.repeat(np.arange(4), 50))
+    assert diagnosis.verdict_ == "unexplained"
+    assert {cause.family for cause in diagnosis.causes_} <= {"gain"}
+    assert diagnosis.remainder_.direction == "elbow"
+    assert diagnosis.remainder_.coordinate == "ctrl.elbow"
