@@ -412,8 +412,7 @@ class Residuals:
         From the measured states, not the smoothed ones; a right model has 1 on average. Rows in which a candidate
         diverges are left out, from then on.
         """
-        predictions = self.simulator.predict_many(self.log.X, candidates, groups=self.log.groups)
-        errors = np.stack([self.simulator.residual(self.log.y, one) for one in predictions]) ** 2
+        errors = self._squared_errors(candidates)
         self._leave_out_diverged(~np.isfinite(errors).all(axis=(0, 2)))
         return np.mean(errors / self._residual_variances(), axis=-1)[:, self.present]
 
@@ -422,16 +421,22 @@ class Residuals:
 
         Rows in which a candidate diverges stay, as far off.
         """
-        predictions = self.simulator.predict_many(self.log.X, candidates, groups=self.log.groups)
-        errors = np.stack([self.simulator.residual(self.log.y, one) for one in predictions]) ** 2
-        means = np.mean(errors / self._residual_variances(), axis=-1)[:, self.present]
-        return np.log1p(np.nan_to_num(means, nan=DIVERGED, posinf=DIVERGED))
+        errors = np.mean(self._squared_errors(candidates) / self._residual_variances(), axis=-1)[
+            :, self.present
+        ]
+        return np.log1p(np.nan_to_num(errors, nan=DIVERGED, posinf=DIVERGED))
 
     def channel_errors(self, values):
         """Return the root mean squared one-step error of each channel, by name, in its own unit."""
-        predictions = self.simulator.predict_many(self.log.X, [values], groups=self.log.groups)
-        errors = self.simulator.residual(self.log.y, predictions[0])[self.present]
-        return dict(zip(self.simulator.residual_names, np.sqrt(np.mean(errors**2, axis=0)).tolist()))
+        (errors,) = self._squared_errors([values])
+        return dict(
+            zip(self.simulator.residual_names, np.sqrt(np.mean(errors[self.present], axis=0)).tolist())
+        )
+
+    def _squared_errors(self, candidates):
+        """Return squared one-step errors (n_candidates, n_rows, n_channels) from the measured states."""
+        predictions = self.simulator.predict_many(self.log.X, candidates, groups=self.log.groups)
+        return np.stack([self.simulator.residual(self.log.y, one) for one in predictions]) ** 2
 
     def _residual_variances(self):
         """Variance of each raw residual under a right model, (n_rows, n_channels) or one row for all."""

@@ -59,6 +59,14 @@ def test_right_pair_is_kept(simulator):
     assert selection._exchanged(values, line)[0] is None
 
 
+def test_effect_without_which_a_model_predicts_better_misleads(simulator):
+    selection = selection_of(simulator, {"drag": 0.3})
+    assert selection._predicts({"drag": 0.3}, {})
+    assert not selection._predicts({"drag": 0.3, "gain": 1.2}, {"drag": 0.3})
+    assert selection._misleading({"drag": 0.3, "gain": 1.2}) == "gain"
+    assert selection._misleading({"drag": 0.3}) is None
+
+
 def weight(X, shift_x=0.0, shift_y=0.0, turn=0.0, **pulls):
     """Return the place of a weight off a turning disc's centre, beside a pull that depends on one input."""
     angle, along = X.T
