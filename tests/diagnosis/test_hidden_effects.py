@@ -96,13 +96,13 @@ def test_two_hidden_effects_are_both_named_and_explain_other_episodes(worlds):
 
 
 @pytest.mark.parametrize(
-    ("kind", "hidden"),
+    ("kind", "n_episodes", "hidden"),
     [
-        ("hopper", ("saturation", "leg_joint", 0.5)),
-        ("puck", ("magnet", "0.2", 0.4)),
-        ("hopper", ("periodic_force", "x", 90.0)),
+        ("hopper", 6, ("saturation", "leg_joint", 0.5)),
+        ("puck", 6, ("magnet", "0.2", 0.4)),
+        ("hopper", 6, ("periodic_force", "x", 90.0)),
     ],
 )
-def test_effect_outside_the_list_is_unexplained_and_gets_no_full_false_name(worlds, kind, hidden):
-    diagnosis = diagnosed(worlds, worlds.measure(kind, [hidden], seed=SEED, n_episodes=EPISODES[kind]))
+def test_effect_outside_the_list_is_unexplained_and_gets_no_full_false_name(worlds, kind, n_episodes, hidden):
+    diagnosis = diagnosed(worlds, worlds.measure(kind, [hidden], seed=SEED, n_episodes=n_episodes))
     assert diagnosis.verdict_ == "unexplained"
