@@ -138,7 +138,10 @@ def read_table(path):
     if not path.is_file():
         raise FileNotFoundError(f"There is no file {path}. Check the path; expected a CSV file.")
     try:
-        table = pd.read_csv(path, skipinitialspace=True, index_col=False)
+        with warnings.catch_warnings():
+            # Where rows have more values than names, pandas only warns, and columns get the names of others.
+            warnings.simplefilter("error", pd.errors.ParserWarning)
+            table = pd.read_csv(path, skipinitialspace=True, index_col=False)
     except (ValueError, pd.errors.ParserWarning) as error:
         raise ValueError(f"{path} is not a CSV table: {str(error).strip()}") from error
     table.columns = table.columns.str.strip()

@@ -41,7 +41,9 @@ def _table(gram, names, residuals, alpha, found=()):
     nearest = cosines.argmax(axis=1)
     smallest = threshold / np.where(shown, size, 1e-300)
     # An effect that must leave its bounds to be seen is not shown at all.
-    shown &= smallest < [np.ptp(effects[name].bounds) for name in names]
+    shown &= smallest < [
+        np.max(np.abs(np.subtract(effects[name].bounds, effects[name].neutral))) for name in names
+    ]
     return pd.DataFrame(
         {
             "smallest": np.where(shown, smallest, np.inf),

@@ -4,6 +4,7 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 from sklearn.utils import check_array
 
 FEWEST_ROWS = 20
@@ -189,6 +190,10 @@ def check_log(simulator, X, y, groups, *, fewest_rows=FEWEST_ROWS, hidden=()):
         raise ValueError(
             f"groups must name the episode of each of the {len(X)} rows; it has shape {groups.shape}."
         )
+    if pd.isna(groups).any():
+        raise ValueError(
+            f"groups is missing in row {int(np.argmax(pd.isna(groups)))}: name the episode of every row."
+        )
     starts = np.r_[True, groups[1:] != groups[:-1]]
     episodes = np.cumsum(starts) - 1
     if len(np.unique(groups)) <= episodes[-1]:
@@ -232,7 +237,8 @@ def check_matrix(values, what, names):
     """
     if hasattr(values, "columns") and hasattr(values, "to_numpy"):
         known = set(names) & set(values.columns)
-        if known and len(known) < len(names):
+        named = bool(known) or all(isinstance(column, str) for column in values.columns)
+        if named and len(known) < len(names):
             missing = [name for name in names if name not in known]
             raise ValueError(f"{what} lacks the columns {', '.join(missing)}; expected {', '.join(names)}.")
         values = values[list(names)] if known else values

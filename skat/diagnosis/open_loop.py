@@ -86,7 +86,7 @@ class Episodes:
         derivatives = np.stack([(at[0] - one) / step for one, step in zip(at[1:], steps)], axis=-1)
         return at[0], derivatives
 
-    def fit_initial_states(self, values, deviations):
+    def fit_initial_states(self, values, deviations, present=None):
         """Return the initial states that explain each episode best, by damped Gauss-Newton.
 
         Parameters
@@ -95,6 +95,8 @@ class Episodes:
             The model's effects.
         deviations : ndarray of shape (n_measured,)
             How much each measured channel counts.
+        present : ndarray of bool of shape (n_rows,), optional
+            Rows that count.
 
         Raises
         ------
@@ -107,6 +109,7 @@ class Episodes:
         steps = 1e-4 * np.where(spread > 0, spread, 1.0)
         initial = self.initial
         n_episodes, n_directions = len(initial), len(self.measured)
+        episodes = self.log.episodes if present is None else self.log.episodes[present]
         best_loss = np.full(n_episodes, np.inf)
         best = initial.copy()
         moves = np.zeros((n_episodes, n_directions))
@@ -117,12 +120,14 @@ class Episodes:
             trial = self.simulator.displace(best, moves)
             residuals, derivatives = self.sensitivities(values, trial, steps)
             white, design = residuals / deviations, derivatives / deviations[:, None]
-            losses = np.bincount(self.log.episodes, np.sum(white**2, axis=1), minlength=n_episodes)
+            if present is not None:
+                white, design = white[present], design[present]
+            losses = np.bincount(episodes, np.sum(white**2, axis=1), minlength=n_episodes)
             better = np.nan_to_num(losses, nan=np.inf) < best_loss
             best[better], best_loss[better] = trial[better], losses[better]
             damping = np.where(better, np.maximum(damping / 10, 1e-9), damping * 30)
             for episode in np.flatnonzero(better):
-                rows = self.log.episodes == episode
+                rows = episodes == episode
                 flat = np.nan_to_num(design[rows]).reshape(-1, n_directions)
                 information[episode] = flat.T @ flat
                 score[episode] = flat.T @ np.nan_to_num(white[rows]).ravel()

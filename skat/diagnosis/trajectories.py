@@ -13,7 +13,8 @@ class TrajectoryResiduals(Residuals):
     """Residuals of measured channels along whole episodes, each with an initial state of its own that is fitted.
 
     What an initial state can explain is projected out of residuals and derivatives alike; what is left of the noise is
-    taken as an autoregression of first order.
+    taken as an autoregression of first order. Where an action is delayed, the first rows of an episode, in which one
+    from before the log acts, do not count: what it does to later ones, an initial state makes up for.
 
     Parameters
     ----------
@@ -27,7 +28,6 @@ class TrajectoryResiduals(Residuals):
         self.episodes = Episodes(simulator, log, hidden)
         super().__init__(simulator, log, effects, deviations)
         self.initial = self.episodes.initial
-        self.present = np.ones(len(log), dtype=bool)
         self.correlation = np.zeros(self.n_channels)
         self.nuisance = None
 
@@ -38,10 +38,11 @@ class TrajectoryResiduals(Residuals):
 
     def settle(self, values, *, roughly=False):
         """Fit the initial states to the model."""
+        self._leave_out_unknown(values)
         if self.variances is None:
             raw = self.episodes.residuals([values])[0]
             self.variances = np.maximum(np.nan_to_num(np.nanvar(raw, axis=0), nan=1.0), self.smallest)
-        self.initial = self.episodes.fit_initial_states(values, self.deviations)
+        self.initial = self.episodes.fit_initial_states(values, self.deviations, self.present)
         _, self.nuisance = self.episodes.sensitivities(values, self.initial, 1e-4 * self._spread())
 
     def error_sizes(self, candidates, n_rows):
@@ -57,8 +58,9 @@ class TrajectoryResiduals(Residuals):
         return self._without_made_up(super().secants(values, widths))
 
     def _without_made_up(self, raw):
-        left = self._without_initial_states(raw, self.nuisance)
-        norms, kept = np.linalg.norm(raw, axis=(0, 1)), np.linalg.norm(left, axis=(0, 1))
+        shown = self._counted(raw)
+        left = self._without_initial_states(shown, self._counted(self.nuisance))
+        norms, kept = np.linalg.norm(shown, axis=(0, 1)), np.linalg.norm(left, axis=(0, 1))
         return raw * (kept > LEAST_SHARE * norms)
 
     def raw_residuals(self, candidates):
@@ -83,17 +85,19 @@ class TrajectoryResiduals(Residuals):
         if self.given_variances is not None:
             return raw
         left = raw - self.regressors @ self._solution(raw, self.regressors)
-        left = self._without_initial_states(left[..., None], self.nuisance)[..., 0]
+        left = self._without_initial_states(self._counted(left)[..., None], self._counted(self.nuisance))[
+            ..., 0
+        ]
+        count = np.count_nonzero(self.present)
         lost = self.log.n_episodes * len(self.episodes.measured) / self.n_channels
-        lost += min(self.regressors.shape[-1], max(1, left.size // 10)) / self.n_channels
-        share = max(1 - lost / len(left), 0.1)
-        self.variances = np.maximum(np.mean(left**2, axis=0) / share, self.smallest)
-        follows = np.flatnonzero(np.diff(self.log.episodes) == 0)
-        products = np.mean(left[follows] * left[follows + 1], axis=0) / np.maximum(
-            np.mean(left**2, axis=0), 1e-300
-        )
+        lost += min(self.regressors.shape[-1], max(1, count * self.n_channels // 10)) / self.n_channels
+        share = max(1 - lost / count, 0.1)
+        squares = np.sum(left**2, axis=0) / count
+        self.variances = np.maximum(squares / share, self.smallest)
+        follows = self._follows()
+        products = np.mean(left[follows] * left[follows - 1], axis=0) / np.maximum(squares, 1e-300)
         # What is projected out leaves residuals correlated by about -lost / n.
-        self.correlation = np.clip(products + lost / len(left), 0.0, 0.95)
+        self.correlation = np.clip(products + lost / count, 0.0, 0.95)
         return raw
 
     def _without_initial_states(self, columns, initial_state):
@@ -111,26 +115,36 @@ class TrajectoryResiduals(Residuals):
     def whiten(self, columns):
         """Return raw columns without what initial states explain, uncorrelated and in units of the noise."""
         wide = columns[..., None] if columns.ndim == 2 else columns
-        scaled = wide / self.deviations[:, None]
-        nuisance = self._decorrelated(self.nuisance / self.deviations[:, None])
+        scaled = self._counted(wide) / self.deviations[:, None]
+        nuisance = self._decorrelated(self._counted(self.nuisance) / self.deviations[:, None])
         white = self._without_initial_states(self._decorrelated(scaled), nuisance)
         return white[..., 0] if columns.ndim == 2 else white
 
     def log_errors(self, candidates):
         """Return log(1 + e) of the squared whitened residuals e of each row (n_candidates, n_rows)."""
-        return np.log1p(np.mean(self.whitened(candidates) ** 2, axis=-1))
+        return np.log1p(np.mean(self.whitened(candidates) ** 2, axis=-1))[:, self.present]
 
     def log_determinant(self):
         """Return the logarithm of the determinant of the residuals' covariance, as the noise now is."""
-        n_following = np.count_nonzero(np.diff(self.log.episodes) == 0)
-        return super().log_determinant() + float(n_following * np.log1p(-(self.correlation**2)).sum())
+        return super().log_determinant() + float(
+            len(self._follows()) * np.log1p(-(self.correlation**2)).sum()
+        )
 
     def _decorrelated(self, columns):
         rho = self.correlation[:, None]
         white = np.array(columns)
-        follows = np.flatnonzero(np.diff(self.log.episodes) == 0) + 1
+        follows = self._follows()
         white[follows] = (columns[follows] - rho * columns[follows - 1]) / np.sqrt(1 - rho**2)
         return white
+
+    def _counted(self, columns):
+        """Return columns (n_rows, ...) with zeros in rows that do not count."""
+        return np.where(self.present.reshape(-1, *(1,) * (columns.ndim - 1)), columns, 0.0)
+
+    def _follows(self):
+        """Return the rows that count and follow another one that does."""
+        together = (np.diff(self.log.episodes) == 0) & self.present[1:] & self.present[:-1]
+        return np.flatnonzero(together) + 1
 
     def directions(self, values):
         """Return no directions: what is left of a trajectory is not tested for a place in state space."""

@@ -55,7 +55,7 @@ class TransitionResiduals(Residuals):
             self.unknown = np.clip(unknown, 0.0, 1.0)
             self.differentiate(values)
         if self.regressors.shape[-1]:
-            self._estimate_noise(self.raw_residuals([values])[0])
+            self._estimate_noise(self._model_residuals(values))
 
     def _missed(self, raw):
         """Return the variance (n_rows, n_channels) that residuals have beyond the noise, as far as can be seen.
@@ -107,6 +107,7 @@ class TransitionResiduals(Residuals):
             return variances
         raw = super().raw_residuals([values])[0]
         self._leave_out_diverged(~np.isfinite(raw).all(axis=-1))
+        raw = np.where(self.present[:, None], raw, 0.0)
         deviation = 1.4826 * np.median(np.abs(raw[self.present]), axis=0) / np.sqrt(2)
         self.variances = np.maximum(np.minimum(deviation, 0.02 * spread) ** 2, self.smallest)
         self.differentiate(values)
@@ -148,7 +149,8 @@ class TransitionResiduals(Residuals):
     def _leave_out(self, rows):
         if (self.present & rows).any():
             super()._leave_out(rows)
-            self.whitener = self._factorised()
+            if self.whitener is not None:
+                self.whitener = self._factorised()
 
     def _set_variances(self, variances):
         self.variances = variances

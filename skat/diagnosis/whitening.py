@@ -201,7 +201,7 @@ def _solved(residuals, transitions, extra_variances, typical, smallest, follows)
             score += told
         new = np.maximum(optimize.nnls(information, score)[0] * scale**2, smallest)
         expected = np.maximum(design @ new + extra_variances, smallest)
-        if variances is not None and np.allclose(new, variances, rtol=1e-4):
+        if variances is not None and np.allclose(new, variances, rtol=1e-4, atol=0.0):
             break
         variances = new
     return new, expected

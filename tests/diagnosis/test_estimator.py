@@ -450,6 +450,49 @@ def test_effect_that_initial_states_make_up_for_is_not_named_even_alone(simulato
     assert np.isinf(diagnosis.identifiability_.loc["bias[x]", "smallest"])
 
 
+PENDULUM = """
+<mujoco>
+  <option timestep="0.01"/>
+  <worldbody>
+    <body>
+      <joint name="hinge" axis="0 1 0" damping="0.1"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -0.5" size="0.03" mass="1"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="motor" joint="hinge" gear="2"/></actuator>
+</mujoco>
+"""
+
+
+def test_delay_is_measured_where_velocities_are_hidden_and_commands_begin_before_the_log():
+    """What an action from before the log does is no evidence, and an initial state makes up for what it did."""
+    simulator = MujocoSimulator(PENDULUM)
+    effects = ["delay[action]", "damping[hinge]", "gain[motor]", "armature[hinge]"]
+    covered = 0
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        commands = 3 * rng.normal(size=(12, 40, 1))
+        initial = np.column_stack([rng.normal(size=12), np.zeros(12)])
+        states = simulator.rollout(initial, commands, n_steps=40, effects={"delay[action]": 0.045})[:, 10:]
+        states = states + 1e-3 * rng.normal(size=states.shape)
+        states[..., 1] = 0.0
+        X = np.concatenate([states[:, :-1], commands[:, 10:]], axis=-1).reshape(-1, 3)
+        diagnosis = SimulationDiagnosis(simulator, effects=effects, hidden=["qvel.hinge"], test_size=0)
+        diagnosis.fit(X, states[:, 1:].reshape(-1, 2), groups=np.repeat(np.arange(12), 30))
+        (cause,) = diagnosis.causes_
+        assert cause.name == "delay[action]"
+        assert cause.value == pytest.approx(0.045, abs=5e-4)
+        assert diagnosis.noise_ == pytest.approx(1e-3, rel=0.2)
+        covered += cause.interval[0] <= 0.045 <= cause.interval[1]
+    assert covered >= 3
+
+
+def test_report_of_an_earlier_fit_is_not_kept(simulator):
+    diagnosis = fitted(simulator, measure(6, drag=3.0))
+    diagnosis.fit(*measure(7)[:2], groups=measure(7)[2])
+    assert not hasattr(diagnosis.report_.diagnosis, "report_")
+
+
 def test_sensors_of_hidden_channels_are_no_candidates(simulator):
     log = measure(8, n_episodes=4, n_steps=25)
     diagnosis = SimulationDiagnosis(simulator, hidden=("v", "w"), random_state=0).fit(*log[:2], groups=log[2])

@@ -1,6 +1,7 @@
 """What a log must look like, and how it is cut into episodes, chains and blocks."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from skat.diagnosis import SimulationDiagnosis
@@ -216,3 +217,44 @@ def test_split_of_independent_rows_leaves_enough_to_fit():
     assert (len(fitted), len(held_out)) == (10, 10)
     fitted, held_out = Log(X, X, np.arange(20) // 4, False).split(0.8, np.random.RandomState(0))
     assert (fitted.n_episodes, held_out.n_episodes) == (4, 1)
+
+
+def stuck_when_fast(X, drag=0.0):
+    return np.where(X[:, 1:2] > 1.2, np.nan, push(X, drag))
+
+
+@pytest.mark.parametrize("n_episodes", [6, 60])
+def test_rows_that_diverge_are_left_out_before_the_noise_is_known(n_episodes):
+    """Of many rows the noise is first estimated from some; smoothed states may diverge where measured ones do not."""
+    X, y, groups = rows([80] * n_episodes)
+    rng = np.random.default_rng(1)
+    noise = 0.03 * rng.normal(size=(len(X), 2))
+    last = np.r_[groups[1:] != groups[:-1], True]
+    X[:, :2] += noise
+    y = np.where(last[:, None], y + 0.03 * rng.normal(size=y.shape), np.roll(X[:, :2], -1, axis=0))
+    weak = FunctionSimulator(
+        stuck_when_fast,
+        input_names=("x", "v", "force"),
+        output_names=("x", "v"),
+        state_names=("x", "v"),
+        effects=(Effect("drag", unit="1/s", neutral=0.0, bounds=(0.0, 2.0)),),
+    )
+    with pytest.warns(UserWarning, match=f"of {len(X)} rows, which were left out"):
+        diagnosis = SimulationDiagnosis(weak, random_state=0).fit(X, y, groups)
+    assert diagnosis.causes_ == []
+
+
+def test_missing_episode_is_named(simulator):
+    X, y, groups = rows([20, 20])
+    groups = groups.astype(float)
+    groups[7] = np.nan
+    with pytest.raises(ValueError, match="groups is missing in row 7"):
+        check_log(simulator, X, y, groups)
+
+
+def test_columns_with_other_names_are_not_taken_by_their_place(simulator):
+    X, y, groups = rows([20])
+    table = pd.DataFrame(X, columns=["velocity", "position", "action"])
+    with pytest.raises(ValueError, match="X lacks the columns x, v, force"):
+        check_log(simulator, table, y, groups)
+    assert check_log(simulator, pd.DataFrame(X), y, groups).X.shape == X.shape

@@ -87,6 +87,8 @@ class Report:
 
     def __init__(self, diagnosis, log, held_out=None):
         self.diagnosis, self.log = copy.copy(diagnosis), log
+        # The report of an earlier fit, with its logs.
+        vars(self.diagnosis).pop("report_", None)
         self._tables: list[Table] = []
         self._tests = [ShownLog("Rows held out", held_out, diagnosis.gain_)] if held_out is not None else []
 

@@ -354,7 +354,8 @@ def _open_loop(diagnosis, log):
     if not there:
         return None
     channels = [there[k] for k in np.argsort(-np.mean(errors**2, axis=(0, 1)))[:MOST_CHANNELS]]
-    order = np.argsort(np.mean(errors**2, axis=(1, 2)))
+    lengths = np.sum(~np.isnan(measured[..., there[0]]), axis=1)
+    order = np.argsort(np.sum(errors**2, axis=(1, 2)) / lengths)
     chosen = list(dict.fromkeys([int(order[len(order) // 2]), int(order[-1])]))[:MOST_EPISODES]
 
     def draw(figure):
