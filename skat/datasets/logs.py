@@ -322,7 +322,7 @@ def split_episodes(log, *, test_size, random_state=None):
     names, sizes = np.unique(groups, return_counts=True)
     wanted = round(test_size * n_rows)
     if len(names) == 1:
-        chosen = np.arange(n_rows) >= n_rows - min(wanted, max(n_rows - FEWEST_ROWS, 1))
+        chosen = np.arange(n_rows) >= n_rows - min(wanted, max(n_rows - FEWEST_ROWS, 0))
     else:
         drawn, held = [], 0
         for k in check_random_state(random_state).permutation(len(names)):
@@ -332,8 +332,9 @@ def split_episodes(log, *, test_size, random_state=None):
         chosen = np.isin(groups, drawn)
     if not 0 < test_size < 1 or chosen.all() or not chosen.any():
         raise ValueError(
-            f"test_size={test_size} of {len(names)} episodes and {n_rows} rows leaves one side empty; "
-            "choose a value between 0 and 1, such as 0.3."
+            f"test_size={test_size} of {len(names)} episodes and {n_rows} rows leaves one side empty: whole episodes "
+            f"are set aside, and at least {FEWEST_ROWS} rows stay to be fitted. Choose a value between 0 and 1, such as "
+            "0.3, or measure longer."
         )
     return tuple(
         Bunch(

@@ -198,3 +198,15 @@ def test_a_split_that_leaves_a_side_empty_is_refused(test_size):
     log = Bunch(data=np.zeros((40, 1)), target=np.zeros((40, 1)), groups=np.repeat([0, 1], 20))
     with pytest.raises(ValueError, match="leaves one side empty"):
         split_episodes(log, test_size=test_size)
+
+
+@pytest.mark.parametrize("lengths", [[20], [15, 15]])
+def test_a_log_too_short_to_be_split_is_refused(lengths):
+    n_rows = sum(lengths)
+    log = Bunch(
+        data=np.zeros((n_rows, 1)),
+        target=np.zeros((n_rows, 1)),
+        groups=np.repeat(range(len(lengths)), lengths),
+    )
+    with pytest.raises(ValueError, match="at least 20 rows stay to be fitted"):
+        split_episodes(log, test_size=0.3)
