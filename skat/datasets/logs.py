@@ -333,8 +333,8 @@ def split_episodes(log, *, test_size, random_state=None):
     if not 0 < test_size < 1 or chosen.all() or not chosen.any():
         raise ValueError(
             f"test_size={test_size} of {len(names)} episodes and {n_rows} rows leaves one side empty: whole episodes "
-            f"are set aside, and at least {FEWEST_ROWS} rows stay to be fitted. Choose a value between 0 and 1, such as "
-            "0.3, or measure longer."
+            f"are set aside, and at least {FEWEST_ROWS} rows stay to be fitted. Choose a value between 0 and 1, such "
+            "as 0.3, or measure longer."
         )
     return tuple(
         Bunch(
