@@ -75,8 +75,10 @@ def preflight(diagnosis, X, groups):
     groups = None if groups is None else np.asarray(groups)
     y = simulator.predict(X, groups=groups)
     log = check_log(simulator, X, y, None)
-    if groups is not None and simulator.state_names:
-        log = Log(log.X, log.y, np.cumsum(np.r_[True, groups[1:] != groups[:-1]]) - 1, True)
+    consecutive = bool(simulator.state_names)
+    if groups is not None and (consecutive or len(np.unique(groups)) > 1):
+        # Rows that are planned need not follow each other, so they are not checked as a log's are.
+        log = Log(log.X, log.y, np.cumsum(np.r_[True, groups[1:] != groups[:-1]]) - 1, consecutive)
     deviations = diagnosis._given_deviations()
     if deviations is None:
         spread = simulator.residual(y, np.broadcast_to(y[:1], y.shape)).std(axis=0)

@@ -128,7 +128,8 @@ class Log:
         )
         n_pieces = max(4, min(20, len(self) // FEWEST_ROWS))
         piece = np.arange(len(self)) * n_pieces // len(self)
-        count = int(np.clip(round(test_size * n_pieces), 1, n_pieces - 1))
+        fewest_fitted = -(-FEWEST_FITTED_ROWS * n_pieces // len(self))
+        count = int(np.clip(round(test_size * n_pieces), 1, n_pieces - fewest_fitted))
         held_out = np.isin(piece, ((np.arange(count) + 1) * n_pieces // count) - 1)
         return self.rows(~held_out), self.rows(held_out)
 

@@ -193,6 +193,17 @@ def test_preflight_takes_labels_in_any_order():
         )
 
 
+def test_preflight_counts_groups_of_rows_that_have_something_in_common_as_one_each(bending):
+    X = np.random.default_rng(0).normal(size=(200, 2))
+    diagnosis = SimulationDiagnosis(bending, effects=["b"], noise=[0.1])
+    alone, one_group, few = (
+        diagnosis.preflight(X, groups).loc["b", "smallest"]
+        for groups in (None, np.zeros(200), np.arange(200) // 40)
+    )
+    assert alone == one_group
+    assert few > alone
+
+
 def swung(X, g=9.81, drag=0.0):
     angle, rate = X.T
     return (-g * np.sin(angle) - (0.5 + drag) * rate)[:, None]

@@ -211,12 +211,15 @@ def test_bad_parameters_are_said_with_their_value(simulator, parameters, said):
         SimulationDiagnosis(simulator, **parameters).fit(X, y, groups=groups)
 
 
-def test_split_of_independent_rows_leaves_enough_to_fit():
+def test_split_leaves_enough_to_fit():
     X = np.zeros((20, 1))
     fitted, held_out = Log(X, X, np.arange(20), False).split(0.95, np.random.RandomState(0))
     assert (len(fitted), len(held_out)) == (10, 10)
     fitted, held_out = Log(X, X, np.arange(20) // 4, False).split(0.8, np.random.RandomState(0))
     assert (fitted.n_episodes, held_out.n_episodes) == (4, 1)
+    with pytest.warns(UserWarning, match="single episode"):
+        fitted, held_out = Log(X, X, np.zeros(20, dtype=int), True).split(0.9, np.random.RandomState(0))
+    assert (len(fitted), len(held_out)) == (10, 10)
 
 
 def stuck_when_fast(X, drag=0.0):
