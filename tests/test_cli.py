@@ -287,3 +287,10 @@ def test_findings_are_shown_where_the_gain_cannot_be_measured(here, monkeypatch)
     assert "% of the excess" not in result.stdout
     assert (here / "log-report.html").exists()
     assert (here / "better.xml").exists()
+
+
+def test_nothing_is_set_aside_if_the_user_says_so(here):
+    result = skat("diagnose", "model.xml", "log.csv", "--effect", "damping[rail]", "--test-size", "0")
+    assert result.exit_code == 0, result.output
+    assert "damping[rail]" in result.stdout
+    assert "on data not used" not in result.stdout

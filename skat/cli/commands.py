@@ -114,7 +114,7 @@ def diagnose(
     ] = None,
     alpha: Annotated[float, typer.Option(help="Chance of a false alarm on clean data.")] = 0.01,
     max_effects: Annotated[int, typer.Option(min=1, help="Name this many causes at most.")] = 6,
-    test_size: Annotated[float, typer.Option(help="Part of the log that measures the gain.")] = 0.3,
+    test_size: Annotated[float, typer.Option(help="Part of the log that measures the gain; 0: none.")] = 0.3,
     extended: Annotated[Path | None, typer.Option(help="File to write the extended model to (MJCF).")] = None,
     output: Output = None,
     force: Force = False,
@@ -157,8 +157,7 @@ def diagnose(
 
 
 PUCKS_ARE_SIMULATED = (
-    "The recordings of real pucks in the paper are not public; the blue and the red puck here are "
-    "simulations with "
+    "The recordings of real pucks in the paper are not public; the blue and the red puck here are simulations with "
     "another time step, friction and slope, and 0.05 m of noise from strike to strike."
 )
 

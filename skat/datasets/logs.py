@@ -1,5 +1,6 @@
 """Read a robot's log from a CSV file as transitions of a simulator."""
 
+import csv
 import warnings
 from pathlib import Path
 
@@ -7,13 +8,12 @@ import numpy as np
 import pandas as pd
 from sklearn.utils import Bunch, check_random_state
 
+from skat.episodes import FEWEST_ROWS, drawn_episodes
+
 # The clock of a log may deviate by this much of a transition; more cannot be told from a lost row.
 CLOCK_TOLERANCE = 0.01
 # The mean transition is known better, and what it misses of a whole number of steps acts in every row.
 STEP_TOLERANCE = 1e-3
-FEWEST_ROWS = 20
-# Of the rows that a split should leave to fit, episodes of unequal length leave at least this share.
-LEAST_FITTED = 0.5
 # Positions that move by so many times more or less than velocities say are not seconds apart.
 OTHER_CLOCK = 30.0
 
@@ -89,8 +89,7 @@ def load_log(path, simulator, *, frame_skip=None):
     arrivals = np.flatnonzero(inside)
     if len(arrivals) < FEWEST_ROWS:
         raise ValueError(
-            f"{path} has {len(arrivals)} transitions in {len(starts)} episodes; at least {FEWEST_ROWS} are "
-            f"needed. "
+            f"{path} has {len(arrivals)} transitions in {len(starts)} episodes; at least {FEWEST_ROWS} are needed. "
             "Record longer, or put several episodes into one file with a column 'episode'."
         )
     timestep = simulator.dt / simulator.frame_skip
@@ -124,7 +123,7 @@ def read_table(path):
     Returns
     -------
     DataFrame
-        As pandas reads it; spaces around names are removed.
+        Of texts without spaces around them: the episode "01" is not "1", and "NA" is one.
 
     Raises
     ------
@@ -141,10 +140,13 @@ def read_table(path):
         with warnings.catch_warnings():
             # Where rows have more values than names, pandas only warns, and columns get the names of others.
             warnings.simplefilter("error", pd.errors.ParserWarning)
-            table = pd.read_csv(path, skipinitialspace=True, index_col=False)
+            table = pd.read_csv(
+                path, skipinitialspace=True, index_col=False, dtype=str, keep_default_na=False
+            )
     except (ValueError, pd.errors.ParserWarning) as error:
         raise ValueError(f"{path} is not a CSV table: {str(error).strip()}") from error
     table.columns = table.columns.str.strip()
+    table = table.fillna("").apply(lambda column: column.str.strip())
     if len(table) == 0:
         raise ValueError(f"{path} has no rows below its first line.")
     return table
@@ -188,8 +190,7 @@ def _check_columns(table, simulator, path, *, needs_time):
         )
     if needs_time and "time" not in table:
         raise ValueError(
-            f"{path} has no column 'time' (s). Add it, or say how many steps of the model lie between two "
-            f"rows "
+            f"{path} has no column 'time' (s). Add it, or say how many steps of the model lie between two rows "
             "(frame_skip, on the command line --frame-skip)."
         )
 
@@ -200,7 +201,7 @@ def _numbers(table, names, path):
     if len(bad):
         row, column = bad[0]
         raise ValueError(
-            f"{path}, line {row + 2}, column {names[column]}: expected a finite number, got "
+            f"{path}, line {_line(path, row)}, column {names[column]}: expected a finite number, got "
             f"{table[names[column]].iloc[row]!r}"
             + (f" (and {len(bad) - 1} more such values). " if len(bad) > 1 else ". ")
             + "Remove the rows with gaps, and start a new episode after each gap."
@@ -212,20 +213,19 @@ def _episode_starts(table, path):
     if "episode" not in table:
         return np.array([0])
     names = table["episode"].to_numpy()
-    if table["episode"].isna().any():
-        line = int(np.argmax(table["episode"].isna())) + 2
+    if (names == "").any():
         raise ValueError(
-            f"{path}, line {line}: the column 'episode' is empty. Name the episode of every row."
+            f"{path}, line {_line(path, np.argmax(names == ''))}: the column 'episode' is empty. Name the episode of "
+            "every row."
         )
     starts = np.flatnonzero(np.concatenate([[True], names[1:] != names[:-1]]))
     seen = set()
     for start in starts:
         if names[start] in seen:
             raise ValueError(
-                f"{path}, line {start + 2}: episode {names[start]} goes on after another one began. The "
-                f"rows of an "
-                "episode stand together, in time order; give the second part another name if it is another "
-                "run."
+                f"{path}, line {_line(path, start)}: episode {names[start]} goes on after another one began. The "
+                "rows of an episode stand together, in time order; give the second part another name if it is "
+                "another run."
             )
         seen.add(names[start])
     return starts
@@ -236,26 +236,22 @@ def _steps_per_row(time, arrivals, timestep, path):
     dt = float(np.median(intervals))
     if dt <= 0:
         raise ValueError(
-            f"{path}: time does not grow from row to row (median step {dt:g} s). Rows must be in time "
-            f"order, the "
+            f"{path}: time does not grow from row to row (median step {dt:g} s). Rows must be in time order, the "
             "column 'time' in seconds."
         )
     worst = int(np.argmax(np.abs(intervals - dt)))
     if abs(intervals[worst] - dt) > CLOCK_TOLERANCE * dt:
         raise ValueError(
-            f"{path}, line {arrivals[worst] + 2}: {intervals[worst]:g} s after the row before, while the "
-            f"usual step "
-            f"is {dt:g} s; more than 1 % apart. Resample the log evenly, start a new episode after each "
-            f"gap, or pass "
-            "the number of steps per row (frame_skip, on the command line --frame-skip) if the clock is "
-            "wrong."
+            f"{path}, line {_line(path, arrivals[worst])}: {intervals[worst]:g} s after the row before, while the "
+            f"usual step is {dt:g} s; more than 1 % apart. Resample the log evenly, start a new episode after each "
+            "gap, or pass the number of steps per row (frame_skip, on the command line --frame-skip) if the clock "
+            "is wrong."
         )
     dt = float(np.mean(intervals))
     steps = round(dt / timestep)
     if steps < 1 or abs(dt / timestep - steps) > STEP_TOLERANCE * dt / timestep:
         raise ValueError(
-            f"{path}: {dt:g} s from row to row is {dt / timestep:.4g} of the model's time steps of "
-            f"{timestep:g} s, "
+            f"{path}: {dt:g} s from row to row is {dt / timestep:.4g} of the model's time steps of {timestep:g} s, "
             "not a whole number. Set the model's timestep so that it divides the log's step, "
             f"for example {dt / max(int(np.ceil(dt / timestep - 1e-9)), 1):.6g}, resample the log, or pass the "
             "number of steps per row (frame_skip, on the command line --frame-skip) if the clock is wrong."
@@ -285,6 +281,14 @@ def _doubt_clock(values, arrivals, simulator, dt, path):
             UserWarning,
             stacklevel=3,
         )
+
+
+def _line(path, row):
+    """Return the line of a file that ends the row of its table."""
+    with path.open(newline="") as file:
+        reader = csv.reader(file)
+        lines = [reader.line_num for fields in reader if any(map(str.strip, fields)) or len(fields) > 1]
+    return lines[row + 1]
 
 
 def _listed(names, limit=12):
@@ -317,19 +321,14 @@ def split_episodes(log, *, test_size, random_state=None):
         If `test_size` is not between 0 and 1, or leaves one of them empty.
     """
     n_rows = len(log.data)
-    most = n_rows - max(FEWEST_ROWS, LEAST_FITTED * (1 - test_size) * n_rows)
     groups = np.arange(n_rows) if log.get("groups") is None else np.asarray(log.groups)
     names, sizes = np.unique(groups, return_counts=True)
-    wanted = round(test_size * n_rows)
     if len(names) == 1:
-        chosen = np.arange(n_rows) >= n_rows - min(wanted, max(n_rows - FEWEST_ROWS, 0))
+        n_fitted = max(n_rows - round(test_size * n_rows), min(FEWEST_ROWS, n_rows))
+        chosen = np.arange(n_rows) >= n_fitted
     else:
-        drawn, held = [], 0
-        for k in check_random_state(random_state).permutation(len(names)):
-            if held < wanted and held + sizes[k] <= most:
-                drawn.append(names[k])
-                held += sizes[k]
-        chosen = np.isin(groups, drawn)
+        drawn = drawn_episodes(sizes, test_size, check_random_state(random_state))
+        chosen = np.isin(groups, names[drawn])
     if not 0 < test_size < 1 or chosen.all() or not chosen.any():
         raise ValueError(
             f"test_size={test_size} of {len(names)} episodes and {n_rows} rows leaves one side empty: whole episodes "

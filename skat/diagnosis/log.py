@@ -7,16 +7,15 @@ import numpy as np
 import pandas as pd
 from sklearn.utils import check_array
 
-FEWEST_ROWS = 20
+from skat.episodes import FEWEST_ROWS, drawn_episodes
+
 # Rows whitened together, and rows that count as one independent piece of evidence.
 CHAIN_LENGTH = 60
 BLOCK_LENGTH = 12
 FEWEST_BLOCKS = 20
 # Groups of rows that have something in common, in logs without time order.
 FEWEST_GROUPS = 5
-# Of the rows that a split should leave to fit, episodes of unequal length leave at least this share.
-LEAST_FITTED = 0.5
-# It leaves so many rows that are independent, or groups of rows.
+# A split leaves so many rows that are independent, or groups of rows.
 FEWEST_FITTED_ROWS = 10
 FEWEST_FITTED_GROUPS = 4
 
@@ -117,7 +116,10 @@ class Log:
             held_out = random_state.permutation(len(self)) < count
             return self.rows(~held_out), self.rows(held_out)
         if self.n_episodes > 1:
-            held_out = np.isin(self.episodes, self._held_out(test_size, random_state))
+            sizes = np.bincount(self.episodes)
+            most = self.n_episodes - (1 if self.consecutive else FEWEST_FITTED_GROUPS)
+            drawn = drawn_episodes(sizes, test_size, random_state, most=most)
+            held_out = np.isin(self.episodes, drawn or [int(np.argmin(sizes))])
             return self.rows(~held_out), self.rows(held_out)
         warnings.warn(
             "The log is a single episode: it is split by blocks of time, so the rows held out are near the rows "
@@ -132,19 +134,6 @@ class Log:
         count = int(np.clip(round(test_size * n_pieces), 1, n_pieces - fewest_fitted))
         held_out = np.isin(piece, ((np.arange(count) + 1) * n_pieces // count) - 1)
         return self.rows(~held_out), self.rows(held_out)
-
-    def _held_out(self, test_size, random_state):
-        """Return episodes that make up the share, as far as enough remains to be fitted; at least one."""
-        sizes = np.bincount(self.episodes)
-        most_chosen = self.n_episodes - (1 if self.consecutive else FEWEST_FITTED_GROUPS)
-        most = len(self) - max(FEWEST_ROWS, LEAST_FITTED * (1 - test_size) * len(self))
-        chosen: list[int] = []
-        for episode in random_state.permutation(self.n_episodes):
-            held = sizes[chosen].sum()
-            fits = len(chosen) < most_chosen and held + sizes[episode] <= most
-            if held < test_size * len(self) and fits:
-                chosen.append(int(episode))
-        return chosen or [int(np.argmin(sizes))]
 
 
 def measured_channels(simulator, hidden):

@@ -38,7 +38,7 @@ class Study:
         Fitted.
 
     gain : Gain or None
-        Measured on the data set aside; None if the simulation diverges there.
+        Measured on the data set aside; None if there are none, or if the simulation diverges there.
 
     error_name : str
         What the numbers of `gain` are, with their unit.
@@ -211,7 +211,7 @@ def study_log(log, *, test_size=0.3, random_state=0, progress=None, **parameters
         As `load_log` returns it.
 
     test_size : float, default=0.3
-        Part of the log that measures the gain.
+        Part of the log that measures the gain; 0: all of it is fitted, and the gain is None.
 
     random_state, progress, **parameters
         See `SimulationDiagnosis`.
@@ -222,7 +222,9 @@ def study_log(log, *, test_size=0.3, random_state=0, progress=None, **parameters
         The gain is in one-step errors, in units of the noise; with `hidden` channels, in those of whole episodes in
         open loop, as far as they were measured, from fitted initial states.
     """
-    fit, test = split_episodes(log, test_size=test_size, random_state=random_state)
+    fit, test = (
+        (log, None) if test_size == 0 else split_episodes(log, test_size=test_size, random_state=random_state)
+    )
     if parameters.get("hidden"):
         parameters |= {
             "evaluation": {"horizon": "episode", "initial_state": "fitted"},
@@ -247,6 +249,8 @@ def _study(
     parameters = {"hidden": fit.get("hidden", ()), **parameters}
     diagnosis = SimulationDiagnosis(simulator, test_size=0, random_state=random_state, **parameters)
     diagnosis.fit(fit.data, fit.target, groups=fit.get("groups"), progress=progress)
+    if test is None:
+        return Study(title, diagnosis, None, error_name, None, truth)
     try:
         gain = diagnosis.evaluate(test.data, test.target, test.get("groups"), **(evaluation or {}))
         errors = compare_transports(

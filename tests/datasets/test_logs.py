@@ -123,6 +123,22 @@ def test_rows_in_another_order_are_refused(tmp_path, table, cart):
     )
 
 
+def test_names_of_episodes_are_texts(tmp_path, table, cart):
+    table["episode"] = np.repeat(["01", "1", "NA"], [30, 10, 10])
+    assert load_log(written(tmp_path, table), cart).group_names == ["01", "1", "NA"]
+    table.loc[7, "episode"] = " "
+    assert "line 9: the column 'episode' is empty" in refusal(tmp_path, table, cart)
+
+
+def test_blank_lines_count_in_messages(tmp_path, table, cart):
+    path = written(tmp_path, table)
+    lines = path.read_text().splitlines()
+    lines[5] = lines[5].replace(lines[5].split(",")[2], "n/a")
+    path.write_text("\n".join(["\n", *lines[:4], "  ", "", *lines[4:]]))
+    with pytest.raises(ValueError, match=r"line 10, column .*: expected a finite number, got 'n/a'"):
+        load_log(path, cart)
+
+
 def test_an_episode_that_comes_back_is_refused(tmp_path, table, cart):
     table.loc[40:, "episode"] = "first"
     assert "line 42: episode first goes on after another one began" in refusal(tmp_path, table, cart)
@@ -185,7 +201,8 @@ def test_a_split_is_a_partition_by_whole_episodes(n_groups):
 def test_a_split_counts_rows_and_leaves_enough_to_fit():
     for seed in range(10):
         log = Bunch(data=np.zeros((315, 1)), target=np.zeros((315, 1)), groups=np.repeat([0, 1], [300, 15]))
-        fit, test = split_episodes(log, test_size=0.3, random_state=seed)
+        with pytest.warns(UserWarning, match="Only 15 of 315 rows are set aside"):
+            fit, test = split_episodes(log, test_size=0.3, random_state=seed)
         assert (len(fit.data), len(test.data)) == (300, 15)
         fit, _ = split_episodes(
             Bunch(data=np.zeros((25, 1)), target=np.zeros((25, 1)), groups=np.zeros(25)), test_size=0.3
