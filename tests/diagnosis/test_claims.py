@@ -326,6 +326,21 @@ def test_smallest_size_of_an_effect_is_that_beside_the_causes_found():
     assert named.loc["b", "smallest"] / clean.loc["b", "smallest"] == pytest.approx(10, rel=0.2)
 
 
+def test_effect_that_must_leave_its_bounds_to_be_seen_is_not_shown_at_all():
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(200, 2))
+    wide, narrow = (
+        SimulationDiagnosis(
+            simulation(two_slopes, ("u", "v"), ("y",), a=(0.0, -5.0, 5.0), b=(0.0, -bound, bound)),
+            noise=[0.1],
+        ).preflight(X)["smallest"]
+        for bound in (5.0, 0.01)
+    )
+    assert 0.01 < wide["b"] < 5
+    assert np.isinf(narrow["b"])
+    assert narrow["a"] == wide["a"]
+
+
 @pytest.mark.parametrize("bounds", [(0.0, np.inf), (-np.inf, 1.0)])
 def test_bounds_without_end_are_refused(bounds):
     with pytest.raises(ValueError, match="bounds of k must be finite"):

@@ -21,6 +21,7 @@ from skat.diagnosis.log import check_log
 from skat.diagnosis.omnibus import Remainder
 from skat.diagnosis.report import Report
 from skat.diagnosis.report.page import _rows
+from skat.diagnosis.report.pictures import typical_and_worst
 from skat.diagnosis.report.sentences import gain_sentence
 from skat.effects import Effect
 from skat.simulators import FunctionSimulator
@@ -306,6 +307,11 @@ def test_a_simulation_with_a_state_is_shown_in_open_loop_before_and_after():
     assert {"measured", "simulated, before", "simulated, after", "angle", "rate", "step"} <= set(
         texts_of(episodes)
     )
+
+
+def test_a_long_episode_is_no_worse_for_its_length():
+    assert typical_and_worst(np.array([10.0, 90.0, 4.0]), np.array([10, 300, 8])) == [2, 0]
+    assert typical_and_worst(np.array([3.0]), np.array([7])) == [0]
 
 
 def test_a_one_shot_simulation_is_shown_measured_against_simulated():

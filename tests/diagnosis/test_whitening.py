@@ -214,6 +214,23 @@ def test_misses_that_neighbours_have_in_common_do_not_pass_for_the_absence_of_no
     np.testing.assert_array_equal(found, estimate_variances(residuals, transitions, extra, smallest=smallest))
 
 
+@pytest.mark.parametrize("follows", [None, np.arange(800) % 50 > 0])
+def test_noise_does_not_depend_on_units(follows):
+    residuals, transitions, variances = simulated(0)
+    units = np.array([1e-7, 1e3, 1e-4])
+    found, scaled = (
+        estimate_variances(
+            residuals * unit,
+            transitions * unit[:, None] / unit,
+            np.zeros_like(residuals),
+            smallest=1e-12 * variances * unit**2,
+            follows=follows,
+        )
+        for unit in (np.ones(3), units)
+    )
+    np.testing.assert_allclose(scaled / units**2, found, rtol=1e-9)
+
+
 def test_estimated_noise_is_never_below_the_smallest():
     residuals = np.zeros((30, 2))
     smallest = np.array([1e-6, 1e-3])

@@ -12,7 +12,6 @@ from skat.plotting import CauseDisplay, TrajectoryDisplay
 from skat.plotting.style import AFTER, BEFORE, MEASURED
 
 MOST_CHANNELS = 3
-MOST_EPISODES = 2
 # Episodes and steps looked at to choose those that are drawn, and points of a scatter.
 MOST_CANDIDATES, MOST_STEPS, MOST_POINTS = 12, 400, 600
 MOST_ROWS = 5_000
@@ -355,8 +354,7 @@ def _open_loop(diagnosis, log):
         return None
     channels = [there[k] for k in np.argsort(-np.mean(errors**2, axis=(0, 1)))[:MOST_CHANNELS]]
     lengths = np.sum(~np.isnan(measured[..., there[0]]), axis=1)
-    order = np.argsort(np.sum(errors**2, axis=(1, 2)) / lengths)
-    chosen = list(dict.fromkeys([int(order[len(order) // 2]), int(order[-1])]))[:MOST_EPISODES]
+    chosen = typical_and_worst(np.sum(errors**2, axis=(1, 2)), lengths)
 
     def draw(figure):
         panels = figure.subplots(len(channels), len(chosen), squeeze=False, sharex="col")
@@ -393,6 +391,12 @@ def _open_loop(diagnosis, log):
         draw,
         height=1.0 + 1.45 * len(channels),
     )
+
+
+def typical_and_worst(errors, lengths):
+    """Return the episodes of the median and of the largest error per row, given each one's sum and number of rows."""
+    order = np.argsort(errors / lengths)
+    return list(dict.fromkeys([int(order[len(order) // 2]), int(order[-1])]))
 
 
 def _within(log):
