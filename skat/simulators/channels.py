@@ -63,11 +63,11 @@ class StateLayout:
             length = np.linalg.norm(states[..., column : column + 4], axis=-1, keepdims=True)
             bad = np.abs(length[..., 0] - 1) > UNIT_LENGTH_TOLERANCE
             if bad.any():
+                row = f" in row {np.argwhere(bad)[0][-1]}" if bad.ndim else ""
                 raise ValueError(
-                    f"{what} holds quaternions that are far from unit length: {self.names[column]} and "
-                    f"the three "
-                    f"columns after it have the length {length[..., 0][bad][0]:.3g} in row "
-                    f"{np.argwhere(bad)[0][-1]}; expected w, x, y, z with length 1"
+                    f"{what} holds quaternions that are far from unit length: {self.names[column]} and the three "
+                    f"columns after it have the length {length[..., 0][bad][0]:.3g}{row}; expected w, x, y, z with "
+                    "length 1"
                 )
             states[..., column : column + 4] /= length
         return states

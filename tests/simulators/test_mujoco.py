@@ -196,6 +196,12 @@ def test_quaternion_far_from_unit_length_is_an_error(bot):
         bot.predict(rows)
 
 
+def test_a_single_state_with_a_quaternion_far_from_unit_length_is_an_error(bot):
+    state = np.zeros(len(bot.state_names))
+    with pytest.raises(ValueError, match="have the length 0; expected w, x, y, z with length 1"):
+        bot.residual(state, state)
+
+
 def test_quaternions_have_no_sensor_effects(bot):
     channels = {effect.target for effect in bot.effects() if effect.family in {"bias", "scale"}}
     assert channels == {name for name in STATE if ".q" not in name}
