@@ -417,6 +417,7 @@ def _parameter_error(run, cause):
 _FACTOR_FAMILIES = frozenset(
     (
         "mass",
+        "inertia",
         "length",
         "gravity",
         "gain",

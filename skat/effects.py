@@ -175,9 +175,11 @@ def unknown_name_message(name: Any, known: Iterable[str]) -> str:
 # Family -> (what it is, with the target put in for {}; the same for the target "all"; how it compares).
 _PHRASES = {
     "mass": ("the mass of {}", "the mass of every body"),
+    "inertia": ("the rotational inertia of {}", ""),
     "length": ("the length of {}", "the length of every link"),
     "gravity": ("gravity", "gravity"),
     "gain": ("gain[{}]", "gain[all]"),
+    "offset": ("the offset of the command of {}", ""),
     "contact_friction": ("the contact friction of {}", "the contact friction"),
     "contact_anisotropy": (
         "the contact friction of {} along its second direction",

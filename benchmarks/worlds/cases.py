@@ -20,7 +20,7 @@ _ADDED_EITHER = (
     "magnet",
     "cubic_spring",
 )
-_FACTORS = ("mass", "length", "gravity", "contact_friction", "contact_anisotropy", "restitution")
+_FACTORS = ("mass", "inertia", "length", "gravity", "contact_friction", "contact_anisotropy", "restitution")
 _LINEAR_FACTORS = ("gain", "scale")
 
 
@@ -164,6 +164,7 @@ def causes():
         add(kind, "gain", motors, 0.8, 0.8)
         add(kind, "delay", "action", 0.0, {"hopper": 0.008, "halfcheetah": 0.05, "ant": 0.05}[kind])
         add(kind, "scale", sensors, 0.3, 0.3)
+        add(kind, "inertia", bodies, 1.5, 1.2)
     for kind in ("hopper", "halfcheetah"):
         bodies, joints, motors, sensors = _elements(kind)
         add(kind, "length", "all", 0.5, 0.4)

@@ -114,6 +114,8 @@ def _edit_arrays(model, family, target, value):
         bodies = slice(1, None) if target == "all" else _body_id(model, target)
         model.body_mass[bodies] *= value
         model.body_inertia[bodies] *= value
+    elif family == "inertia":
+        model.body_inertia[_body_id(model, target)] *= value
     elif family == "gravity":
         model.opt.gravity[:] *= value
     elif family == "tilt":

@@ -94,11 +94,14 @@ class Anatomy:
         return list(range(first, first + count))
 
     @cached_property
+    def joint_driven(self) -> list[int]:
+        """Actuators that act through a joint."""
+        return np.flatnonzero(np.isin(self.model.actuator_trntype, JOINT_TRANSMISSIONS)).tolist()
+
+    @cached_property
     def actuated(self) -> set[int]:
         """Joints that an actuator drives."""
-        model = self.model
-        driven = np.isin(model.actuator_trntype, JOINT_TRANSMISSIONS)
-        return {int(joint) for joint in model.actuator_trnid[driven, 0]}
+        return {int(joint) for joint in self.model.actuator_trnid[self.joint_driven, 0]}
 
     @cached_property
     def drives(self) -> list[list[int]]:

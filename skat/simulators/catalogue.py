@@ -22,6 +22,8 @@ AXES = "xyz"
 LINEAR_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
 LINEAR_BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
 MAX_DELAY_IN_TRANSITIONS = 5
+# Of a servo's control, where the model does not limit it.
+LARGEST_OFFSET = 1.0
 # Simulating takes longer by the inverse of it.
 FINEST_TIMESTEP = 0.25
 JOINT_EDITS: dict[str, Callable[..., Any] | None] = {
@@ -117,7 +119,15 @@ def _link_effects(anatomy: Anatomy) -> Found:
     extended = [body for body in anatomy.moving if _has_length(anatomy, body)]
     meshes = {model.mesh(mesh).name: model.mesh_pos[mesh].copy() for mesh in range(model.nmesh)}
     stretch = partial(edits.scale_length, meshes)
+    armatured = {joint for joint in range(model.njnt) if not _is_base(anatomy, joint)}
     yield from _each_and_all("length", extended, anatomy.body_name, (0.3, 3.0), stretch)
+    for body in massive:
+        turned_by = _turned_by(anatomy, body)
+        if turned_by and body == model.body_weldid[body]:
+            edit = partial(edits.scale_inertia, body)
+            # About one hinge only, it is the armature of that hinge.
+            repeats = len(turned_by) == 1 and int(model.dof_jntid[turned_by[0]]) in armatured
+            yield _factor(f"inertia[{anatomy.body_name(body)}]", 0.1, 10.0, edit), not repeats
     for body in massive:
         geoms = range(int(model.body_geomadr[body]), int(model.body_geomadr[body] + model.body_geomnum[body]))
         extent = max(
@@ -162,6 +172,19 @@ def _has_length(anatomy: Anatomy, body: int) -> bool:
         or any(model.jnt_pos[joint].any() for joint in joints)
         or any(model.body_pos[child].any() for child in children)
     )
+
+
+def _turned_by(anatomy: Anatomy, body: int) -> list[int]:
+    """Return the degrees of freedom that turn a body."""
+    model, data = anatomy.model, mujoco.MjData(anatomy.model)
+    angular, turns = np.zeros((3, model.nv)), np.zeros(model.nv, dtype=bool)
+    for pose in anatomy.poses:
+        data.qpos[:] = pose
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_jacBody(model, data, None, angular, body)
+        turns |= np.abs(angular).max(axis=0, initial=0.0) > 1e-9
+    return [int(dof) for dof in np.flatnonzero(turns)]
 
 
 def _shift_matters(anatomy: Anatomy, body: int, axis: int) -> bool:
@@ -221,9 +244,10 @@ def _joint_effects(anatomy: Anatomy) -> Found:
     bounds = {joint: _joint_bounds(anatomy, joint) for joint in joints}
     for joint in joints:
         kind = anatomy.joint_kind(joint)
-        is_base = joint in anatomy.base_joints and (kind == FREE or bool(inner))
         for family, edit in JOINT_EDITS.items():
-            if (is_base and family != "damping") or (kind == BALL and family == "position_friction"):
+            if (_is_base(anatomy, joint) and family != "damping") or (
+                kind == BALL and family == "position_friction"
+            ):
                 continue
             yield (
                 Effect(
@@ -250,6 +274,13 @@ def _joint_effects(anatomy: Anatomy) -> Found:
                 apply=partial(edit, tuple(together)),
             )
             yield effect, len(together) > 1
+
+
+def _is_base(anatomy: Anatomy, joint: int) -> bool:
+    """Whether a joint only says where the robot is: of a slide or hinge only where there are others."""
+    joints = set(range(anatomy.model.njnt))
+    is_free = anatomy.joint_kind(joint) == FREE
+    return joint in anatomy.base_joints and (is_free or bool(joints - anatomy.base_joints))
 
 
 def _joint_unit(family: str, kinds: set[int]) -> str:
@@ -290,6 +321,36 @@ def _actuator_effects(anatomy: Anatomy) -> Found:
         and int(model.actuator_biastype[index]) in LINEAR_BIASES
     ]
     yield from _each_and_all("gain", simple, name, (-3.0, 3.0), edits.scale_gain)
+    for index in simple:
+        if _is_servo(model, index):
+            low, high = model.actuator_ctrlrange[index]
+            limit = float(high - low) / 2 if model.actuator_ctrllimited[index] else LARGEST_OFFSET
+            yield (
+                Effect(
+                    f"offset[{name(index)}]",
+                    unit=_control_unit(anatomy, index),
+                    neutral=0.0,
+                    bounds=(-limit, limit),
+                    apply=partial(edits.offset_command, index),
+                ),
+                True,
+            )
+
+
+def _is_servo(model: mujoco.MjModel, actuator: int) -> bool:
+    """Whether an actuator's force is proportional to what its control lacks of a position or a velocity."""
+    gain, bias = model.actuator_gainprm[actuator], model.actuator_biasprm[actuator]
+    return bool(gain[0] != 0 and not gain[1:3].any() and -gain[0] in bias[1:3])
+
+
+def _control_unit(anatomy: Anatomy, actuator: int) -> str:
+    """Return the unit of a servo's control, as far as its transmission tells."""
+    model, joint = anatomy.model, int(anatomy.model.actuator_trnid[actuator, 0])
+    kind = anatomy.joint_kind(joint) if actuator in anatomy.joint_driven else None
+    if kind not in (HINGE, SLIDE) or model.actuator_gear[actuator, 0] != 1:
+        return f"unit of ctrl.{actuator_name(model, actuator)}"
+    is_of_position = model.actuator_biasprm[actuator, 1] != 0
+    return ("m" if kind == SLIDE else "rad") + ("" if is_of_position else "/s")
 
 
 def _contact_effects(anatomy: Anatomy) -> Found:

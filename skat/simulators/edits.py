@@ -63,12 +63,16 @@ def scale_length(
         body.pos = body.pos + move
 
 
+def scale_inertia(body: int, spec: mujoco.MjSpec, factor: float) -> None:
+    """Multiply a body's inertia about its centre of mass; the mass and the centre stay."""
+    element = _with_inertial(body, spec)
+    element.inertia = element.inertia * factor
+    element.fullinertia = element.fullinertia * factor
+
+
 def shift_centre_of_mass(body: int, axis: int, spec: mujoco.MjSpec, shift: float) -> None:
     """Move a body's centre of mass in the body's frame; the mass and the inertia about it stay."""
-    heed_inertials(spec)
-    (element,) = _bodies(spec, [body])
-    if not element.explicitinertial:
-        spec.adopt_inertial(element)
+    element = _with_inertial(body, spec)
     element.ipos[axis] = element.ipos[axis] + shift
 
 
@@ -143,6 +147,12 @@ def scale_gain(actuators: Sequence[int], spec: mujoco.MjSpec, factor: float) -> 
             actuator.gainprm[0] = np.nextafter(actuator.gainprm[0], np.inf)
 
 
+def offset_command(actuator: int, spec: mujoco.MjSpec, offset: float) -> None:
+    """Let a servo act as if its control were larger."""
+    element = spec.actuators[actuator]
+    element.biasprm[0] = element.biasprm[0] + element.gainprm[0] * offset
+
+
 def delay_actuators(spec: mujoco.MjSpec, delay: float) -> None:
     """Delay every actuator's control, linear between the time steps."""
     for actuator in spec.actuators:
@@ -195,6 +205,15 @@ def _lengthen(geom: mujoco.MjsGeom, factor: float) -> None:
         ends = {(CAPSULE, False): 4 / 3, (CAPSULE, True): 2.0, (CYLINDER, False): 0.0, (CYLINDER, True): 1.0}
         caps = ends[int(geom.type), geom.typeinertia == SHELL] * float(geom.size[0])
         geom.density = geom.density * (length + caps) / (length * factor + caps)
+
+
+def _with_inertial(body: int, spec: mujoco.MjSpec) -> mujoco.MjsBody:
+    """Return a body whose mass, centre of mass and inertia are its own numbers, no longer those of its geoms."""
+    heed_inertials(spec)
+    (element,) = _bodies(spec, [body])
+    if not element.explicitinertial:
+        spec.adopt_inertial(element)
+    return element
 
 
 def _bodies(spec: mujoco.MjSpec, indices: Sequence[int]) -> Iterator[mujoco.MjsBody]:

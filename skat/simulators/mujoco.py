@@ -26,7 +26,7 @@ from skat.simulators.tables import Array
 
 CACHED_MODELS = 256
 # Edits that need the outcome of others come last.
-LAST = ("centre_of_mass", "contact_friction", "contact_anisotropy", "restitution", "delay")
+LAST = ("inertia", "centre_of_mass", "contact_friction", "contact_anisotropy", "restitution", "delay")
 
 
 class MujocoSimulator(Simulator):

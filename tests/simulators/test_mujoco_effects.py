@@ -49,9 +49,12 @@ def changed(text, *changes):
     return text
 
 
-def plain(text, rows, n_steps, force=None, joint_forces=0.0):
-    """Step each row in plain MuJoCo, each from a new MjData."""
+def plain(text, rows, n_steps, force=None, joint_forces=0.0, inertia=None):
+    """Step each row in plain MuJoCo, each from a new MjData; `inertia` multiplies that of bodies, by name."""
     model = mujoco.MjModel.from_xml_string(text)
+    for body, factor in (inertia or {}).items():
+        model.body(body).inertia *= factor
+        mujoco.mj_setConst(model, mujoco.MjData(model))
     found = []
     for row in rows:
         data = mujoco.MjData(model)
@@ -105,6 +108,11 @@ ARM_CASES = {
     "armature[shoulder]": ({"armature[shoulder]": 0.03}, [('armature="0.02"', 'armature="0.05"')]),
     "stiffness[shoulder]": ({"stiffness[shoulder]": 3.0}, [('stiffness="2"', 'stiffness="5"')]),
     "gain[shoulder]": ({"gain[shoulder]": -1.0}, [('gear="5"', 'gear="-5"')]),
+    "offset[servo]": (
+        {"offset[servo]": 0.2},
+        [('<position name="servo" joint="elbow" kp="4" kv="0.1"/>',
+          '<general name="servo" joint="elbow" biastype="affine" gainprm="4" biasprm=".8 -4 -.1"/>')],
+    ),
     "gain[servo]": ({"gain[servo]": 0.5}, [('kp="4" kv="0.1"', 'kp="2" kv="0.05"')]),
     "contact_friction[all]": (
         {"contact_friction[all]": 0.25},
@@ -175,6 +183,53 @@ def test_mass_scales_the_inertia_too():
     nominal, heavy = simulator.compiled(), simulator.compiled({"mass[cube]": 3.0})
     np.testing.assert_allclose(heavy.body_mass, 3 * nominal.body_mass)
     np.testing.assert_allclose(heavy.body_inertia, 3 * nominal.body_inertia)
+
+
+@pytest.mark.parametrize("mode", ["", '<compiler inertiafromgeom="true"/>'])
+@pytest.mark.parametrize(("text", "body"), [(ARM, "lower"), (CUBE, "cube")])
+def test_inertia_changes_and_nothing_else_does(text, body, mode):
+    rows = arm_rows() if text is ARM else cube_rows()
+    simulator = MujocoSimulator(text.replace("<option", mode + "<option"), frame_skip=4)
+    found = simulator.predict(rows, effects={f"inertia[{body}]": 1.5})
+    np.testing.assert_allclose(found, plain(text, rows, 4, inertia={body: 1.5}), rtol=1e-8, atol=1e-8)
+    assert np.abs(found - simulator.predict(rows)).max() > 1e-4
+
+
+def test_inertia_is_that_of_the_changed_link():
+    simulator, link = MujocoSimulator(ARM), {"mass[lower]": 2.0, "length[lower]": 1.2}
+    both, rounder = simulator.compiled(link), simulator.compiled({"inertia[lower]": 1.5, **link})
+    np.testing.assert_allclose(rounder.body("lower").inertia, 1.5 * both.body("lower").inertia)
+    np.testing.assert_allclose(rounder.body_mass, both.body_mass)
+    np.testing.assert_allclose(rounder.body_ipos, both.body_ipos, atol=1e-12)
+
+
+def test_inertia_of_a_link_that_one_hinge_turns_is_the_armature_of_this_hinge():
+    simulator = MujocoSimulator(ARM, frame_skip=4)
+    assert {"inertia[lower]"} == {effect.name for effect in simulator.effects() if effect.family == "inertia"}
+    upper = simulator.compiled().body("upper")
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, upper.iquat)
+    about_y = turn.reshape(3, 3)[1] ** 2 @ upper.inertia
+    np.testing.assert_allclose(
+        simulator.predict(arm_rows(), effects={"inertia[upper]": 1.5}),
+        simulator.predict(arm_rows(), effects={"armature[shoulder]": 0.5 * about_y}),
+        rtol=1e-9,
+        atol=1e-9,
+    )
+
+
+def test_offset_is_that_of_a_servos_control():
+    simulator, rows = MujocoSimulator(ARM, frame_skip=4), arm_rows()
+    assert [(one.name, one.unit) for one in simulator.effects() if one.family == "offset"] == [
+        ("offset[servo]", "rad")
+    ]
+    moved = rows.copy()
+    moved[:, 5] += 0.2
+    found, expected = (
+        simulator.predict(X, effects={"gain[servo]": 0.5, **offset})
+        for X, offset in ((rows, {"offset[servo]": 0.2}), (moved, {}))
+    )
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("mode", ["", '<compiler inertiafromgeom="true"/>'])
