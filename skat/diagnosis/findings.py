@@ -47,13 +47,13 @@ class Gain:
         Error of the simulation as given, and with the causes built in. One step: mean squared error in units of what
         noise alone gives. Whole episodes: root mean squared distance, in the outputs' units.
     floor : float
-        What a right model would have. Over whole episodes from measured initial states it is that of noise in what is
-        compared: the noise of the initial states, which a right model carries on, is not in it.
+        What a right model would have: 1 one step ahead. Over whole episodes from measured initial states it is that of
+        noise in what is compared: the noise of the initial states, which a right model carries on, is not in it.
     explained : float
         (nominal - extended) / (nominal - floor); 0 where the simulation as given is at the floor.
     interval : tuple of two floats
-        95 % interval of `explained`, from a bootstrap over blocks of time, or over whole episodes; NaN where there are
-        fewer than five.
+        95 % interval of `explained`, from a bootstrap over blocks of time, or over whole episodes; without end where
+        there may be no excess at all, NaN where there are fewer than five.
     horizon : int or str
         1, or "episode".
     channels : dict of str to tuple of two floats

@@ -407,21 +407,20 @@ class Residuals:
         )
 
     def noise_errors(self, candidates):
-        """Return the squared one-step errors (n_candidates, n_rows) in units of what noise alone gives.
+        """Return the squared one-step errors (n_candidates, n_rows) in units of what noise gives, to first order.
 
-        From the measured states, not the smoothed ones; a right model has 1 on average. Rows in which a candidate
-        diverges are left out, from then on.
+        From the measured states, not the smoothed ones; a smooth and right model has 1 on average. Rows in which a
+        candidate diverges are left out, from then on.
         """
-        errors = self._squared_errors(candidates)
-        self._leave_out_diverged(~np.isfinite(errors).all(axis=(0, 2)))
-        return np.mean(errors / self._residual_variances(), axis=-1)[:, self.present]
+        errors = self.squared_errors(candidates)
+        return np.mean(errors / self.residual_variances(), axis=-1)[:, self.present]
 
     def log_errors(self, candidates):
         """Return log(1 + e) of the errors e of `noise_errors` (n_candidates, n_rows): few that are huge do not decide.
 
         Rows in which a candidate diverges stay, as far off.
         """
-        errors = np.mean(self._squared_errors(candidates) / self._residual_variances(), axis=-1)[
+        errors = np.mean(self._squared_errors(candidates) / self.residual_variances(), axis=-1)[
             :, self.present
         ]
         return np.log1p(np.nan_to_num(errors, nan=DIVERGED, posinf=DIVERGED))
@@ -433,13 +432,34 @@ class Residuals:
             zip(self.simulator.residual_names, np.sqrt(np.mean(errors[self.present], axis=0)).tolist())
         )
 
+    def squared_errors(self, candidates):
+        """Return squared one-step errors (n_candidates, n_rows, n_channels) from the measured states.
+
+        Rows in which a candidate diverges are left out, from then on.
+        """
+        errors = self._squared_errors(candidates)
+        self._leave_out_diverged(~np.isfinite(errors).all(axis=(0, 2)))
+        return errors
+
+    def squares_of_noise(self, values, n_draws, random_state):
+        """Return squares (n_draws, n_rows, n_channels) that a model's one-step errors might have, were it right.
+
+        Parameters
+        ----------
+        values : dict of str to float
+            The model, which has settled.
+        n_draws : int
+            Without noise in what a row starts from there is nothing to draw: they are all the variance.
+        random_state : numpy.random.RandomState
+        """
+        return np.broadcast_to(self.residual_variances(), (n_draws, len(self.log), self.n_channels))
+
     def _squared_errors(self, candidates):
-        """Return squared one-step errors (n_candidates, n_rows, n_channels) from the measured states."""
         predictions = self.simulator.predict_many(self.log.X, candidates, groups=self.log.groups)
         return np.stack([self.simulator.residual(self.log.y, one) for one in predictions]) ** 2
 
-    def _residual_variances(self):
-        """Variance of each raw residual under a right model, (n_rows, n_channels) or one row for all."""
+    def residual_variances(self):
+        """Return the variance of each raw residual under a right model, to first order: by row, or one row for all."""
         return self.variances
 
 

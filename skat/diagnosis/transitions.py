@@ -64,7 +64,7 @@ class TransitionResiduals(Residuals):
         where the typical row shows it, and in single rows beyond what noise explains, such as at contacts. A row is
         judged by itself before it is judged by its chain, where the misses of its neighbours would pass for its own.
         """
-        expected = self._residual_variances()
+        expected = self.residual_variances()
         typical = np.median(expected, axis=0)
         found = (1.4826 * np.median(np.abs(raw[self.present]), axis=0)) ** 2
         missed = np.where(found > NEGLIGIBLE_MISFIT * typical, found - typical, 0.0) + 0.0 * expected
@@ -198,11 +198,23 @@ class TransitionResiduals(Residuals):
         factors = np.diagonal(self.whitener.factors, axis1=-2, axis2=-1)[self.places][self.present]
         return super().log_determinant() + float(2 * np.log(factors).sum())
 
-    def _residual_variances(self):
+    def squares_of_noise(self, values, n_draws, random_state):
+        """Return squared errors between states drawn about the smoothed ones and about their outcomes."""
+        (outcomes,) = self.simulator.predict_many(self.points, [values], groups=self.log.groups)
+        squares = np.empty((n_draws, len(self.log), self.n_channels))
+        for one in squares:
+            at_start, at_end = random_state.normal(size=(2, *one.shape)) * self.deviations
+            starts = self.simulator.displace(self.points, at_start)
+            (predicted,) = self.simulator.predict_many(starts, [values], groups=self.log.groups)
+            one[:] = self.simulator.residual(self.simulator.displace(outcomes, at_end), predicted) ** 2
+        return np.where(np.isfinite(squares), squares, self.residual_variances())
+
+    def residual_variances(self):
+        """Return the variances (n_rows, n_channels) of raw residuals under a right model, to first order."""
         return np.einsum("nij,j->ni", self.transitions**2, self.variances) + self.variances + self.extra
 
     def _typical_deviations(self):
-        return np.sqrt(np.median(self._residual_variances(), axis=0))
+        return np.sqrt(np.median(self.residual_variances(), axis=0))
 
 
 def _padded(rows, places):

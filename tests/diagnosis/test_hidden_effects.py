@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 from skat.diagnosis import SimulationDiagnosis
+from skat.diagnosis.log import check_log
 from skat.simulators import MujocoSimulator, make_simulator
 
 # Every family but mass, length and gain, which the conditions of the paper hide.
 SINGLE = [
     ("hopper", ("gravity", None, 0.7)),
     ("puck", ("tilt", "x", 0.03)),
+    ("hopper", ("inertia", "torso", 1.5)),
     ("puck", ("centre_of_mass", "puck.x", 0.005)),
     ("hopper", ("wind", "x", -40.0)),
     ("hopper", ("air_drag", "x", 10.0)),
@@ -106,3 +108,26 @@ def test_two_hidden_effects_are_both_named_and_explain_other_episodes(worlds):
 def test_effect_outside_the_list_is_unexplained_and_gets_no_full_false_name(worlds, kind, n_episodes, hidden):
     diagnosis = diagnosed(worlds, worlds.measure(kind, [hidden], seed=SEED, n_episodes=n_episodes))
     assert diagnosis.verdict_ == "unexplained"
+
+
+def test_gain_knows_what_noise_does_at_contacts(worlds):
+    """Linear about the measured states, a right HalfCheetah has a third more error than noise explains."""
+    hidden = [("mass", "all", 1.05)]
+    log = worlds.measure("halfcheetah", hidden, seed=1, n_episodes=4)
+    diagnosis = SimulationDiagnosis(
+        simulator_of(worlds, "halfcheetah"),
+        effects=["mass[all]"],
+        noise=log.sigma,
+        test_size=0,
+        random_state=0,
+    ).fit(log.X, log.y, groups=log.groups)
+    linear = []
+    for seed in (2, 4, 5):
+        fresh = worlds.measure("halfcheetah", hidden, seed=seed, n_episodes=5)
+        diagnosis.noise_ = fresh.sigma  # A log's noise is a share of its own spread.
+        gain = diagnosis.evaluate(fresh.X, fresh.y, fresh.groups)
+        np.testing.assert_allclose(gain.extended, 1, atol=0.12)
+        assert gain.interval[0] < 1 < gain.interval[1]
+        checked = check_log(diagnosis.simulator, fresh.X, fresh.y, fresh.groups)
+        linear.append(diagnosis._differentiated(checked).noise_errors([{"mass[all]": 1.05}]).mean())
+    assert max(linear) > 1.3

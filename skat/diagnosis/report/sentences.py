@@ -61,7 +61,9 @@ def gain_sentence(gain):
 def share_sentence(gain):
     """Return in a sentence which share of the excess a Gain explains."""
     share, low, high = (f"{100 * one:.0f}" for one in (gain.explained, *gain.interval))
-    if np.ptp(gain.interval) > 1:
+    if gain.nominal <= gain.floor:
+        return "the simulation's error was no larger than noise alone makes it, so that there is no excess to explain."
+    if gain.interval[1] - gain.interval[0] > 1:
         return "that is too close to the noise to say which share of the excess is explained."
     if np.isnan(gain.interval[0]):
         return f"{share} % of the excess is explained, in too few episodes for an interval."
