@@ -10,11 +10,11 @@ N_BOOTSTRAP = 999
 FEWEST_PIECES = 5
 # Draws of the noise at each row: so many say how much its error counts, as many others what noise alone gives. In long
 # logs fewer do, about so many in all.
-NOISE_DRAWS = 32
+NOISE_DRAWS = 16
 FEWEST_NOISE_DRAWS = 4
 # Of normal noise, in variances. Where a draw is larger, the simulation kicks, and the row counts the less.
 LARGEST_SQUARE = 9.0
-ALL_NOISE_DRAWS = 30_000
+ALL_NOISE_DRAWS = 20_000
 
 
 def one_step_gain(residuals, values, random_state):
