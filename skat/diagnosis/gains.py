@@ -12,9 +12,9 @@ FEWEST_PIECES = 5
 # logs fewer do, about so many in all.
 NOISE_DRAWS = 16
 FEWEST_NOISE_DRAWS = 4
+ALL_NOISE_DRAWS = 20_000
 # Of normal noise, in variances. Where a draw is larger, the simulation kicks, and the row counts the less.
 LARGEST_SQUARE = 9.0
-ALL_NOISE_DRAWS = 20_000
 
 
 def one_step_gain(residuals, values, random_state):
@@ -41,12 +41,11 @@ def one_step_gain(residuals, values, random_state):
     # Of two sets of draws, so that what the first says of a row by chance is no bias.
     n_draws = int(np.clip(ALL_NOISE_DRAWS // len(residuals.log), FEWEST_NOISE_DRAWS, NOISE_DRAWS))
     some, others = (residuals.squares_of_noise(values, n_draws, random_state) for _ in range(2))
-    sizes, floor = (
-        np.maximum(some.max(axis=0) / LARGEST_SQUARE, residuals.residual_variances()),
-        others.mean(axis=0),
-    )
+    sizes = np.maximum(some.max(axis=0) / LARGEST_SQUARE, residuals.residual_variances())
     rows = residuals.present
-    nominal, extended, floor = np.mean([one[rows] / sizes[rows] for one in (*errors, floor)], axis=-1)
+    nominal, extended, floor = np.mean(
+        [one[rows] / sizes[rows] for one in (*errors, others.mean(axis=0))], axis=-1
+    )
     parts = nominal / floor.mean(), extended / floor.mean(), floor / floor.mean()
     before, after = residuals.channel_errors({}), residuals.channel_errors(values)
     channels = {name: (error, after[name]) for name, error in before.items()}

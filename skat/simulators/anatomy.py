@@ -69,6 +69,16 @@ class Anatomy:
                 reach[body] = np.maximum(reach[body], np.abs(jacobian).max(axis=1, initial=0.0))
         return {body: np.where(reach[body] > 1e-9, reach[body], 0.0) for body in reach}
 
+    def turned_by(self, body: int) -> list[int]:
+        """Return the degrees of freedom that turn a body: those of the joints it hangs on, but for slides."""
+        model, found = self.model, []
+        while body:
+            for joint in self.joints_of(body):
+                dofs = self.dofs_of(joint)
+                found += {FREE: dofs[3:], BALL: dofs, HINGE: dofs}.get(self.joint_kind(joint), [])
+            body = int(model.body_parentid[body])
+        return found
+
     @cached_property
     def pairs(self) -> tuple[ContactPair, ...]:
         """Pairs of geoms that can touch."""

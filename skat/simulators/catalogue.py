@@ -122,7 +122,7 @@ def _link_effects(anatomy: Anatomy) -> Found:
     armatured = {joint for joint in range(model.njnt) if not _is_base(anatomy, joint)}
     yield from _each_and_all("length", extended, anatomy.body_name, (0.3, 3.0), stretch)
     for body in massive:
-        turned_by = _turned_by(anatomy, body)
+        turned_by = anatomy.turned_by(body)
         if turned_by and body == model.body_weldid[body]:
             edit = partial(edits.scale_inertia, body)
             # About one hinge only, it is the armature of that hinge.
@@ -172,19 +172,6 @@ def _has_length(anatomy: Anatomy, body: int) -> bool:
         or any(model.jnt_pos[joint].any() for joint in joints)
         or any(model.body_pos[child].any() for child in children)
     )
-
-
-def _turned_by(anatomy: Anatomy, body: int) -> list[int]:
-    """Return the degrees of freedom that turn a body."""
-    model, data = anatomy.model, mujoco.MjData(anatomy.model)
-    angular, turns = np.zeros((3, model.nv)), np.zeros(model.nv, dtype=bool)
-    for pose in anatomy.poses:
-        data.qpos[:] = pose
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        mujoco.mj_jacBody(model, data, None, angular, body)
-        turns |= np.abs(angular).max(axis=0, initial=0.0) > 1e-9
-    return [int(dof) for dof in np.flatnonzero(turns)]
 
 
 def _shift_matters(anatomy: Anatomy, body: int, axis: int) -> bool:
@@ -340,7 +327,8 @@ def _actuator_effects(anatomy: Anatomy) -> Found:
 def _is_servo(model: mujoco.MjModel, actuator: int) -> bool:
     """Whether an actuator's force is proportional to what its control lacks of a position or a velocity."""
     gain, bias = model.actuator_gainprm[actuator], model.actuator_biasprm[actuator]
-    return bool(gain[0] != 0 and not gain[1:3].any() and -gain[0] in bias[1:3])
+    is_affine = int(model.actuator_biastype[actuator]) == int(mujoco.mjtBias.mjBIAS_AFFINE)
+    return bool(is_affine and gain[0] != 0 and not gain[1:3].any() and -gain[0] in bias[1:3])
 
 
 def _control_unit(anatomy: Anatomy, actuator: int) -> str:

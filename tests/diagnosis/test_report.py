@@ -255,6 +255,8 @@ def test_an_unexplained_verdict_says_what_is_left_and_how_far_a_transport_comes(
             "from 5.9 to 1.02 times what noise alone gives; 100 % of the",
         ),
         (Gain(1.1, 1.0, 1.0, 0.9, (-1.0, 3.0)), "too close to the noise to say which share"),
+        (Gain(1.1, 1.0, 1.0, 0.9, (-np.inf, np.inf)), "too close to the noise to say which share"),
+        (Gain(0.9, 0.88, 1.0, 0.0, (-np.inf, np.inf)), "so that there is no excess to explain"),
         (
             Gain(2.6, 0.1, 0.05, 0.98, (0.9, 0.99), "episode"),
             "open-loop error of whole episodes goes from 2.6 to",

@@ -223,6 +223,14 @@ def test_offset_is_that_of_a_servos_control():
     assert [(one.name, one.unit) for one in simulator.effects() if one.family == "offset"] == [
         ("offset[servo]", "rad")
     ]
+    other = changed(
+        ARM,
+        ('position name="servo"', 'general name="servo"'),
+        ('kp="4" kv="0.1"', 'gainprm="4" biasprm="0 -4"'),
+    )
+    assert not [
+        one for one in MujocoSimulator(other).effects() if one.family == "offset"
+    ]  # of no bias at all
     moved = rows.copy()
     moved[:, 5] += 0.2
     found, expected = (
