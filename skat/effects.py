@@ -177,6 +177,7 @@ _PHRASES = {
     "mass": ("the mass of {}", "the mass of every body"),
     "inertia": ("the rotational inertia of {}", ""),
     "length": ("the length of {}", "the length of every link"),
+    "radius": ("the radius of {}", "the radius of every wheel"),
     "gravity": ("gravity", "gravity"),
     "gain": ("gain[{}]", "gain[all]"),
     "offset": ("the offset of the command of {}", ""),
@@ -198,6 +199,9 @@ _PHRASES = {
     "position_friction": ("dry friction that grows with the position of {}", ""),
     "armature": ("the armature of {}", "the armature of every joint"),
     "stiffness": ("the stiffness of {}", "the stiffness of every joint"),
+    "tendon_damping": ("viscous damping of {}", ""),
+    "tendon_dry_friction": ("dry friction of {}", ""),
+    "tendon_stiffness": ("the stiffness of {}", ""),
     "delay": ("the delay of every {}", ""),
     "bias": ("the bias of sensor {}", ""),
 }
@@ -217,7 +221,7 @@ def _sentence(name: str, unit: str, neutral: float, value: float) -> str:
         return f"{phrase} is {value:.3g} times that along the first"
     if neutral == 1:
         return f"{phrase} is {value:.3g} times the model's"
-    if family in {"damping", "dry_friction", "armature", "stiffness"}:
+    if family.removeprefix("tendon_") in {"damping", "dry_friction", "armature", "stiffness"}:
         return f"{phrase} is {abs(value):.3g} {unit} {'more' if value >= 0 else 'less'} than the model's"
     if family == "centre_of_mass":
         return f"{phrase} is shifted by {value:.3g} {unit}"

@@ -7,10 +7,15 @@ import numpy as np
 
 from skat.simulators.channels import BALL, FREE, HINGE, SLIDE, element_name, joint_name
 from skat.simulators.contacts import ContactPair, contact_pairs
+from skat.simulators.edits import CAPSULE, CYLINDER, SPHERE
 from skat.simulators.tables import Array
 
 JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+TENDON_TRANSMISSION = int(mujoco.mjtTrn.mjTRN_TENDON)
 EXPLICIT_INTEGRATOR = int(mujoco.mjtIntegrator.mjINT_RK4)
+
+# Of a wheel's axis from its hinge's: an angle, and a distance in radii.
+ALIGNED = 1e-3
 
 
 class Anatomy:
@@ -78,6 +83,26 @@ class Anatomy:
                 found += {FREE: dofs[3:], BALL: dofs, HINGE: dofs}.get(self.joint_kind(joint), [])
             body = int(model.body_parentid[body])
         return found
+
+    def is_wheel(self, body: int) -> bool:
+        """Whether a body turns without end about one hinge, on which what touches others is round and centred."""
+        model, joints = self.model, self.joints_of(body)
+        if len(joints) != 1 or self.joint_kind(joints[0]) != HINGE or model.jnt_limited[joints[0]]:
+            return False
+        touching = {geom for pair in self.pairs for geom in (pair.first, pair.second)}
+        rims = [geom for geom in touching if model.geom_bodyid[geom] == body]
+        axis, place = model.jnt_axis[joints[0]], model.jnt_pos[joints[0]]
+        return bool(rims) and all(self._turns_in_itself(geom, axis, place) for geom in rims)
+
+    def _turns_in_itself(self, geom: int, axis: Array, place: Array) -> bool:
+        """Whether a geom stays where it is when it turns about an axis through a place in its body's frame."""
+        model, turned = self.model, np.zeros(3)
+        mujoco.mju_rotVecQuat(turned, np.array([0.0, 0.0, 1.0]), model.geom_quat[geom])
+        kind, off = int(model.geom_type[geom]), np.cross(model.geom_pos[geom] - place, axis)
+        along = kind == SPHERE or (
+            kind in (CAPSULE, CYLINDER) and np.linalg.norm(np.cross(turned, axis)) < ALIGNED
+        )
+        return bool(along and np.linalg.norm(off) < ALIGNED * model.geom_size[geom, 0])
 
     @cached_property
     def pairs(self) -> tuple[ContactPair, ...]:
@@ -168,14 +193,8 @@ class Anatomy:
                 HINGE,
                 SLIDE,
             ):
-                limit = (
-                    np.abs(model.actuator_ctrlrange[actuator]).max()
-                    if model.actuator_ctrllimited[actuator]
-                    else 1.0
-                )
-                capacity = abs(model.actuator_gear[actuator, 0] * model.actuator_gainprm[actuator, 0]) * limit
                 dof = int(model.jnt_dofadr[joint])
-                force[dof] = max(force[dof], capacity)
+                force[dof] = max(force[dof], self._capacity(actuator))
         return force
 
     @cached_property
@@ -184,6 +203,25 @@ class Anatomy:
         if int(self.model.opt.integrator) != EXPLICIT_INTEGRATOR:
             return np.full(self.model.nv, np.inf)
         return 1 / (self.model.opt.timestep * np.maximum(self.model.dof_invweight0, 1e-9))
+
+    def tendon_force(self, tendon: int) -> float:
+        """Return the characteristic force of a tendon: of its actuators, or of 1 g on the mass that it moves."""
+        model = self.model
+        pulled = (model.actuator_trntype == TENDON_TRANSMISSION) & (model.actuator_trnid[:, 0] == tendon)
+        weight = 10 / max(float(model.tendon_invweight0[tendon]), 1e-9)
+        return max([weight, *(self._capacity(int(actuator)) for actuator in np.flatnonzero(pulled))])
+
+    def _capacity(self, actuator: int) -> float:
+        """Return the largest force of an actuator, of those that are not limited at a control of 1."""
+        model = self.model
+        limited = bool(model.actuator_ctrllimited[actuator])
+        control = float(np.abs(model.actuator_ctrlrange[actuator]).max()) if limited else 1.0
+        return abs(float(model.actuator_gear[actuator, 0] * model.actuator_gainprm[actuator, 0])) * control
+
+
+def tendon_name(model: mujoco.MjModel, tendon: int) -> str:
+    """Return the tendon's name, or ``tendon<id>``."""
+    return element_name(model, mujoco.mjtObj.mjOBJ_TENDON, tendon, "tendon")
 
 
 def actuator_name(model: mujoco.MjModel, actuator: int) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 
 from skat.effects import Effect
 from skat.simulators import contacts, edits
-from skat.simulators.anatomy import Anatomy, actuator_name, drag_joint
+from skat.simulators.anatomy import Anatomy, actuator_name, drag_joint, tendon_name
 from skat.simulators.channels import BALL, FREE, HINGE, SLIDE, joint_name
 
 AXES = "xyz"
@@ -40,6 +40,12 @@ JOINT_UNITS = {  # of slides, of hinges
     "armature": ("kg", "kg m2"),
     "stiffness": ("N/m", "N m/rad"),
 }
+TENDON_EDITS: dict[str, tuple[str, Callable[..., Any]]] = {
+    "tendon_damping": ("N s/m", edits.add_tendon_damping),
+    "tendon_dry_friction": ("N", edits.add_tendon_friction),
+    "tendon_stiffness": ("N/m", edits.add_tendon_stiffness),
+}
+FIXED_TENDON = int(mujoco.mjtWrap.mjWRAP_JOINT)
 
 
 @dataclass(frozen=True)
@@ -65,6 +71,7 @@ def effect_listing(anatomy: Anatomy, frame_skip: int) -> Listing:
         _gravity_effects,
         _force_effects,
         _joint_effects,
+        _tendon_effects,
         _actuator_effects,
         _contact_effects,
     ):
@@ -121,6 +128,8 @@ def _link_effects(anatomy: Anatomy) -> Found:
     stretch = partial(edits.scale_length, meshes)
     armatured = {joint for joint in range(model.njnt) if not _is_base(anatomy, joint)}
     yield from _each_and_all("length", extended, anatomy.body_name, (0.3, 3.0), stretch)
+    wheels = [body for body in massive if anatomy.is_wheel(body)]
+    yield from _each_and_all("radius", wheels, anatomy.body_name, (0.5, 2.0), edits.scale_radius)
     for body in massive:
         turned_by = anatomy.turned_by(body)
         if turned_by and body == model.body_weldid[body]:
@@ -286,15 +295,59 @@ def _joint_bounds(anatomy: Anatomy, joint: int) -> dict[str, tuple[float, float]
     stiffness = float(model.jnt_stiffness[joint])
     stable = float(anatomy.stable_rate[dofs].min())
     stable_spring = 1 / (model.opt.timestep**2 * max(float(model.dof_invweight0[dofs].max()), 1e-9))
-    most_damping = min(100 * max(damping, inertia), max(stable - damping, 0.1 * stable))
-    most_friction = max(2 * force, 10 * friction)
+    most_friction = _most_friction(force, friction)
     return {
-        "damping": (0.0 - damping, most_damping),
+        "damping": _damping_bounds(damping, inertia, stable),
         "dry_friction": (0.0 - friction, most_friction),
         "position_friction": (0.0, most_friction),
         "armature": (0.0 - 0.95 * armature, 10 * inertia),  # a light link may not be stable without any
-        "stiffness": (0.0 - stiffness, min(max(10 * force, 10 * stiffness), stable_spring)),
+        "stiffness": _stiffness_bounds(stiffness, force, stable_spring),
     }
+
+
+def _damping_bounds(damping: float, inertia: float, stable: float) -> tuple[float, float]:
+    return 0.0 - damping, min(100 * max(damping, inertia), max(stable - damping, 0.1 * stable))
+
+
+def _most_friction(force: float, friction: float) -> float:
+    return max(2 * force, 10 * friction)
+
+
+def _stiffness_bounds(stiffness: float, force: float, stable: float) -> tuple[float, float]:
+    return 0.0 - stiffness, min(max(10 * force, 10 * stiffness), stable)
+
+
+def _tendon_effects(anatomy: Anatomy) -> Found:
+    model = anatomy.model
+    for tendon in range(model.ntendon):
+        bounds = _tendon_bounds(anatomy, tendon)
+        for family, (unit, edit) in TENDON_EDITS.items():
+            name = f"{family}[{tendon_name(model, tendon)}]"
+            effect = Effect(name, unit=unit, neutral=0.0, bounds=bounds[family], apply=partial(edit, tendon))
+            yield effect, not _is_of_one_joint(model, tendon)
+
+
+def _tendon_bounds(anatomy: Anatomy, tendon: int) -> dict[str, tuple[float, float]]:
+    """Return the bounds of what is added to a tendon, by family; no total falls below zero."""
+    model, force = anatomy.model, anatomy.tendon_force(tendon)
+    damping, friction, stiffness = (
+        float(values[tendon])
+        for values in (model.tendon_damping, model.tendon_frictionloss, model.tendon_stiffness)
+    )
+    mobility = max(float(model.tendon_invweight0[tendon]), 1e-9)
+    # Integrators that treat the damping of joints implicitly need not do so with that of tendons.
+    stable = 1 / (model.opt.timestep * mobility)
+    return {
+        "tendon_damping": _damping_bounds(damping, 1 / mobility, stable),
+        "tendon_dry_friction": (0.0 - friction, _most_friction(force, friction)),
+        "tendon_stiffness": _stiffness_bounds(stiffness, force, stable / model.opt.timestep),
+    }
+
+
+def _is_of_one_joint(model: mujoco.MjModel, tendon: int) -> bool:
+    """Whether what a tendon does is what its only joint could do itself."""
+    first = int(model.tendon_adr[tendon])
+    return bool(model.tendon_num[tendon] == 1 and model.wrap_type[first] == FIXED_TENDON)
 
 
 def _actuator_effects(anatomy: Anatomy) -> Found:

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 CAPSULE, CYLINDER = int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER)
+SPHERE = int(mujoco.mjtGeom.mjGEOM_SPHERE)
 FROM_GEOMS = int(mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE)
 AUTOMATIC = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
 SHELL = mujoco.mjtGeomInertia.mjINERTIA_SHELL
@@ -61,6 +62,14 @@ def scale_length(
     # A frame that is not at its joint is in the middle of its link, or beside it: what stays is the joint.
     for body, move in moves:
         body.pos = body.pos + move
+
+
+def scale_radius(bodies: Sequence[int], spec: mujoco.MjSpec, factor: float) -> None:
+    """Multiply the radius of wheels, that is of a body's cylinders, capsules and spheres; mass and inertia stay."""
+    for body in bodies:
+        for geom in _with_inertial(body, spec).geoms:
+            if int(geom.type) in (CYLINDER, CAPSULE, SPHERE):
+                geom.size[0] = geom.size[0] * factor
 
 
 def scale_inertia(body: int, spec: mujoco.MjSpec, factor: float) -> None:
@@ -133,6 +142,24 @@ def add_stiffness(joints: Sequence[int], spec: mujoco.MjSpec, value: float) -> N
     """Add stiffness about the joint's spring reference."""
     for joint in _joints(spec, joints):
         joint.stiffness[0] = joint.stiffness[0] + value
+
+
+def add_tendon_damping(tendon: int, spec: mujoco.MjSpec, value: float) -> None:
+    """Add linear damping to a tendon."""
+    element = spec.tendons[tendon]
+    element.damping[0] = element.damping[0] + value
+
+
+def add_tendon_friction(tendon: int, spec: mujoco.MjSpec, value: float) -> None:
+    """Add dry friction to a tendon."""
+    element = spec.tendons[tendon]
+    element.frictionloss = element.frictionloss + value
+
+
+def add_tendon_stiffness(tendon: int, spec: mujoco.MjSpec, value: float) -> None:
+    """Add stiffness to a tendon, about its spring's resting length."""
+    element = spec.tendons[tendon]
+    element.stiffness[0] = element.stiffness[0] + value
 
 
 def scale_gain(actuators: Sequence[int], spec: mujoco.MjSpec, factor: float) -> None:

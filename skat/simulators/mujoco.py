@@ -26,7 +26,15 @@ from skat.simulators.tables import Array
 
 CACHED_MODELS = 256
 # Edits that need the outcome of others come last.
-LAST = ("inertia", "centre_of_mass", "contact_friction", "contact_anisotropy", "restitution", "delay")
+LAST = (
+    "radius",
+    "inertia",
+    "centre_of_mass",
+    "contact_friction",
+    "contact_anisotropy",
+    "restitution",
+    "delay",
+)
 
 
 class MujocoSimulator(Simulator):

@@ -40,6 +40,47 @@ CUBE = """
   </worldbody>
 </mujoco>
 """
+FINGER = """
+<mujoco model="finger">
+  <option timestep="0.002"/>
+  <worldbody>
+    <site name="anchor" pos="-.05 0 .1"/>
+    <body name="near"><joint name="knuckle" axis="0 1 0" damping=".02"/>
+      <geom type="capsule" size=".01" fromto="0 0 0 .06 0 0" mass=".1" contype="0"/>
+      <body name="far" pos=".06 0 0"><joint name="tip" axis="0 1 0" damping=".01"/>
+        <geom type="capsule" size=".01" fromto="0 0 0 .04 0 0" mass=".05" contype="0"/>
+        <site name="nail" pos=".03 0 .01"/>
+      </body>
+    </body>
+  </worldbody>
+  <tendon>
+    <fixed name="flexor" damping="2"><joint joint="knuckle" coef=".02"/><joint joint="tip" coef=".01"/></fixed>
+    <spatial name="band" stiffness="30" springlength=".12"><site site="anchor"/><site site="nail"/></spatial>
+    <fixed name="single"><joint joint="tip" coef=".01"/></fixed>
+  </tendon>
+  <actuator><motor tendon="flexor" gear="20" ctrlrange="-1 1"/></actuator>
+</mujoco>
+"""
+ROLLER = """
+<mujoco model="roller">
+  <option timestep="0.002"/>
+  <worldbody>
+    <geom type="plane" size="5 5 .1" condim="3"/>
+    <body name="frame" pos="0 0 .1">
+      <joint name="x" type="slide" axis="1 0 0"/><joint name="z" type="slide" axis="0 0 1"/>
+      <geom type="box" size=".1 .05 .02" mass="1" contype="0" conaffinity="0"/>
+      <body name="wheel">%s<joint name="axle" axis="0 1 0" damping=".01"/>
+        <geom name="tyre" type="cylinder" size="%s .02" euler="90 0 0" mass=".4"/>
+        <geom name="spoke" type="box" size=".05 .01 .01" contype="0" conaffinity="0" mass=".1"/>
+      </body>
+      <body name="arm" pos="0 .2 0"><joint name="pin" axis="0 1 0"/>
+        <geom type="sphere" size=".03" pos=".1 0 0" mass=".1"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor joint="axle" gear="1"/></actuator>
+</mujoco>
+"""
 
 
 def changed(text, *changes):
@@ -216,6 +257,52 @@ def test_inertia_of_a_link_that_one_hinge_turns_is_the_armature_of_this_hinge():
         rtol=1e-9,
         atol=1e-9,
     )
+
+
+FINGER_CASES = {
+    "tendon_damping[flexor]": (-1.5, [('damping="2"', 'damping="0.5"')]),
+    "tendon_dry_friction[flexor]": (1.5, [('damping="2"', 'damping="2" frictionloss="1.5"')]),
+    "tendon_stiffness[flexor]": (40.0, [('damping="2"', 'damping="2" stiffness="40"')]),
+    "tendon_damping[band]": (0.5, [('stiffness="30"', 'stiffness="30" damping=".5"')]),
+    "tendon_dry_friction[band]": (0.3, [('stiffness="30"', 'stiffness="30" frictionloss=".3"')]),
+    "tendon_stiffness[band]": (-12.0, [('stiffness="30"', 'stiffness="18"')]),
+}
+
+
+@pytest.mark.parametrize("name", FINGER_CASES)
+def test_effect_on_a_tendon_is_the_change_made_by_hand(name):
+    value, changes = FINGER_CASES[name]
+    rows = np.random.default_rng(2).normal(size=(12, 5)) * [1, 1, 3, 3, 1]
+    simulator = MujocoSimulator(FINGER, frame_skip=4)
+    listed = {effect.name for effect in simulator.effects() if effect.family.startswith("tendon_")}
+    assert listed == set(FINGER_CASES)  # what the tendon of one joint does is this joint's
+    found = simulator.predict(rows, effects={name: value})
+    np.testing.assert_allclose(found, plain(changed(FINGER, *changes), rows, 4), rtol=1e-9, atol=1e-9)
+    assert np.abs(found - simulator.predict(rows)).max() > 1e-4
+
+
+@pytest.mark.parametrize("mode", ["", '<compiler inertiafromgeom="true"/>'])
+def test_radius_is_that_of_a_wheel_whose_mass_and_inertia_stay(mode):
+    text = ROLLER.replace("<option", mode + "<option")
+    rows = np.random.default_rng(3).normal(size=(12, 9)) * [1, 0.01, 1, 1, 1, 1, 9, 1, 1]
+    simulator = MujocoSimulator(text % ("", ".1"), frame_skip=5)
+    assert [effect.name for effect in simulator.effects() if effect.family == "radius"] == ["radius[wheel]"]
+    turned, along, across = (
+        0.4 * (3 * 0.1**2 + 0.04**2) / 12,
+        0.4 * 0.1**2 / 2,
+        0.1 / 3,
+    )  # of a cylinder, a box
+    inertia = [
+        turned + across * (0.01**2 + 0.01**2),
+        along + across * (0.05**2 + 0.01**2),
+        turned + across * (0.05**2 + 0.01**2),
+    ]
+    inertial = f'<inertial pos="0 0 0" mass=".5" diaginertia="{" ".join(map(repr, inertia))}"/>'
+    found = simulator.predict(rows, effects={"radius[wheel]": 1.05})
+    np.testing.assert_allclose(found, plain(ROLLER % (inertial, ".105"), rows, 5), rtol=1e-8, atol=1e-8)
+    assert np.abs(found - simulator.predict(rows)).max() > 1e-3
+    heavy = simulator.compiled({"radius[wheel]": 1.05, "mass[wheel]": 2.0}).body("wheel")
+    np.testing.assert_allclose(heavy.mass, 1.0)
 
 
 def test_offset_is_that_of_a_servos_control():
