@@ -176,10 +176,10 @@ class Proposals:
             if models:
                 yield n_dropped, models
 
-    def elsewhere(self, values):
-        """Return for each named effect the best model that has it at quite another value."""
+    def elsewhere(self, values, names):
+        """Return for each of the effects the best model that has it at quite another value."""
         best = []
-        for name in values:
+        for name in names:
             models = [{**values, name: point} for point in _points(self.effects[name])]
             if models:
                 best.append(models[int(np.argmin(self._losses(models)))])

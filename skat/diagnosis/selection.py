@@ -119,7 +119,8 @@ class Selection:
             if len(values) < self.max_effects:
                 added = self._add(values, line, far_off=far_off and not values) or self._apart(values, line)
             if added is None and jumps < MOST_JUMPS:
-                added, jumps = self._elsewhere(values, line), jumps + 1
+                loss = self.refits.losses(line.residuals).sum()
+                added, jumps = self._elsewhere(values, loss, list(values)), jumps + 1
             if added is None:
                 break
             history.append(added)
@@ -147,7 +148,8 @@ class Selection:
         """Return the model, or the best that explains nearly as much of the log with another effect in its place.
 
         Each is judged at states and noise of its own: what a wrong effect leaves may have passed for noise, in which
-        the right one shows little.
+        the right one shows little. At contacts that changes from one settling to the next by as much, so the other must
+        also fit better than the present one does at the same states and noise.
         """
         for other in near:
             if frozenset(other) in self.left:
@@ -156,7 +158,9 @@ class Selection:
             present = self.refits.misfit(line.residuals)
             state = self.residuals.state()
             found, settled = self.estimates.fitted(other)
-            if self.refits.misfit(self.refits.whitened([found])[0]) < present - WORTH_A_JUMP:
+            residuals = self.refits.whitened([found])[0]
+            fits_better = self.refits.losses(residuals).sum() < self.refits.fit([values])[0].loss
+            if fits_better and self.refits.misfit(residuals) < present - WORTH_A_JUMP:
                 self.better[frozenset(values)] = frozenset(found)
                 return found, self.estimates.linearised(found, settled=settled)
             self.residuals.restore(state)
@@ -198,7 +202,7 @@ class Selection:
                     and self._improves(fit, present)
                     and self._predicts(fit.values, values)
                 ):
-                    return fit.values
+                    return self._elsewhere(fit.values, fit.loss, [new]) or fit.values
         return None
 
     def _exchanged(self, values, line):
@@ -253,18 +257,15 @@ class Selection:
                 return fit.values
         return None
 
-    def _elsewhere(self, values, line):
-        """Return the model with a named effect at quite another value, the others refitted, None if none is better.
+    def _elsewhere(self, values, loss, names):
+        """Return the model with one of the effects at quite another value, all refitted, None if none is far better.
 
         A descent ends in the nearest optimum, and where an effect bends, as the time step does, another one may be
         deeper.
         """
-        starts = self.proposals.elsewhere(values)
-        if not starts:
-            return None
-        best = min(self.refits.fit(starts), key=lambda fit: fit.loss)
-        worth = best.loss < self.refits.losses(line.residuals).sum() - WORTH_A_JUMP
-        return best.values if worth else None
+        fits = self.refits.fit(self.proposals.elsewhere(values, names))
+        best = min(fits, key=lambda fit: fit.loss, default=None)
+        return best.values if best is not None and best.loss < loss - WORTH_A_JUMP else None
 
     # -- decisions -------------------------------------------------------------------------------------------------
 

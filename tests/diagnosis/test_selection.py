@@ -129,9 +129,34 @@ def test_value_in_the_wrong_optimum_is_left_for_the_right_one():
     selection.estimates.linearised({})
     stuck, line = selection.estimates.polished({"frequency": 1.1})
     assert abs(stuck["frequency"] - 1.503) > 0.1
-    right, line = selection.estimates.polished(selection._elsewhere(stuck, line))
+    loss = selection.refits.losses(line.residuals).sum()
+    right, line = selection.estimates.polished(selection._elsewhere(stuck, loss, ["frequency"]))
     assert abs(right["frequency"] - 1.503) < 0.002
-    assert selection._elsewhere(right, line) is None
+    loss = selection.refits.losses(line.residuals).sum()
+    assert selection._elsewhere(right, loss, ["frequency"]) is None
+
+
+def bent_slope(X, length=1.0):
+    """Return a line whose slope is 0 at length 1, at most .25 above it, and .5 at .86."""
+    slope = np.where(length > 0.98, np.minimum(5 * (length - 1), 0.25), 5 * (0.98 - length) - 0.1)
+    return slope * X
+
+
+def test_effect_is_added_at_the_deepest_of_its_optima_although_its_slope_leads_to_another():
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(300, 1))
+    effect = Effect("length", unit="1", neutral=1.0, bounds=(0.3, 3.0))
+    simulator = FunctionSimulator(bent_slope, input_names=("x",), output_names=("y",), effects=[effect])
+    log = check_log(simulator, X, 0.5 * X + 0.6 * rng.normal(size=X.shape), None)
+    selection = Selection(
+        Residuals(simulator, log, [effect], [0.6]),
+        ["length"],
+        alpha=0.005,
+        max_effects=6,
+        progress=lambda *_: None,
+    )
+    added = selection._add({}, selection.estimates.linearised({}))
+    assert abs(added["length"] - 0.86) < 0.03
 
 
 def wave_and_ripple(X, frequency=1.0, ripple=0.0):
@@ -231,11 +256,9 @@ def offset_and_scale(X, offset=0.0, scale=1.0):
     return scale * X + offset
 
 
-@pytest.mark.parametrize(
-    ("values", "near", "best"),
-    [({"offset": 0.07}, {"scale": 1.05}, "scale"), ({"scale": 1.075}, {"offset": 0.05}, "scale")],
-)
-def test_what_explains_nearly_as_much_is_judged_with_noise_of_its_own(values, near, best):
+@pytest.fixture
+def offset_or_scale():
+    """A selection between an offset and a scale, of which the log has the scale, 1.075."""
     rng = np.random.default_rng(0)
     X = rng.uniform(0.6, 1.2, size=(300, 1))
     y = 1.075 * X + 0.005 * rng.normal(size=X.shape)
@@ -249,6 +272,22 @@ def test_what_explains_nearly_as_much_is_judged_with_noise_of_its_own(values, ne
         residuals, ["offset", "scale"], alpha=0.005, max_effects=6, progress=lambda *_: None
     )
     selection.estimates.linearised({})
+    return selection
+
+
+def test_misfit_that_changes_from_one_settling_to_the_next_makes_no_exchange(offset_or_scale, monkeypatch):
+    values, line = offset_or_scale.estimates.polished({"scale": 1.075})
+    misfits = iter(range(0, -10_000, -1000))
+    monkeypatch.setattr(offset_or_scale.refits, "misfit", lambda residuals: next(misfits))
+    assert offset_or_scale._nearer(values, line, [{"offset": 0.07}]) == (values, line)
+
+
+@pytest.mark.parametrize(
+    ("values", "near", "best"),
+    [({"offset": 0.07}, {"scale": 1.05}, "scale"), ({"scale": 1.075}, {"offset": 0.05}, "scale")],
+)
+def test_what_explains_nearly_as_much_is_judged_with_noise_of_its_own(offset_or_scale, values, near, best):
+    selection, residuals = offset_or_scale, offset_or_scale.residuals
     values, line = selection.estimates.polished(values)
     before = residuals.state()
     found, found_line = selection._nearer(values, line, [near])
