@@ -297,11 +297,13 @@ def _show(study):
 def _causes(causes):
     import pandas as pd
 
+    from skat.diagnosis.report.sentences import interval_text
+
     return pd.DataFrame(
         {
             "cause": [cause.name for cause in causes],
             "size": [f"{cause.value:.4g}" for cause in causes],
-            "95 % interval": ["{:.4g} to {:.4g}".format(*cause.interval) for cause in causes],
+            "95 % interval": [interval_text(cause.interval) for cause in causes],
             "unit": [cause.unit for cause in causes],
             "aliases": [", ".join(cause.aliases) or "none" for cause in causes],
         }

@@ -22,7 +22,7 @@ from skat.diagnosis.omnibus import Remainder
 from skat.diagnosis.report import Report
 from skat.diagnosis.report.page import _rows
 from skat.diagnosis.report.pictures import typical_and_worst
-from skat.diagnosis.report.sentences import gain_sentence
+from skat.diagnosis.report.sentences import gain_sentence, interval_text
 from skat.effects import Effect
 from skat.simulators import FunctionSimulator
 
@@ -180,6 +180,20 @@ def test_a_cause_is_said_with_its_interval_in_text_and_page():
     text = Page(report.html(figures=False)).text
     assert sentence in text
     assert "1 cause named" in text
+
+
+@pytest.mark.parametrize(
+    ("interval", "text"),
+    [
+        ((0.5875, 0.6125), "0.5875 to 0.6125"),
+        ((1.050032, 1.050058), "1.050032 to 1.050058"),
+        ((-98765.4, 12.3), "-9.877e+04 to 12.3"),
+        ((0.0, 0.0), "0 to 0"),
+        ((2.0, np.inf), "2 to ∞"),
+    ],
+)
+def test_interval_has_as_many_digits_as_tell_how_far_apart_its_ends_are(interval, text):
+    assert interval_text(interval) == text
 
 
 def test_rows_in_groups_are_said_to_be_so_and_compared_by_group():

@@ -5,6 +5,8 @@ import numpy as np
 from skat.diagnosis.comparison import ceiling_sentence, is_beaten
 from skat.diagnosis.omnibus import is_structured
 
+MOST_DIGITS = 9
+
 
 def verdict_sentences(diagnosis, comparisons):
     """Return the verdict of a diagnosis in sentences.
@@ -79,14 +81,13 @@ def remainder_sentence(diagnosis):
 
 def cause_sentence(cause):
     """Return a Cause in a sentence, with its interval."""
-    low, high = cause.interval
     sentence = cause.sentence if cause.sentence.startswith(cause.name) else capital(cause.sentence)
     end = (
         "; the estimate is at the end of the range allowed, so something else may be behind it"
         if cause.at_bound
         else ""
     )
-    return f"{sentence.rstrip('.')} (95 %: {number(low)} to {number(high)}){end}."
+    return f"{sentence.rstrip('.')} (95 %: {interval_text(cause.interval)}){end}."
 
 
 def capital(text):
@@ -104,8 +105,18 @@ def _listed(names):
     return f"{', '.join(first)} and {last}" if first else last
 
 
-def number(value):
-    """Return a number in four digits."""
+def interval_text(interval):
+    """Return the ends of an interval in words, in four digits or in as many as tell how far apart they are."""
+    low, high = interval
+    width, size = high - low, max(abs(low), abs(high))
+    digits = 4
+    if 0 < width < np.inf:
+        digits = int(np.clip(np.ceil(np.log10(size / width)) + 2, digits, MOST_DIGITS))
+    return f"{number(low, digits)} to {number(high, digits)}"
+
+
+def number(value, digits=4):
+    """Return a number in so many digits."""
     if np.isinf(value):
         return "∞" if value > 0 else "-∞"
-    return f"{value:.4g}"
+    return f"{value:.{digits}g}"
