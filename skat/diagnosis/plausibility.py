@@ -13,6 +13,10 @@ ROWS_TRIED = 200
 # simulation makes, were computed from them.
 DIFFERENCED_SHARE = 0.05
 MOST_ROWS = 0.9
+# They must also be closer than this share of what differences change by from row to row. Where nothing moves, the noise
+# of positions makes that 6 ** .5 of itself, and differences miss a velocity of its own by 2 ** .5 of it, central ones by
+# half of that.
+QUIET_SHARE = 0.15
 
 
 def warn_of_doubts(simulator, log, hidden=()):
@@ -141,9 +145,12 @@ def _differenced(simulator, log, hidden):
         return
     before, now, after = some.X[follows], some.X[follows + 1], some.y[follows + 1]
     measured = _misses(before, now, after, columns, simulator.dt)
+    positions = columns[0]
+    bends = np.abs(after[:, positions] - 2 * now[:, positions] + before[:, positions]) / simulator.dt
+    changes = np.quantile(bends, MOST_ROWS, axis=0)
     simulated = _misses(before, simulated_now, simulated_after, columns, simulator.dt)
     for kind in measured:
-        made = measured[kind] < DIFFERENCED_SHARE * simulated[kind]
+        made = measured[kind] < np.minimum(DIFFERENCED_SHARE * simulated[kind], QUIET_SHARE * changes)
         found = [simulator.state_names[column] for column in columns[1, made]]
         if found:
             yield (

@@ -127,6 +127,19 @@ def test_velocities_that_are_differences_of_noisy_positions_are_noticed(simulato
         )
 
 
+def test_velocity_of_what_rests_higher_than_in_the_simulation_is_one():
+    simulator = MujocoSimulator(
+        """<mujoco><worldbody><geom type="plane" size="1 1 .1"/><body pos="0 0 .1">
+        <joint name="z" type="slide" axis="0 0 1"/><geom type="sphere" size=".1" mass="1"/>
+        </body></worldbody></mujoco>""",
+        frame_skip=10,
+    )
+    states = [0.004, 0.0] + np.random.default_rng(0).normal(size=(61, 2)) * [1e-5, 2e-4]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warn_of_doubts(simulator, check_log(simulator, states[:-1], states[1:], np.zeros(60)))
+
+
 @pytest.mark.parametrize("every", [1, 7])
 def test_rows_in_which_a_free_body_diverges_are_no_doubt_about_its_velocities(monkeypatch, every):
     ball = "<body><freejoint name='ball'/><geom size='0.1'/></body>"

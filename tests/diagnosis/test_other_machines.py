@@ -1,0 +1,109 @@
+"""Effects in machines with a wheel, tendons, a servo; a world is plain MuJoCo with the compiled model edited."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from skat.diagnosis import SimulationDiagnosis
+from skat.simulators import MujocoSimulator
+
+ROLLER = """
+<mujoco>
+  <option timestep="0.002" cone="elliptic"/>
+  <worldbody>
+    <geom type="plane" size="50 5 .1"/>
+    <body name="frame" pos="0 0 .1">
+      <joint name="x" type="slide" axis="1 0 0"/><joint name="z" type="slide" axis="0 0 1"/>
+      <geom type="box" size=".1 .05 .02" mass="1" contype="0" conaffinity="0"/>
+      <body name="wheel"><joint name="axle" axis="0 1 0" damping=".01" armature=".002"/>
+        <geom name="tyre" type="cylinder" size=".1 .02" euler="90 0 0" mass=".4"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor name="drive" joint="axle" gear=".5" ctrlrange="-1 1"/></actuator>
+</mujoco>
+"""
+FINGER = """
+<mujoco>
+  <option timestep="0.002"/>
+  <worldbody>
+    <site name="anchor" pos="-.05 0 .1"/>
+    <body name="near"><joint name="knuckle" axis="0 1 0" damping=".02"/>
+      <geom type="capsule" size=".01" fromto="0 0 0 .06 0 0" mass=".1" contype="0"/>
+      <body name="far" pos=".06 0 0"><joint name="tip" axis="0 1 0" damping=".01" armature=".0002"/>
+        <geom type="capsule" size=".01" fromto="0 0 0 .04 0 0" mass=".05" contype="0"/>
+        <site name="nail" pos=".03 0 .01"/>
+      </body>
+    </body>
+  </worldbody>
+  <tendon>
+    <fixed name="flexor" damping="2"><joint joint="knuckle" coef=".02"/><joint joint="tip" coef=".01"/></fixed>
+    <spatial name="band" stiffness="30" springlength=".12"><site site="anchor"/><site site="nail"/></spatial>
+  </tendon>
+  <actuator>
+    <motor name="pull" tendon="flexor" gear="8" ctrlrange="-1 1"/>
+    <position name="servo" joint="tip" kp=".05" kv=".002" ctrlrange="-1 1"/>
+  </actuator>
+</mujoco>
+"""
+FRAME_SKIP = 10
+
+
+def wider(model):
+    model.geom("tyre").size[0] *= 1.04
+    model.geom("tyre").rbound *= 1.04
+
+
+def softer(model):
+    model.tendon_stiffness[model.tendon("band").id] -= 9
+
+
+def stickier(model):
+    model.tendon_frictionloss[model.tendon("flexor").id] += 1
+
+
+def askew(model):
+    model.actuator("servo").biasprm[0] += 0.05 * 0.15
+
+
+def measured(text, edit, seed, n_episodes=8, n_rows=40):
+    """Return states with noise of 1 % of each channel's spread, 1e-5 at least, rounded to half of that, and actions."""
+    rng = np.random.default_rng(seed)
+    model = mujoco.MjModel.from_xml_string(text)
+    edit(model)
+    states, actions = np.empty((n_episodes, n_rows + 1, model.nq + model.nv)), []
+    for episode in states:
+        data = mujoco.MjData(model)
+        mujoco.mj_step(model, data, 500)
+        data.qpos[-1], data.qvel[-1] = rng.uniform(-0.5, 0.5, 2)
+        wave = rng.uniform(0.2, 1.2, (2, model.nu)), rng.uniform(0, 6, (2, model.nu))
+        commands = np.sin(np.arange(n_rows)[:, None, None] * wave[0] + wave[1]).mean(axis=1)
+        episode[0] = np.r_[data.qpos, data.qvel]
+        for row, command in enumerate(commands, start=1):
+            data.ctrl[:] = command
+            mujoco.mj_step(model, data, FRAME_SKIP)
+            episode[row] = np.r_[data.qpos, data.qvel]
+        actions.append(commands)
+    sigma = np.maximum(0.01 * states.std(axis=(0, 1)), 1e-5)
+    noisy = states + sigma * rng.standard_t(5, states.shape) * np.sqrt(3 / 5)
+    noisy = np.round(noisy / (sigma / 2)) * (sigma / 2)
+    X = np.concatenate([noisy[:, :-1], actions], axis=2).reshape(n_episodes * n_rows, -1)
+    return X, noisy[:, 1:].reshape(len(X), -1), np.repeat(np.arange(n_episodes), n_rows)
+
+
+@pytest.mark.parametrize(
+    ("text", "edit", "name", "value", "neutral"),
+    [
+        (ROLLER, wider, "radius[wheel]", 1.04, 1.0),
+        (FINGER, softer, "tendon_stiffness[band]", -9.0, 0.0),
+        (FINGER, stickier, "tendon_dry_friction[flexor]", 1.0, 0.0),
+        (FINGER, askew, "offset[servo]", 0.15, 0.0),
+    ],
+)
+def test_effect_of_a_wheel_a_tendon_or_a_servo_is_named_and_measured(text, edit, name, value, neutral):
+    X, y, groups = measured(text, edit, seed=1)
+    diagnosis = SimulationDiagnosis(MujocoSimulator(text, frame_skip=FRAME_SKIP), random_state=0)
+    (cause,) = diagnosis.fit(X, y, groups=groups).causes_
+    assert cause.name == name
+    assert abs(cause.value - value) < 0.1 * abs(value - neutral)
+    assert diagnosis.verdict_ in ("named", "ambiguous")
