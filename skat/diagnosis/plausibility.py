@@ -13,9 +13,9 @@ ROWS_TRIED = 200
 # simulation makes, were computed from them.
 DIFFERENCED_SHARE = 0.05
 MOST_ROWS = 0.9
-# They must also be closer than this share of what differences change by from row to row. Where nothing moves, the noise
-# of positions makes that 6 ** .5 of itself, and differences miss a velocity of its own by 2 ** .5 of it, central ones by
-# half of that.
+# They must also be closer than this share of what differences change by from row to row. Where nothing moves, that is
+# 6 ** .5 of the noise of positions, and differences miss a velocity of its own by 2 ** .5 of it, central ones by half
+# of that.
 QUIET_SHARE = 0.15
 
 
