@@ -9,7 +9,7 @@ LEAST_FITTED = 0.5
 LEAST_TESTED = 0.5
 
 
-def drawn_episodes(sizes, test_size, random_state, *, most=None):
+def drawn_episodes(sizes, test_size, random_state, *, most=None, stacklevel=2):
     """Return episodes that make up a share of the rows, as far as enough remains to be fitted; none where none fits.
 
     Parameters
@@ -22,6 +22,8 @@ def drawn_episodes(sizes, test_size, random_state, *, most=None):
         Draws the episodes.
     most : int or None, default=None
         Number of episodes that may be drawn at most.
+    stacklevel : int, default=2
+        Of warnings, from here; 2 is the caller.
 
     Returns
     -------
@@ -43,6 +45,6 @@ def drawn_episodes(sizes, test_size, random_state, *, most=None):
             "episodes are, and the longer ones have to stay to be fitted. Cut long episodes into shorter ones, or "
             "measure the gain on another log.",
             UserWarning,
-            stacklevel=4,
+            stacklevel=stacklevel,
         )
     return drawn

@@ -327,7 +327,7 @@ def split_episodes(log, *, test_size, random_state=None):
         n_fitted = max(n_rows - round(test_size * n_rows), min(FEWEST_ROWS, n_rows))
         chosen = np.arange(n_rows) >= n_fitted
     else:
-        drawn = drawn_episodes(sizes, test_size, check_random_state(random_state))
+        drawn = drawn_episodes(sizes, test_size, check_random_state(random_state), stacklevel=3)
         chosen = np.isin(groups, names[drawn])
     if not 0 < test_size < 1 or chosen.all() or not chosen.any():
         raise ValueError(

@@ -118,7 +118,7 @@ class Log:
         if self.n_episodes > 1:
             sizes = np.bincount(self.episodes)
             most = self.n_episodes - (1 if self.consecutive else FEWEST_FITTED_GROUPS)
-            drawn = drawn_episodes(sizes, test_size, random_state, most=most)
+            drawn = drawn_episodes(sizes, test_size, random_state, most=most, stacklevel=4)
             held_out = np.isin(self.episodes, drawn or [int(np.argmin(sizes))])
             return self.rows(~held_out), self.rows(held_out)
         warnings.warn(

@@ -61,6 +61,27 @@ class Selected:
     gram: object
 
 
+@dataclass(frozen=True)
+class Pruned:
+    """What stands of a model.
+
+    Attributes
+    ----------
+    values : dict of str to float
+    line : Linearisation
+        There.
+    p_values : dict of str to float
+        Family-wise, which its effects stand by.
+    by_fall : set of str
+        Of these, those that stand by the fall of the loss, not by their size.
+    """
+
+    values: dict
+    line: object
+    p_values: dict
+    by_fall: set
+
+
 class Selection:
     """Forward selection with refits and backward pruning.
 
@@ -87,25 +108,21 @@ class Selection:
         self.left: set[frozenset] = set()
         # Of each set that was exchanged, the one that it was left for.
         self.better: dict[frozenset, frozenset] = {}
-        # Family-wise p-values that the effects of the model stand by, and those of them that are of the loss.
-        self.stands: dict[str, float] = {}
-        self.stands_by_fall: set[str] = set()
 
     def run(self):
         """Return the Selected effects."""
         values, line, history = self._grown(self.estimates.linearised({}))
-        values, line = self._prune(values, line)
-        if history and not values:
+        pruned = self._prune(values, line)
+        if history and not pruned.values:
             # What was added did not stand: a derivative misled, and the truth may be far off.
-            values, line, history = self._grown(line, far_off=True)
-            values, line = self._prune(values, line)
+            values, line, history = self._grown(pruned.line, far_off=True)
+            pruned = self._prune(values, line)
         while True:
             # Averaged values may be less certain than those they are the mean of.
-            values, line, spread = self.estimates.averaged(values, line)
-            kept, line = self._prune(values, line, spread)
-            if kept.keys() == values.keys():
-                return self._result(values, line, spread)
-            values = kept
+            values, line, spread = self.estimates.averaged(pruned.values, pruned.line)
+            pruned = self._prune(values, line, spread)
+            if pruned.values.keys() == values.keys():
+                return self._result(pruned, spread)
 
     def _grown(self, line, *, far_off=False):
         """Return the model with all effects that a forward selection adds, its linearisation, and what was added."""
@@ -274,15 +291,16 @@ class Selection:
 
         `spread` is by how much their values vary from one settling to the next.
         """
-        self.stands, self.stands_by_fall = {}, set()
+        p_values: dict[str, float] = {}
+        by_fall: set[str] = set()
         while values:
             self.refits.set_scale(line.residuals)
             losses = self.refits.losses(line.residuals)
             for name, p_value in self.estimates.p_values(values, spread).items():
-                if name not in self.stands_by_fall:
-                    self.stands[name] = family_p_value(p_value, len(self.names))
-            worst = max(self.stands, key=lambda name: self.stands[name])
-            significant = self.stands[worst] < self.alpha
+                if name not in by_fall:
+                    p_values[name] = family_p_value(p_value, len(self.names))
+            worst = max(p_values, key=lambda name: p_values[name])
+            significant = p_values[worst] < self.alpha
             if significant:
                 worst = self._misleading(values)
                 if worst is None:
@@ -291,15 +309,15 @@ class Selection:
             without = self.refits.fit([kept])[0]
             p_value = family_p_value(fall_p_value(without.losses, losses), len(self.names))
             if not significant and p_value < self.alpha:
-                self.stands[worst] = p_value
-                self.stands_by_fall.add(worst)
+                p_values[worst] = p_value
+                by_fall.add(worst)
                 continue
             if kept:
                 values, line = self._simplified(*self.estimates.polished(without.values))
             else:
                 values, line = {}, self.estimates.linearised({})
-            self.stands, self.stands_by_fall, spread = {}, set(), None
-        return values, line
+            p_values, by_fall, spread = {}, set(), None
+        return Pruned(values, line, p_values, by_fall)
 
     def _predicts(self, values, less):
         """Whether a model predicts the next states better than one with less, from the states as they were measured.
@@ -317,7 +335,8 @@ class Selection:
         best = int(np.argmin(without))
         return list(models)[best] if without[best] < present else None
 
-    def _result(self, values, line, spread):
+    def _result(self, pruned, spread):
+        values, line = pruned.values, pruned.line
         gram = grams(line.residuals, line.derivatives, self.estimates.clusters(len(line.names)))
         if not values:
             return Selected({}, {}, {}, {}, line, gram)
@@ -328,12 +347,12 @@ class Selection:
             distance = values[name] - self.effects[name].neutral
             telling[name] = abs(distance) / error
             by_value = family_p_value(2 * stats.t.sf(telling[name], freedom[k]), len(self.names))
-            p_values[name] = min(by_value, self.stands[name])
+            p_values[name] = min(by_value, pruned.p_values[name])
             reach = stats.t.ppf(0.975, freedom[k]) * error
             low, high = self.effects[name].bounds
             intervals[name] = (max(values[name] - reach, low), min(values[name] + reach, high))
             # The error of an effect at a kink may be another one from one secant to the next.
-            if name in self.stands_by_fall or by_value >= self.alpha:
+            if name in pruned.by_fall or by_value >= self.alpha:
                 intervals[name] = self.estimates.profile_interval(name, values, line)
         order = sorted(names, key=lambda name: telling[name], reverse=True)
         aliases = find_aliases(self.estimates, {name: values[name] for name in order}, line, self.progress)

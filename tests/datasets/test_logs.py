@@ -201,8 +201,9 @@ def test_a_split_is_a_partition_by_whole_episodes(n_groups):
 def test_a_split_counts_rows_and_leaves_enough_to_fit():
     for seed in range(10):
         log = Bunch(data=np.zeros((315, 1)), target=np.zeros((315, 1)), groups=np.repeat([0, 1], [300, 15]))
-        with pytest.warns(UserWarning, match="Only 15 of 315 rows are set aside"):
+        with pytest.warns(UserWarning, match="Only 15 of 315 rows are set aside") as caught:
             fit, test = split_episodes(log, test_size=0.3, random_state=seed)
+        assert caught[0].filename == __file__
         assert (len(fit.data), len(test.data)) == (300, 15)
         fit, _ = split_episodes(
             Bunch(data=np.zeros((25, 1)), target=np.zeros((25, 1)), groups=np.zeros(25)), test_size=0.3

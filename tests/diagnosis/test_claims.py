@@ -459,6 +459,10 @@ def test_warning_of_a_doubt_names_the_line_of_the_fit(bending):
     with pytest.warns(UserWarning, match="same value in every row") as caught:
         SimulationDiagnosis(bending, effects=["b"], test_size=0, random_state=0).fit(X, np.zeros((50, 1)))
     assert caught[0].filename == __file__
+    X, groups = np.random.default_rng(0).normal(size=(340, 2)), np.repeat(np.arange(9), [300, *[5] * 8])
+    with pytest.warns(UserWarning, match="of 340 rows are set aside") as caught:
+        SimulationDiagnosis(bending, effects=["b"], random_state=0).fit(X, X[:, :1], groups=groups)
+    assert caught[0].filename == __file__
 
 
 ARM = """

@@ -304,9 +304,9 @@ def test_what_explains_nearly_as_much_is_judged_with_noise_of_its_own(offset_or_
     if found is not values:
         ((cause,), (rival,)) = values, found
         assert selection._better(values) == [(cause, rival)]
-        kept, line = selection._prune(values, line)
-        assert kept == values
-        assert rival in selection._result(values, line, {cause: 0.0}).aliases[cause]
+        pruned = selection._prune(values, line)
+        assert pruned.values == values
+        assert rival in selection._result(pruned, {cause: 0.0}).aliases[cause]
 
 
 def test_exchanges_do_not_come_back_to_a_set_that_one_has_left(monkeypatch):
