@@ -199,9 +199,9 @@ _PHRASES = {
     "position_friction": ("dry friction that grows with the position of {}", ""),
     "armature": ("the armature of {}", "the armature of every joint"),
     "stiffness": ("the stiffness of {}", "the stiffness of every joint"),
-    "tendon_damping": ("viscous damping of {}", ""),
-    "tendon_dry_friction": ("dry friction of {}", ""),
-    "tendon_stiffness": ("the stiffness of {}", ""),
+    "tendon_damping": ("viscous damping of tendon {}", ""),
+    "tendon_dry_friction": ("dry friction of tendon {}", ""),
+    "tendon_stiffness": ("the stiffness of tendon {}", ""),
     "delay": ("the delay of every {}", ""),
     "bias": ("the bias of sensor {}", ""),
 }

@@ -220,7 +220,7 @@ def read_workbook(path):
     with open(path, "rb") as file:
         for sheet in openpyxl.load_workbook(file, read_only=True, data_only=True):
             # Some sheets end in thousands of empty rows, with which pandas.read_excel takes ten seconds.
-            header, *rows = (row for row in sheet.iter_rows(values_only=True) if row[0] is not None)
+            header, *rows = (row for row in sheet.iter_rows(values_only=True) if set(row) != {None})
             table = pd.DataFrame(rows, columns=header)[list(columns)].rename(columns=columns).astype(float)
             tables.append(table.assign(ball=sheet.title, drop=table["drop"].astype(int)))
     return pd.concat(tables, ignore_index=True)[["ball", *columns.values()]]

@@ -176,8 +176,8 @@ class Selection:
             state = self.residuals.state()
             found, settled = self.estimates.fitted(other)
             residuals = self.refits.whitened([found])[0]
-            fits_better = self.refits.losses(residuals).sum() < self.refits.fit([values])[0].loss
-            if fits_better and self.refits.misfit(residuals) < present - WORTH_A_JUMP:
+            likelier = self.refits.misfit(residuals) < present - WORTH_A_JUMP
+            if likelier and self.refits.losses(residuals).sum() < self.refits.fit([values])[0].loss:
                 self.better[frozenset(values)] = frozenset(found)
                 return found, self.estimates.linearised(found, settled=settled)
             self.residuals.restore(state)

@@ -14,6 +14,8 @@ JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_J
 TENDON_TRANSMISSION = int(mujoco.mjtTrn.mjTRN_TENDON)
 EXPLICIT_INTEGRATOR = int(mujoco.mjtIntegrator.mjINT_RK4)
 
+# Of a degree of freedom, in m or rad, over which tendons are differentiated.
+SMALL_MOTION = 1e-5
 # Of a wheel's axis from its hinge's: an angle, and a distance in radii.
 ALIGNED = 1e-3
 
@@ -102,6 +104,7 @@ class Anatomy:
         along = kind == SPHERE or (
             kind in (CAPSULE, CYLINDER) and np.linalg.norm(np.cross(turned, axis)) < ALIGNED
         )
+        along = along and model.geom_dataid[geom] < 0  # of a mesh the compiler fits the size
         return bool(along and np.linalg.norm(off) < ALIGNED * model.geom_size[geom, 0])
 
     @cached_property
@@ -204,11 +207,41 @@ class Anatomy:
             return np.full(self.model.nv, np.inf)
         return 1 / (self.model.opt.timestep * np.maximum(self.model.dof_invweight0, 1e-9))
 
+    @cached_property
+    def tendon_ranges(self) -> tuple[Array, Array]:
+        """Of each tendon, over the poses: the largest inverse of the mass that it moves, and the range of its length.
+
+        In a single pose it may pass through the axis of its joint, where it moves nothing.
+        """
+        model, data = self.model, mujoco.MjData(self.model)
+        mobility, length = np.zeros(model.ntendon), np.zeros((len(self.poses), model.ntendon))
+        for pose, lengths in zip(self.poses, length):
+            data.qpos[:] = pose
+            mujoco.mj_forward(model, data)
+            lengths[:] = data.ten_length
+            slopes = self._tendon_slopes(pose)
+            accelerations = np.zeros_like(slopes)
+            mujoco.mj_solveM(model, data, accelerations, slopes)
+            mobility = np.maximum(mobility, np.sum(slopes * accelerations, axis=1))
+        return mobility, np.ptp(length, axis=0)
+
+    def _tendon_slopes(self, pose: Array) -> Array:
+        """Return derivatives (n_tendons, nv) of the lengths of tendons by motions away from a pose."""
+        model, data = self.model, mujoco.MjData(self.model)
+        slopes = np.zeros((model.ntendon, model.nv))
+        for dof in range(model.nv):
+            for sign in (1.0, -1.0):
+                data.qpos[:] = pose
+                mujoco.mj_integratePos(model, data.qpos, np.eye(model.nv)[dof], sign * SMALL_MOTION)
+                mujoco.mj_forward(model, data)
+                slopes[:, dof] += sign * data.ten_length / (2 * SMALL_MOTION)
+        return slopes
+
     def tendon_force(self, tendon: int) -> float:
         """Return the characteristic force of a tendon: of its actuators, or of 1 g on the mass that it moves."""
         model = self.model
         pulled = (model.actuator_trntype == TENDON_TRANSMISSION) & (model.actuator_trnid[:, 0] == tendon)
-        weight = 10 / max(float(model.tendon_invweight0[tendon]), 1e-9)
+        weight = 10 / float(self.tendon_ranges[0][tendon])
         return max([weight, *(self._capacity(int(actuator)) for actuator in np.flatnonzero(pulled))])
 
     def _capacity(self, actuator: int) -> float:

@@ -45,6 +45,8 @@ TENDON_EDITS: dict[str, tuple[str, Callable[..., Any]]] = {
     "tendon_dry_friction": ("N", edits.add_tendon_friction),
     "tendon_stiffness": ("N/m", edits.add_tendon_stiffness),
 }
+# In 1/kg: what a tendon moves weighs less than the inverse of it, if it moves anything.
+LEAST_MOBILITY = 1e-9
 FIXED_TENDON = int(mujoco.mjtWrap.mjWRAP_JOINT)
 
 
@@ -320,6 +322,8 @@ def _stiffness_bounds(stiffness: float, force: float, stable: float) -> tuple[fl
 def _tendon_effects(anatomy: Anatomy) -> Found:
     model = anatomy.model
     for tendon in range(model.ntendon):
+        if anatomy.tendon_ranges[0][tendon] < LEAST_MOBILITY:
+            continue
         bounds = _tendon_bounds(anatomy, tendon)
         for family, (unit, edit) in TENDON_EDITS.items():
             name = f"{family}[{tendon_name(model, tendon)}]"
@@ -334,13 +338,15 @@ def _tendon_bounds(anatomy: Anatomy, tendon: int) -> dict[str, tuple[float, floa
         float(values[tendon])
         for values in (model.tendon_damping, model.tendon_frictionloss, model.tendon_stiffness)
     )
-    mobility = max(float(model.tendon_invweight0[tendon]), 1e-9)
+    mobility, reach = (float(values[tendon]) for values in anatomy.tendon_ranges)
     # Integrators that treat the damping of joints implicitly need not do so with that of tendons.
     stable = 1 / (model.opt.timestep * mobility)
     return {
         "tendon_damping": _damping_bounds(damping, 1 / mobility, stable),
         "tendon_dry_friction": (0.0 - friction, _most_friction(force, friction)),
-        "tendon_stiffness": _stiffness_bounds(stiffness, force, stable / model.opt.timestep),
+        "tendon_stiffness": _stiffness_bounds(
+            stiffness, force / max(reach, 1e-9), stable / model.opt.timestep
+        ),
     }
 
 

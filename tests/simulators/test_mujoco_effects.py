@@ -281,6 +281,20 @@ def test_effect_on_a_tendon_is_the_change_made_by_hand(name):
     assert np.abs(found - simulator.predict(rows)).max() > 1e-4
 
 
+def test_tendon_through_the_axis_of_its_joint_has_bounds_of_where_it_pulls():
+    text = """<mujoco><worldbody><site name="above" pos="0 0 1"/><site name="beside" pos="1 0 1"/><body>
+    <joint name="h" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -.5" size=".02" mass="1"/>
+    <site name="tip" pos="0 0 -.5"/></body></worldbody><tendon>
+    <spatial name="pulls"><site site="above"/><site site="tip"/></spatial>
+    <spatial name="moves_nothing"><site site="above"/><site site="beside"/></spatial></tendon></mujoco>"""
+    simulator = MujocoSimulator(text, frame_skip=5)
+    tendons = [effect for effect in simulator.effects() if effect.family.startswith("tendon_")]
+    assert [effect.target for effect in tendons] == ["pulls"] * 3
+    for effect in tendons:
+        found = simulator.predict([[1.0, 2.0]], effects={effect.name: 0.02 * effect.bounds[1]})
+        assert np.abs(found).max() < 100
+
+
 @pytest.mark.parametrize("mode", ["", '<compiler inertiafromgeom="true"/>'])
 def test_radius_is_that_of_a_wheel_whose_mass_and_inertia_stay(mode):
     text = ROLLER.replace("<option", mode + "<option")

@@ -8,7 +8,7 @@ import pandas as pd
 from skat.diagnosis.comparison import EXTENDED, NOMINAL
 from skat.diagnosis.log import measured_channels
 from skat.diagnosis.omnibus import is_structured
-from skat.diagnosis.report.sentences import number
+from skat.diagnosis.report.sentences import interval_text, number
 
 # Longer tables are folded away.
 LONGEST_TABLE = 15
@@ -77,8 +77,7 @@ def cause_table(causes):
                 "cause": [cause.name for cause in causes],
                 "size": [cause.value for cause in causes],
                 "95 % interval": [
-                    "{}\N{NO-BREAK SPACE}to\N{NO-BREAK SPACE}{}".format(*map(number, cause.interval))
-                    for cause in causes
+                    interval_text(cause.interval).replace(" ", "\N{NO-BREAK SPACE}") for cause in causes
                 ],
                 "unit": [_unit(cause.unit) for cause in causes],
                 "p": [_p_value(cause.p_value) for cause in causes],
