@@ -8,9 +8,11 @@ from skat.diagnosis.evidence import as_good
 
 # Rivals are refitted where they have at least half of the cause's direction, to first order ...
 LEAST_LIKE = 0.75
-# ... and leave less than this loss in noise units, or this share of it; so many of each cause.
+# ... and leave less than this loss in noise units, or this share of it, or are among the nearest, as where effects bend
+# over the steps that directions are taken by, two that are the same have directions that differ; so many of each cause.
 FAR_APART = 100.0
 SIMILAR = 0.1
+NEAREST = 2
 SHORTLIST = 8
 
 
@@ -85,7 +87,8 @@ def _rivals(effects, name, values, line):
     near = (share * np.sum((own * distance) ** 2) < FAR_APART) | (share < SIMILAR)
     rivals: dict[str, float] = {}
     for k in np.argsort(share):
-        if line.names[k] not in values and share[k] < LEAST_LIKE and near[k] and len(rivals) < SHORTLIST:
+        like = line.names[k] not in values and share[k] < LEAST_LIKE
+        if like and (near[k] or len(rivals) < NEAREST) and len(rivals) < SHORTLIST:
             effect = effects[line.names[k]]
             move = distance * cosines[k] * np.linalg.norm(own) / norms[k]
             rivals[effect.name] = float(np.clip(effect.neutral + move, *effect.bounds))

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from sklearn.utils import check_random_state
 
+from skat.diagnosis.aliases import _rivals
 from skat.diagnosis.evidence import grams, screen
 from skat.diagnosis.log import check_log
-from skat.diagnosis.residuals import Residuals
+from skat.diagnosis.residuals import Linearisation, Residuals
 from skat.diagnosis.selection import Selection
 from skat.diagnosis.transitions import TransitionResiduals
 from skat.effects import Effect
@@ -409,3 +410,16 @@ def test_whole_range_of_what_tells_is_tried_where_some_rows_are_far_off(some_far
     steps, *rest = selection.proposals.further({}, first, far_off=False, some_far_off=some_far_off)
     assert steps[0]["stiffness"] > 0.8
     assert [model["stiffness"] for models in rest for model in models] == tried
+
+
+def test_nearest_effects_are_tried_as_aliases_however_large_the_cause_is():
+    """Directions are those of wide steps: where effects bend, a pendulum's mass is not quite along its motor's gain."""
+    names = ("gain", "mass", "length", "damping", "gravity")
+    cosines = np.array([1.0, 0.94, 0.6, 0.9, 0.1])
+    derivatives = np.zeros((500, 1, 5))
+    derivatives[0, 0] = 100 * cosines
+    derivatives[np.arange(1, 6), 0, np.arange(5)] = 100 * np.sqrt(1 - cosines**2)
+    effects = {name: Effect(name, unit="1", neutral=1.0, bounds=(0.1, 10.0)) for name in names}
+    values = {"gain": 4.0}
+    line = Linearisation(values, np.zeros((500, 1)), derivatives, names)
+    assert list(_rivals(effects, "gain", values, line)) == ["mass", "damping"]
