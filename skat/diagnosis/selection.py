@@ -219,7 +219,8 @@ class Selection:
                     and self._improves(fit, present)
                     and self._predicts(fit.values, values)
                 ):
-                    return self._elsewhere(fit.values, fit.loss, [new]) or fit.values
+                    better = self._elsewhere(fit.values, fit.loss, [new])
+                    return better if better and self._predicts(better, values) else fit.values
         return None
 
     def _exchanged(self, values, line):
