@@ -7,9 +7,10 @@ import numpy as np
 
 from skat.simulators.channels import BALL, FREE, HINGE, SLIDE, element_name, joint_name
 from skat.simulators.contacts import ContactPair, contact_pairs
-from skat.simulators.edits import CAPSULE, CYLINDER, SPHERE
+from skat.simulators.edits import CAPSULE, CYLINDER
 from skat.simulators.tables import Array
 
+SPHERE = int(mujoco.mjtGeom.mjGEOM_SPHERE)
 JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 TENDON_TRANSMISSION = int(mujoco.mjtTrn.mjTRN_TENDON)
 EXPLICIT_INTEGRATOR = int(mujoco.mjtIntegrator.mjINT_RK4)
@@ -86,26 +87,30 @@ class Anatomy:
             body = int(model.body_parentid[body])
         return found
 
-    def is_wheel(self, body: int) -> bool:
-        """Whether a body turns without end about one hinge, on which what touches others is round and centred."""
+    def rims_of(self, body: int) -> tuple[int, ...]:
+        """Return the geoms that a wheel rolls on: a body that turns without end about one hinge, () for any other.
+
+        They are all that touches others, also on bodies welded to it; each is round and centred about the hinge.
+        """
         model, joints = self.model, self.joints_of(body)
         if len(joints) != 1 or self.joint_kind(joints[0]) != HINGE or model.jnt_limited[joints[0]]:
-            return False
+            return ()
         touching = {geom for pair in self.pairs for geom in (pair.first, pair.second)}
-        rims = [geom for geom in touching if model.geom_bodyid[geom] == body]
-        axis, place = model.jnt_axis[joints[0]], model.jnt_pos[joints[0]]
-        return bool(rims) and all(self._turns_in_itself(geom, axis, place) for geom in rims)
-
-    def _turns_in_itself(self, geom: int, axis: Array, place: Array) -> bool:
-        """Whether a geom stays where it is when it turns about an axis through a place in its body's frame."""
-        model, turned = self.model, np.zeros(3)
-        mujoco.mju_rotVecQuat(turned, np.array([0.0, 0.0, 1.0]), model.geom_quat[geom])
-        kind, off = int(model.geom_type[geom]), np.cross(model.geom_pos[geom] - place, axis)
-        along = kind == SPHERE or (
-            kind in (CAPSULE, CYLINDER) and np.linalg.norm(np.cross(turned, axis)) < ALIGNED
+        rims = sorted(
+            geom for geom in touching if model.body_weldid[model.geom_bodyid[geom]] == model.body_weldid[body]
         )
-        along = along and model.geom_dataid[geom] < 0  # of a mesh the compiler fits the size
-        return bool(along and np.linalg.norm(off) < ALIGNED * model.geom_size[geom, 0])
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+
+        def turns_in_itself(geom: int) -> bool:
+            axis, radius = data.xaxis[joints[0]], model.geom_size[geom, 0]
+            off = np.cross(data.geom_xpos[geom] - data.xanchor[joints[0]], axis)
+            askew = np.cross(data.geom_xmat[geom].reshape(3, 3)[:, 2], axis)
+            kind = int(model.geom_type[geom])
+            aligned = kind in (CAPSULE, CYLINDER) and np.linalg.norm(askew) < ALIGNED
+            return bool((kind == SPHERE or aligned) and np.linalg.norm(off) < ALIGNED * radius)
+
+        return tuple(rims) if all(map(turns_in_itself, rims)) else ()
 
     @cached_property
     def pairs(self) -> tuple[ContactPair, ...]:

@@ -130,8 +130,11 @@ def _link_effects(anatomy: Anatomy) -> Found:
     stretch = partial(edits.scale_length, meshes)
     armatured = {joint for joint in range(model.njnt) if not _is_base(anatomy, joint)}
     yield from _each_and_all("length", extended, anatomy.body_name, (0.3, 3.0), stretch)
-    wheels = [body for body in massive if anatomy.is_wheel(body)]
-    yield from _each_and_all("radius", wheels, anatomy.body_name, (0.5, 2.0), edits.scale_radius)
+    wheels = {body: anatomy.rims_of(body) for body in massive}
+    rims = {body: geoms for body, geoms in wheels.items() if geoms}
+    yield from _each_and_all(
+        "radius", list(rims), anatomy.body_name, (0.5, 2.0), partial(edits.scale_radius, rims)
+    )
     for body in massive:
         turned_by = anatomy.turned_by(body)
         if turned_by and body == model.body_weldid[body]:

@@ -1,6 +1,6 @@
 """Edits of a MjSpec that express effects: masses, lengths, joints, actuators, gravity, the time step.
 
-Bodies, joints and actuators are meant by their index in the spec's lists, which copies keep. Each edit
+Bodies, geoms, joints and actuators are meant by their index in the spec's lists, which copies keep. Each edit
 changes the spec in place; a list of indices means the edit of each.
 """
 
@@ -12,7 +12,6 @@ import mujoco
 import numpy as np
 
 CAPSULE, CYLINDER = int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER)
-SPHERE = int(mujoco.mjtGeom.mjGEOM_SPHERE)
 FROM_GEOMS = int(mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE)
 AUTOMATIC = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
 SHELL = mujoco.mjtGeomInertia.mjINERTIA_SHELL
@@ -64,24 +63,32 @@ def scale_length(
         body.pos = body.pos + move
 
 
-def scale_radius(bodies: Sequence[int], spec: mujoco.MjSpec, factor: float) -> None:
-    """Multiply the radius of wheels, that is of a body's cylinders, capsules and spheres; mass and inertia stay."""
-    for body in bodies:
-        for geom in _with_inertial(body, spec).geoms:
-            if int(geom.type) in (CYLINDER, CAPSULE, SPHERE):
-                geom.size[0] = geom.size[0] * factor
+def scale_radius(
+    rims: Mapping[int, Sequence[int]], bodies: Sequence[int], spec: mujoco.MjSpec, factor: float
+) -> None:
+    """Multiply the radius of wheels, that is of the geoms that each rolls on; mass and inertia stay.
+
+    A geom that the compiler fits to a mesh is scaled as a whole.
+    """
+    for geom in [geom for body in bodies for geom in rims[body]]:
+        element = spec.geoms[geom]
+        _with_inertial(element.parent, spec)
+        if element.meshname:
+            element.fitscale = element.fitscale * factor
+        else:
+            element.size[0] = element.size[0] * factor
 
 
 def scale_inertia(body: int, spec: mujoco.MjSpec, factor: float) -> None:
     """Multiply a body's inertia about its centre of mass; the mass and the centre stay."""
-    element = _with_inertial(body, spec)
+    element = _with_inertial(spec.bodies[body], spec)
     element.inertia = element.inertia * factor
     element.fullinertia = element.fullinertia * factor
 
 
 def shift_centre_of_mass(body: int, axis: int, spec: mujoco.MjSpec, shift: float) -> None:
     """Move a body's centre of mass in the body's frame; the mass and the inertia about it stay."""
-    element = _with_inertial(body, spec)
+    element = _with_inertial(spec.bodies[body], spec)
     element.ipos[axis] = element.ipos[axis] + shift
 
 
@@ -234,13 +241,12 @@ def _lengthen(geom: mujoco.MjsGeom, factor: float) -> None:
         geom.density = geom.density * (length + caps) / (length * factor + caps)
 
 
-def _with_inertial(body: int, spec: mujoco.MjSpec) -> mujoco.MjsBody:
+def _with_inertial(body: mujoco.MjsBody, spec: mujoco.MjSpec) -> mujoco.MjsBody:
     """Return a body whose mass, centre of mass and inertia are its own numbers, no longer those of its geoms."""
     heed_inertials(spec)
-    (element,) = _bodies(spec, [body])
-    if not element.explicitinertial:
-        spec.adopt_inertial(element)
-    return element
+    if not body.explicitinertial:
+        spec.adopt_inertial(body)
+    return body
 
 
 def _bodies(spec: mujoco.MjSpec, indices: Sequence[int]) -> Iterator[mujoco.MjsBody]:

@@ -8,6 +8,7 @@ import pytest
 
 from skat.effects import Effect
 from skat.simulators import MujocoSimulator
+from tests.machines import FINGER, ROLLER, changed
 
 ARM = """
 <mujoco model="arm">
@@ -40,54 +41,6 @@ CUBE = """
   </worldbody>
 </mujoco>
 """
-FINGER = """
-<mujoco model="finger">
-  <option timestep="0.002"/>
-  <worldbody>
-    <site name="anchor" pos="-.05 0 .1"/>
-    <body name="near"><joint name="knuckle" axis="0 1 0" damping=".02"/>
-      <geom type="capsule" size=".01" fromto="0 0 0 .06 0 0" mass=".1" contype="0"/>
-      <body name="far" pos=".06 0 0"><joint name="tip" axis="0 1 0" damping=".01"/>
-        <geom type="capsule" size=".01" fromto="0 0 0 .04 0 0" mass=".05" contype="0"/>
-        <site name="nail" pos=".03 0 .01"/>
-      </body>
-    </body>
-  </worldbody>
-  <tendon>
-    <fixed name="flexor" damping="2"><joint joint="knuckle" coef=".02"/><joint joint="tip" coef=".01"/></fixed>
-    <spatial name="band" stiffness="30" springlength=".12"><site site="anchor"/><site site="nail"/></spatial>
-    <fixed name="single"><joint joint="tip" coef=".01"/></fixed>
-  </tendon>
-  <actuator><motor tendon="flexor" gear="20" ctrlrange="-1 1"/></actuator>
-</mujoco>
-"""
-ROLLER = """
-<mujoco model="roller">
-  <option timestep="0.002"/>
-  <worldbody>
-    <geom type="plane" size="5 5 .1" condim="3"/>
-    <body name="frame" pos="0 0 .1">
-      <joint name="x" type="slide" axis="1 0 0"/><joint name="z" type="slide" axis="0 0 1"/>
-      <geom type="box" size=".1 .05 .02" mass="1" contype="0" conaffinity="0"/>
-      <body name="wheel">%s<joint name="axle" axis="0 1 0" damping=".01"/>
-        <geom name="tyre" type="cylinder" size="%s .02" euler="90 0 0" mass=".4"/>
-        <geom name="spoke" type="box" size=".05 .01 .01" contype="0" conaffinity="0" mass=".1"/>
-      </body>
-      <body name="arm" pos="0 .2 0"><joint name="pin" axis="0 1 0"/>
-        <geom type="sphere" size=".03" pos=".1 0 0" mass=".1"/>
-      </body>
-    </body>
-  </worldbody>
-  <actuator><motor joint="axle" gear="1"/></actuator>
-</mujoco>
-"""
-
-
-def changed(text, *changes):
-    for old, new in changes:
-        assert text.count(old) >= 1, old
-        text = text.replace(old, new)
-    return text
 
 
 def plain(text, rows, n_steps, force=None, joint_forces=0.0, inertia=None):
@@ -272,7 +225,7 @@ FINGER_CASES = {
 @pytest.mark.parametrize("name", FINGER_CASES)
 def test_effect_on_a_tendon_is_the_change_made_by_hand(name):
     value, changes = FINGER_CASES[name]
-    rows = np.random.default_rng(2).normal(size=(12, 5)) * [1, 1, 3, 3, 1]
+    rows = np.random.default_rng(2).normal(size=(12, 6)) * [1, 1, 3, 3, 1, 1]
     simulator = MujocoSimulator(FINGER, frame_skip=4)
     listed = {effect.name for effect in simulator.effects() if effect.family.startswith("tendon_")}
     assert listed == set(FINGER_CASES)  # what the tendon of one joint does is this joint's
@@ -295,28 +248,104 @@ def test_tendon_through_the_axis_of_its_joint_has_bounds_of_where_it_pulls():
         assert np.abs(found).max() < 100
 
 
+TYRE = '<geom name="tyre" type="cylinder" size=".1 .02" euler="90 0 0" mass=".4"/>'
+SPOKE = '<geom name="spoke" type="box" size=".05 .01 .01" contype="0" conaffinity="0" mass=".1"/>'
+TURNED, ALONG = 0.4 * (3 * 0.1**2 + 0.04**2) / 12, 0.4 * 0.1**2 / 2  # Moments of inertia of the tyre.
+
+
+def radii(text):
+    return [one.name for one in MujocoSimulator(text).effects() if one.family == "radius"]
+
+
+def roller_rows():
+    return np.random.default_rng(3).normal(size=(12, 7)) * [1, 0.01, 1, 1, 1, 9, 1]
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "RK4"])
 @pytest.mark.parametrize("mode", ["", '<compiler inertiafromgeom="true"/>'])
-def test_radius_is_that_of_a_wheel_whose_mass_and_inertia_stay(mode):
-    text = ROLLER.replace("<option", mode + "<option")
-    rows = np.random.default_rng(3).normal(size=(12, 9)) * [1, 0.01, 1, 1, 1, 1, 9, 1, 1]
-    simulator = MujocoSimulator(text % ("", ".1"), frame_skip=5)
-    assert [effect.name for effect in simulator.effects() if effect.family == "radius"] == ["radius[wheel]"]
-    turned, along, across = (
-        0.4 * (3 * 0.1**2 + 0.04**2) / 12,
-        0.4 * 0.1**2 / 2,
-        0.1 / 3,
-    )  # of a cylinder, a box
-    inertia = [
-        turned + across * (0.01**2 + 0.01**2),
-        along + across * (0.05**2 + 0.01**2),
-        turned + across * (0.05**2 + 0.01**2),
-    ]
-    inertial = f'<inertial pos="0 0 0" mass=".5" diaginertia="{" ".join(map(repr, inertia))}"/>'
+@pytest.mark.parametrize(
+    "rim", [TYRE, TYRE.replace('size=".1 .02" euler="90 0 0"', 'size=".1" fromto="0 -.02 0 0 .02 0"')]
+)
+def test_radius_is_that_of_a_wheel_whose_mass_and_inertia_stay(rim, mode, integrator):
+    text = changed(ROLLER, ("<option", f'{mode}<option integrator="{integrator}"'), (TYRE, rim + SPOKE))
+    simulator, rows = MujocoSimulator(text, frame_skip=5), roller_rows()
+    assert radii(text) == ["radius[wheel]"]
+    thin, broad = 0.1 / 3 * (0.01**2 + 0.01**2), 0.1 / 3 * (0.05**2 + 0.01**2)
+    moments = f"{TURNED + thin!r} {ALONG + broad!r} {TURNED + broad!r}"
+    inertial = f'<inertial pos="0 0 0" mass=".5" diaginertia="{moments}"/>'
+    by_hand = changed(
+        text,
+        (mode, ""),
+        ('size=".1', 'size=".105'),
+        ('<body name="wheel">', f'<body name="wheel">{inertial}'),
+    )
+    by_hand = by_hand.replace('size=".105 .05 .02"', 'size=".1 .05 .02"')
     found = simulator.predict(rows, effects={"radius[wheel]": 1.05})
-    np.testing.assert_allclose(found, plain(ROLLER % (inertial, ".105"), rows, 5), rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(found, plain(by_hand, rows, 5), rtol=1e-8, atol=1e-8)
     assert np.abs(found - simulator.predict(rows)).max() > 1e-3
     heavy = simulator.compiled({"radius[wheel]": 1.05, "mass[wheel]": 2.0}).body("wheel")
     np.testing.assert_allclose(heavy.mass, 1.0)
+
+
+def test_radius_is_also_that_of_a_tyre_welded_to_its_hub_and_leaves_what_touches_nothing():
+    drum = '<geom name="drum" type="cylinder" size=".03 .02" euler="90 0 0" contype="0" conaffinity="0" mass=".1"/>'
+    text = changed(ROLLER, (TYRE, f'{drum}<body name="rubber"><frame>{TYRE}</frame></body>'))
+    simulator, rows = MujocoSimulator(text, frame_skip=5), roller_rows()
+    assert radii(text) == ["radius[wheel]"]
+    inertial = f'<inertial pos="0 0 0" mass=".4" diaginertia="{TURNED!r} {ALONG!r} {TURNED!r}"/>'
+    by_hand = changed(
+        text, ('size=".1 .02"', 'size=".105 .02"'), ('name="rubber">', f'name="rubber">{inertial}')
+    )
+    found = simulator.predict(rows, effects={"radius[wheel]": 1.05})
+    np.testing.assert_allclose(found, plain(by_hand, rows, 5), rtol=1e-8, atol=1e-8)
+
+
+def test_radius_of_all_wheels_is_that_of_each():
+    second = (
+        '<body name="rear" pos="-.3 0 0"><joint name="trailing" axis="0 1 0"/>'
+        + TYRE.replace("tyre", "rear")
+        + "</body>"
+    )
+    text = changed(ROLLER, ('<body name="wheel">', second + '<body name="wheel">'))
+    assert set(radii(text)) == {"radius[wheel]", "radius[rear]", "radius[all]"}
+    rows = np.random.default_rng(3).normal(size=(12, 9)) * [1, 0.01, 1, 1, 1, 1, 9, 9, 1]
+    simulator = MujocoSimulator(text, frame_skip=5)
+    found, each = (
+        simulator.predict(rows, effects=values)
+        for values in ({"radius[all]": 1.05}, {"radius[wheel]": 1.05, "radius[rear]": 1.05})
+    )
+    np.testing.assert_allclose(found, each, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('axis="0 1 0"', 'axis="0 1 0" range="-90 90"'),
+        ('axis="0 1 0"', 'axis="0 1 .1"'),
+        ('axis="0 1 0"', 'axis="0 1 0" pos=".01 0 0"'),
+        ('name="axle" axis="0 1 0"', 'name="axle" axis="0 1 0"/><joint axis="1 0 0"'),
+        (TYRE, TYRE.replace("cylinder", "ellipsoid").replace(".1 .02", ".1 .1 .02")),
+        (TYRE, TYRE + '<geom type="box" size=".05 .01 .15" mass=".1"/>'),
+        (TYRE, TYRE.replace("name", 'contype="0" conaffinity="0" name')),
+    ],
+)
+def test_what_does_not_roll_is_no_wheel(old, new):
+    assert radii(ROLLER) == ["radius[wheel]"]
+    assert radii(changed(ROLLER, (old, new))) == []
+
+
+@pytest.mark.parametrize("kind", ["sphere", "cylinder"])
+def test_radius_is_also_that_of_a_geom_fitted_to_a_mesh(kind):
+    vertices = " ".join(f"{x} {y} {z}" for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.3, 0.3))
+    mesh = f'<asset><mesh name="drum" vertex="{vertices}"/></asset><worldbody>'
+    fitted = f'<geom name="tyre" type="{kind}" mesh="drum" euler="90 0 0" mass=".4"/>'
+    text = changed(ROLLER, ("<worldbody>", mesh), (TYRE, fitted))
+    simulator = MujocoSimulator(text)
+    assert radii(text) == ["radius[wheel]"]
+    before, after = (simulator.compiled(values) for values in ({}, {"radius[wheel]": 1.05}))
+    np.testing.assert_allclose(after.geom("tyre").size[0], 1.05 * before.geom("tyre").size[0], rtol=1e-12)
+    np.testing.assert_allclose(after.body("wheel").mass, before.body("wheel").mass, rtol=1e-12)
+    np.testing.assert_allclose(after.body("wheel").inertia, before.body("wheel").inertia, rtol=1e-9)
 
 
 def test_offset_is_that_of_a_servos_control():

@@ -1,0 +1,50 @@
+"""Small machines as MJCF: one with a wheel, one with tendons and a servo."""
+
+ROLLER = """
+<mujoco model="roller">
+  <option timestep="0.002" cone="elliptic"/>
+  <worldbody>
+    <geom type="plane" size="50 5 .1"/>
+    <body name="frame" pos="0 0 .1">
+      <joint name="x" type="slide" axis="1 0 0"/><joint name="z" type="slide" axis="0 0 1"/>
+      <geom type="box" size=".1 .05 .02" mass="1" contype="0" conaffinity="0"/>
+      <body name="wheel"><joint name="axle" axis="0 1 0" damping=".01" armature=".002"/>
+        <geom name="tyre" type="cylinder" size=".1 .02" euler="90 0 0" mass=".4"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor name="drive" joint="axle" gear=".5" ctrlrange="-1 1"/></actuator>
+</mujoco>
+"""
+FINGER = """
+<mujoco model="finger">
+  <option timestep="0.002"/>
+  <worldbody>
+    <site name="anchor" pos="-.05 0 .1"/>
+    <body name="near"><joint name="knuckle" axis="0 1 0" damping=".02"/>
+      <geom type="capsule" size=".01" fromto="0 0 0 .06 0 0" mass=".1" contype="0"/>
+      <body name="far" pos=".06 0 0"><joint name="tip" axis="0 1 0" damping=".01" armature=".0002"/>
+        <geom type="capsule" size=".01" fromto="0 0 0 .04 0 0" mass=".05" contype="0"/>
+        <site name="nail" pos=".03 0 .01"/>
+      </body>
+    </body>
+  </worldbody>
+  <tendon>
+    <fixed name="flexor" damping="2"><joint joint="knuckle" coef=".02"/><joint joint="tip" coef=".01"/></fixed>
+    <spatial name="band" stiffness="30" springlength=".12"><site site="anchor"/><site site="nail"/></spatial>
+    <fixed name="single"><joint joint="tip" coef=".01"/></fixed>
+  </tendon>
+  <actuator>
+    <motor name="pull" tendon="flexor" gear="8" ctrlrange="-1 1"/>
+    <position name="servo" joint="tip" kp=".05" kv=".002" ctrlrange="-1 1"/>
+  </actuator>
+</mujoco>
+"""
+
+
+def changed(text, *changes):
+    """Return a text with (old, new) pieces exchanged, each of which it must hold."""
+    for old, new in changes:
+        assert text.count(old) >= 1, old
+        text = text.replace(old, new)
+    return text
