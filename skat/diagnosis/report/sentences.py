@@ -87,7 +87,12 @@ def cause_sentence(cause):
         if cause.at_bound
         else ""
     )
-    return f"{sentence.rstrip('.')} (95 %: {interval_text(cause.interval)}){end}."
+    interval = f"95 %: {interval_text(cause.interval)}"
+    low, high = cause.interval
+    if low <= cause.value <= high and not low <= float(f"{cause.value:.3g}") <= high:
+        # Rounded as in the sentence, the value would lie outside its own interval.
+        interval = f"{size_text(cause)}; {interval}"
+    return f"{sentence.rstrip('.')} ({interval}){end}."
 
 
 def capital(text):
@@ -105,14 +110,24 @@ def _listed(names):
     return f"{', '.join(first)} and {last}" if first else last
 
 
+def size_text(cause):
+    """Return a Cause's value in as many digits as its interval has."""
+    return number(cause.value, _digits(cause.interval))
+
+
 def interval_text(interval):
     """Return the ends of an interval in words, in four digits or in as many as tell how far apart they are."""
+    digits = _digits(interval)
+    return f"{number(interval[0], digits)} to {number(interval[1], digits)}"
+
+
+def _digits(interval):
+    """Return how many digits tell the ends of an interval apart, four at least."""
     low, high = interval
     width, size = high - low, max(abs(low), abs(high))
-    digits = 4
-    if 0 < width < np.inf:
-        digits = int(np.clip(np.ceil(np.log10(size / width)) + 2, digits, MOST_DIGITS))
-    return f"{number(low, digits)} to {number(high, digits)}"
+    if not 0 < width < np.inf:
+        return 4
+    return int(np.clip(np.ceil(np.log10(size / width)) + 2, 4, MOST_DIGITS))
 
 
 def number(value, digits=4):
