@@ -20,19 +20,28 @@ def simulator():
     return make_simulator()
 
 
+def selection_by(residuals, alpha=0.005):
+    return Selection(residuals, list(residuals.effects), alpha=alpha, max_effects=6, progress=lambda *_: None)
+
+
 def selection_of(simulator, hidden, seed=3):
     X, y, groups, _ = measure(seed, **hidden)
     log, _ = check_log(simulator, X, y, groups).split(0.3, check_random_state(0))
-    effects = simulator.effects()
-    selection = Selection(
-        TransitionResiduals(simulator, log, effects),
-        [effect.name for effect in effects],
-        alpha=0.005,
-        max_effects=6,
-        progress=lambda *_: None,
-    )
+    selection = selection_by(TransitionResiduals(simulator, log, simulator.effects()))
     selection.estimates.linearised({})
     return selection
+
+
+def selection_in_rows(function, X, y, deviation=None, **ranges):
+    """Return a Selection among effects with (lowest, neutral, highest) value each, of independent rows."""
+    effects = [
+        Effect(name, unit="1", neutral=neutral, bounds=(low, high))
+        for name, (low, neutral, high) in ranges.items()
+    ]
+    inputs, outputs = "abc"[: X.shape[1]], "uvw"[: y.shape[1]]
+    simulator = FunctionSimulator(function, input_names=inputs, output_names=outputs, effects=effects)
+    deviations = None if deviation is None else [deviation] * y.shape[1]
+    return selection_by(Residuals(simulator, check_log(simulator, X, y, None), effects, deviations))
 
 
 @pytest.mark.parametrize(
@@ -83,7 +92,7 @@ def weight(X, shift_x=0.0, shift_y=0.0, turn=0.0, **pulls):
 def test_sensor_turned_far_is_exchanged_for_the_shift_that_it_stands_for():
     rng = np.random.default_rng(0)
     X = rng.uniform(-3, 3, (300, 2))
-    ranges = {
+    reaches = {
         "shift_x": 0.3,
         "shift_y": 0.3,
         "turn": 3.0,
@@ -92,16 +101,9 @@ def test_sensor_turned_far_is_exchanged_for_the_shift_that_it_stands_for():
         "bend": 1.0,
         "stop": 1.0,
     }
-    effects = [Effect(name, unit="1", neutral=0.0, bounds=(-reach, reach)) for name, reach in ranges.items()]
-    simulator = FunctionSimulator(weight, input_names="ab", output_names="uv", effects=effects)
     y = weight(X, shift_y=-0.1, spring=0.02) + 0.001 * rng.normal(size=(300, 2))
-    selection = Selection(
-        Residuals(simulator, check_log(simulator, X, y, None), effects, [0.001, 0.001]),
-        list(ranges),
-        alpha=0.005,
-        max_effects=6,
-        progress=lambda *_: None,
-    )
+    ranges = {name: (-reach, 0.0, reach) for name, reach in reaches.items()}
+    selection = selection_in_rows(weight, X, y, 0.001, **ranges)
     selection.estimates.linearised({})
     values, line = selection.estimates.polished({"turn": -0.8, "spring": 0.02})
     exchanged, _ = selection._exchanged(values, line)
@@ -117,16 +119,8 @@ def wave(X, frequency=1.0):
 def test_value_in_the_wrong_optimum_is_left_for_the_right_one():
     rng = np.random.default_rng(0)
     X = rng.uniform(0, 10, (300, 1))
-    frequency = Effect("frequency", unit="1", neutral=1.0, bounds=(0.3, 3.0))
-    simulator = FunctionSimulator(wave, input_names=("x",), output_names=("y",), effects=[frequency])
-    log = check_log(simulator, X, wave(X, 1.503) + 0.02 * rng.normal(size=X.shape), None)
-    selection = Selection(
-        Residuals(simulator, log, [frequency], [0.02]),
-        ["frequency"],
-        alpha=0.005,
-        max_effects=6,
-        progress=lambda *_: None,
-    )
+    y = wave(X, 1.503) + 0.02 * rng.normal(size=X.shape)
+    selection = selection_in_rows(wave, X, y, 0.02, frequency=(0.3, 1.0, 3.0))
     selection.estimates.linearised({})
     stuck, line = selection.estimates.polished({"frequency": 1.1})
     assert abs(stuck["frequency"] - 1.503) > 0.1
@@ -146,16 +140,8 @@ def bent_slope(X, length=1.0):
 def test_effect_is_added_at_the_deepest_of_its_optima_although_its_slope_leads_to_another():
     rng = np.random.default_rng(0)
     X = rng.normal(size=(300, 1))
-    effect = Effect("length", unit="1", neutral=1.0, bounds=(0.3, 3.0))
-    simulator = FunctionSimulator(bent_slope, input_names=("x",), output_names=("y",), effects=[effect])
-    log = check_log(simulator, X, 0.5 * X + 0.6 * rng.normal(size=X.shape), None)
-    selection = Selection(
-        Residuals(simulator, log, [effect], [0.6]),
-        ["length"],
-        alpha=0.005,
-        max_effects=6,
-        progress=lambda *_: None,
-    )
+    y = 0.5 * X + 0.6 * rng.normal(size=X.shape)
+    selection = selection_in_rows(bent_slope, X, y, 0.6, length=(0.3, 1.0, 3.0))
     added = selection._add({}, selection.estimates.linearised({}))
     assert abs(added["length"] - 0.86) < 0.03
 
@@ -168,19 +154,9 @@ def rippled_selection(ripple):
     """Return the Selection of a wave of frequency 1.503 with a ripple, in noise of 0.02."""
     rng = np.random.default_rng(0)
     X = rng.uniform(0, 10, (300, 1))
-    effects = [
-        Effect("frequency", unit="1", neutral=1.0, bounds=(0.3, 3.0)),
-        Effect("ripple", unit="1", neutral=0.0, bounds=(-1.0, 1.0)),
-    ]
-    simulator = FunctionSimulator(wave_and_ripple, input_names=("x",), output_names=("y",), effects=effects)
     y = wave_and_ripple(X, 1.503, ripple) + 0.02 * rng.normal(size=X.shape)
-    return Selection(
-        Residuals(simulator, check_log(simulator, X, y, None), effects, [0.02]),
-        ["frequency", "ripple"],
-        alpha=0.005,
-        max_effects=6,
-        progress=lambda *_: None,
-    )
+    ranges = {"frequency": (0.3, 1.0, 3.0), "ripple": (-1.0, 0.0, 1.0)}
+    return selection_in_rows(wave_and_ripple, X, y, 0.02, **ranges)
 
 
 def test_whole_ranges_are_searched_when_all_that_was_added_is_dropped(monkeypatch):
@@ -215,15 +191,8 @@ def test_what_is_certain_is_added_where_what_explains_more_is_not():
     y = bursts_and_slope(X, 0.6) + rng.normal(size=X.shape)
     for row in BURSTS.values():
         y[row - 2 : row + 3, 0] += [6, 12, 8, 11, 5]
-    effects = [Effect(name, unit="1", neutral=0.0, bounds=(-50.0, 50.0)) for name in ("slope", *BURSTS)]
-    simulator = FunctionSimulator(bursts_and_slope, input_names=("x",), output_names=("y",), effects=effects)
-    selection = Selection(
-        Residuals(simulator, check_log(simulator, X, y, None), effects, [1.0]),
-        [effect.name for effect in effects],
-        alpha=0.005,
-        max_effects=6,
-        progress=lambda *_: None,
-    )
+    ranges = dict.fromkeys(("slope", *BURSTS), (-50.0, 0.0, 50.0))
+    selection = selection_in_rows(bursts_and_slope, X, y, 1.0, **ranges)
     line = selection.estimates.linearised({})
     losses = {name: selection.refits.fit([{name: 0.5}])[0].loss for name in ("slope", *BURSTS)}
     assert max(losses, key=losses.get) == "slope"
@@ -238,15 +207,7 @@ def test_what_explains_little_of_a_log_that_is_like_no_model_is_not_named(slope,
     rng = np.random.default_rng(0)
     X = np.linspace(0, 300, 3000)[:, None]
     y = bursts_and_slope(X, slope) + 5 * np.sin(40 * X) + rng.normal(size=X.shape)
-    effects = [Effect("slope", unit="1", neutral=0.0, bounds=(-50.0, 50.0))]
-    simulator = FunctionSimulator(bursts_and_slope, input_names=("x",), output_names=("y",), effects=effects)
-    selection = Selection(
-        Residuals(simulator, check_log(simulator, X, y, None), effects, [1.0]),
-        ["slope"],
-        alpha=0.005,
-        max_effects=6,
-        progress=lambda *_: None,
-    )
+    selection = selection_in_rows(bursts_and_slope, X, y, 1.0, slope=(-50.0, 0.0, 50.0))
     line = selection.estimates.linearised({})
     fit = selection.refits.fit([{"slope": slope}])[0]
     assert selection.estimates.p_values(fit.values)["slope"] < 1e-4
@@ -263,15 +224,8 @@ def offset_or_scale():
     rng = np.random.default_rng(0)
     X = rng.uniform(0.6, 1.2, size=(300, 1))
     y = 1.075 * X + 0.005 * rng.normal(size=X.shape)
-    effects = [
-        Effect("offset", unit="1", neutral=0.0, bounds=(-1.0, 1.0)),
-        Effect("scale", unit="1", neutral=1.0, bounds=(0.5, 2.0)),
-    ]
-    simulator = FunctionSimulator(offset_and_scale, input_names=("x",), output_names=("y",), effects=effects)
-    residuals = Residuals(simulator, check_log(simulator, X, y, None), effects)
-    selection = Selection(
-        residuals, ["offset", "scale"], alpha=0.005, max_effects=6, progress=lambda *_: None
-    )
+    ranges = {"offset": (-1.0, 0.0, 1.0), "scale": (0.5, 1.0, 2.0)}
+    selection = selection_in_rows(offset_and_scale, X, y, **ranges)
     selection.estimates.linearised({})
     return selection
 
@@ -368,14 +322,7 @@ def test_friction_that_stops_at_once_is_named_with_its_p_value_and_an_interval()
     )
     X, y = states[:, :-1].reshape(-1, 2), states[:, 1:].reshape(-1, 2)
     log = check_log(simulator, X, y, np.repeat(np.arange(n_episodes), n_rows))
-    selection = Selection(
-        TransitionResiduals(simulator, log, effects),
-        ["damping", "dry_friction"],
-        alpha=1e-4,
-        max_effects=6,
-        progress=lambda *_: None,
-    )
-    selected = selection.run()
+    selected = selection_by(TransitionResiduals(simulator, log, effects), alpha=1e-4).run()
     assert set(selected.values) == {"dry_friction"}
     assert selected.p_values["dry_friction"] < 1e-4
     low, high = selected.intervals["dry_friction"]
@@ -392,18 +339,8 @@ def bouncing(X, stiffness=1.0):
 def test_whole_range_of_what_tells_is_tried_where_some_rows_are_far_off(some_far_off, tried, monkeypatch):
     rng = np.random.default_rng(0)
     X = np.stack([np.arange(300.0), rng.uniform(1, 2, 300)], 1)
-    effects = [Effect("stiffness", unit="1", neutral=1.0, bounds=(0.2, 5.0))]
-    simulator = FunctionSimulator(
-        bouncing, input_names=("row", "speed"), output_names=("force",), effects=effects
-    )
-    log = check_log(simulator, X, bouncing(X, 0.35) + rng.normal(size=(300, 1)), None)
-    selection = Selection(
-        Residuals(simulator, log, effects, [1.0]),
-        ["stiffness"],
-        alpha=0.005,
-        max_effects=6,
-        progress=lambda *_: None,
-    )
+    y = bouncing(X, 0.35) + rng.normal(size=(300, 1))
+    selection = selection_in_rows(bouncing, X, y, 1.0, stiffness=(0.2, 1.0, 5.0))
     line = selection.estimates.linearised({})
     first = screen(grams(line.residuals, line.derivatives, np.arange(300)), line.names, {}, selection.effects)
     monkeypatch.setattr(selection.proposals, "_grid", lambda values, names: [])
