@@ -52,7 +52,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
     hidden : sequence of str, default=()
         State channels that were not measured. Their columns in X hold first guesses only; whole episodes are then
         compared in open loop, each from an initial state of its own that is fitted. What no effect explains then
-        passes for noise: whether anything is left is not tested, and no verdict is "unexplained".
+        passes for noise unless it lasts; what it depends on is not tested.
     n_jobs : int or None, default=None
         Processes of joblib that share the simulations of a fit; ``joblib.parallel_config(backend="dask")`` takes them
         to a cluster. None means one, whose own threads take all cores where the simulator is a `MujocoSimulator`. The
@@ -167,14 +167,14 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         if held_out is not None:
             progress("gain", 0, 1)
             try:
+                tested = self._differentiated(held_out)
                 if hidden:
                     self.gain_ = self._episode_gain(held_out, "fitted", None, random_state)
                 else:
-                    tested = self._differentiated(held_out)
                     self.gain_ = one_step_gain(tested, self._values, random_state)
-                    n_diverged += tested.diverged.sum()
-                    if len(np.unique(tested.blocks)) >= FEWEST_BLOCKS_OF_EXCESS:
-                        residuals = tested
+                n_diverged += tested.diverged.sum()
+                if len(np.unique(tested.independent)) >= FEWEST_BLOCKS_OF_EXCESS:
+                    residuals = tested
             except RuntimeError as error:
                 warnings.warn(f"The gain could not be measured on the rows held out. {error}", stacklevel=2)
         _warn_of_diverged(n_diverged, len(log))
@@ -382,14 +382,12 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         )
 
     def _excess(self, residuals, n_fitted):
-        """Return the chance of errors so far above the noise, over the blocks of the log, if nothing is left.
+        """Return the chance of errors so far above the noise, over independent parts of the log, if nothing is left.
 
         Each row counts with at most `LARGEST_ERROR`: a mean of squares with a long tail tells nothing.
         """
-        if self.hidden:
-            return 1.0
         (errors,) = np.minimum(residuals.noise_errors([self._values]), LARGEST_ERROR)
-        blocks = np.unique(residuals.blocks[residuals.present], return_inverse=True)[1]
+        blocks = np.unique(residuals.independent[residuals.present], return_inverse=True)[1]
         means = np.bincount(blocks, errors) / np.bincount(blocks)
         spread = means.std(ddof=1) / np.sqrt(len(means)) if len(means) >= FEWEST_BLOCKS_OF_EXCESS else np.inf
         if isinstance(self.noise, str):

@@ -75,7 +75,7 @@ class _Pair:
 
 
 def find_remainder(residuals, line, fitted):
-    """Return the Remainder of a linearisation at a model, or None where there is no direction to test.
+    """Return the Remainder of a linearisation at a model, or None where there is nothing to test.
 
     Parameters
     ----------
@@ -84,23 +84,11 @@ def find_remainder(residuals, line, fitted):
     fitted : sequence of str
         Effects of the model, which the test projects out.
     """
-    columns, directions = residuals.directions(line.values)
-    if not directions:
-        return None
-    tests = _ScoreTests(residuals, line, fitted)
-    own_laws: list[_Pair] = []
-    others: list[_Pair] = []
-    for index, coordinate in enumerate(residuals.simulator.input_names):
-        values = residuals.points[:, index]
-        found = tests.of(columns, hat_functions(values))
-        own = [j for j, (_, inputs) in enumerate(directions) if coordinate in inputs]
-        for j, odd in zip(own, tests.of(columns[..., own], odd_functions(values)) if own else ()):
-            best = min(found[j], odd)
-            found[j] = family_p_value(best[0], 2), best[1]
-        for j, (direction, _) in enumerate(directions):
-            (own_laws if j in own else others).append(_Pair(direction, coordinate, *found[j]))
+    own_laws, others = _shapes(residuals, line, fitted)
     others += _persistence(residuals, line.residuals)
     families = [family for family in (own_laws, others) if family]
+    if not families:
+        return None
     smallest = [family_p_value(min(pair.p_value for pair in family), len(family)) for family in families]
     p_value = family_p_value(min(smallest), len(families))
     pairs = sorted(own_laws + others, key=lambda pair: pair.p_value)[:LONGEST_TABLE]
@@ -111,6 +99,26 @@ def find_remainder(residuals, line, fitted):
         pairs = sorted(clear, key=lambda pair: -pair.explained) + rest
     table = tuple((pair.direction, pair.coordinate, pair.p_value) for pair in pairs)
     return Remainder(p_value, *table[0][:2], table)
+
+
+def _shapes(residuals, line, fitted):
+    """Return the pairs of a direction with an input: those of a joint's or an output's own law, and all others."""
+    own_laws: list[_Pair] = []
+    others: list[_Pair] = []
+    columns, directions = residuals.directions(line.values)
+    if not directions:
+        return own_laws, others
+    tests = _ScoreTests(residuals, line, fitted)
+    for index, coordinate in enumerate(residuals.simulator.input_names):
+        values = residuals.points[:, index]
+        found = tests.of(columns, hat_functions(values))
+        own = [j for j, (_, inputs) in enumerate(directions) if coordinate in inputs]
+        for j, odd in zip(own, tests.of(columns[..., own], odd_functions(values)) if own else ()):
+            best = min(found[j], odd)
+            found[j] = family_p_value(best[0], 2), best[1]
+        for j, (direction, _) in enumerate(directions):
+            (own_laws if j in own else others).append(_Pair(direction, coordinate, *found[j]))
+    return own_laws, others
 
 
 class _ScoreTests:
@@ -160,7 +168,8 @@ def _persistence(residuals, white):
 
     Whitened residuals some rows apart are uncorrelated even where the noise is a little misjudged, which neighbours are
     not; an error that is no function of any one input, such as a force that changes with time, is found here. It must
-    last in most episodes: a linearisation that failed at one contact echoes through one of them.
+    last in most episodes: a linearisation that failed at one contact echoes through one of them. What is projected out
+    of residuals, such as initial states, leaves them correlated, by so much as is taken off here.
     """
     if not residuals.log.consecutive:
         return []
@@ -168,15 +177,18 @@ def _persistence(residuals, white):
     pieces, _ = residuals.log.chains()
     starts = np.flatnonzero(np.r_[True, np.diff(pieces) > 0])
     statistics = np.zeros(clipped.shape[1])
+    taken = residuals.taken()
+    variances = np.mean(clipped**2, axis=0) / (1 - np.mean(np.sum(taken**2, axis=-1), axis=0))
     for lag in LAGS:
         # Whitening begins anew with each piece, so what lies on both sides of its beginning is correlated.
         together = pieces[lag:] == pieces[:-lag]
         products = np.zeros_like(clipped)
-        products[lag:] = clipped[lag:] * clipped[:-lag] * together[:, None]
+        expected = -variances * np.sum(taken[lag:] * taken[:-lag], axis=-1)
+        products[lag:] = (clipped[lag:] * clipped[:-lag] - expected) * together[:, None]
         sums = np.add.reduceat(products, starts)
         statistics += sums.sum(axis=0) ** 2 / np.maximum((sums**2).sum(axis=0), 1e-300)
     p_values = stats.chi2.sf(statistics, len(LAGS))
-    return [_Pair(name, TIME, float(p)) for name, p in zip(residuals.simulator.residual_names, p_values)]
+    return [_Pair(name, TIME, float(p)) for name, p in zip(residuals.channels, p_values)]
 
 
 def hat_functions(values):

@@ -89,9 +89,19 @@ class Residuals:
         self.n_simulated_rows = 0
 
     @property
+    def channels(self):
+        """Names of the columns of a residual."""
+        return tuple(self.simulator.residual_names)
+
+    @property
     def n_channels(self):
         """Number of columns of a residual."""
-        return len(self.simulator.residual_names)
+        return len(self.channels)
+
+    @property
+    def independent(self):
+        """Part of the log, of each row, from which its errors do not reach into another."""
+        return self.blocks
 
     @property
     def deviations(self):
@@ -369,6 +379,13 @@ class Residuals:
     def log_determinant(self):
         """Return the logarithm of the determinant of the residuals' covariance, as the noise now is."""
         return float(np.count_nonzero(self.present) * np.log(self.variances).sum())
+
+    def taken(self):
+        """Return orthonormal columns (n_rows, n_channels, n_columns) that are projected out of whitened residuals.
+
+        Each row has those of its own episode.
+        """
+        return np.zeros((len(self.log), self.n_channels, 0))
 
     def directions(self, values):
         """Return raw additive errors of the prediction that a remainder is sought along, and their names.

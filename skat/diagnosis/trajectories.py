@@ -32,9 +32,14 @@ class TrajectoryResiduals(Residuals):
         self.nuisance = None
 
     @property
-    def n_channels(self):
-        """Number of channels measured."""
-        return int(self.episodes.measured.sum())
+    def channels(self):
+        """Names of the channels measured."""
+        return tuple(np.array(self.simulator.residual_names)[self.episodes.measured].tolist())
+
+    @property
+    def independent(self):
+        """Episode of each row: in open loop an error lasts through its episode."""
+        return self.log.episodes
 
     def settle(self, values, *, roughly=False):
         """Fit the initial states to the model."""
@@ -44,6 +49,18 @@ class TrajectoryResiduals(Residuals):
             self.variances = np.maximum(np.nan_to_num(np.nanvar(raw, axis=0), nan=1.0), self.smallest)
         self.initial = self.episodes.fit_initial_states(values, self.deviations, self.present)
         _, self.nuisance = self.episodes.sensitivities(values, self.initial, 1e-4 * self._spread())
+
+    def differentiate(self, values):
+        """Fit the initial states to the model."""
+        self.settle(values)
+
+    def noise_errors(self, candidates):
+        """Return the squared open-loop errors (n_candidates, n_rows) in units of what noise gives.
+
+        Infinite where a candidate diverges. What fitted initial states take of the noise is made up for.
+        """
+        errors = np.mean(self.raw_residuals(candidates) ** 2 / self.variances, axis=-1)[:, self.present]
+        return np.nan_to_num(errors, nan=np.inf) / self.episodes.noise_left()
 
     def error_sizes(self, candidates, n_rows):
         """Return the log root mean square of the whitened trajectories of each candidate."""
@@ -102,22 +119,36 @@ class TrajectoryResiduals(Residuals):
 
     def _without_initial_states(self, columns, initial_state):
         out = np.array(columns)
+        for rows, basis in self._bases(initial_state):
+            flat = columns[rows].reshape(len(basis), -1)
+            out[rows] = (flat - basis @ (basis.T @ flat)).reshape(columns[rows].shape)
+        return out
+
+    def _bases(self, initial_state):
+        """Yield each episode's rows and an orthonormal basis (n_rows * n_channels, k) of what its initial state moves."""
         for episode in range(self.log.n_episodes):
-            rows = self.log.episodes == episode
+            rows = np.flatnonzero(self.log.episodes == episode)
             nuisance = initial_state[rows].reshape(-1, initial_state.shape[-1])
             norms = np.linalg.norm(nuisance, axis=0)
             basis, values, _ = np.linalg.svd(nuisance[:, norms > 0] / norms[norms > 0], full_matrices=False)
-            basis = basis[:, values > 1e-8]
-            flat = columns[rows].reshape(len(nuisance), -1)
-            out[rows] = (flat - basis @ (basis.T @ flat)).reshape(columns[rows].shape)
-        return out
+            yield rows, basis[:, values > 1e-8]
+
+    def taken(self):
+        """Return what an initial state can explain of its episode."""
+        nuisance = self._white_nuisance()
+        taken = np.zeros_like(nuisance)
+        for rows, basis in self._bases(nuisance):
+            taken[rows, :, : basis.shape[1]] = basis.reshape(len(rows), self.n_channels, -1)
+        return taken
+
+    def _white_nuisance(self):
+        return self._decorrelated(self._counted(self.nuisance) / self.deviations[:, None])
 
     def whiten(self, columns):
         """Return raw columns without what initial states explain, uncorrelated and in units of the noise."""
         wide = columns[..., None] if columns.ndim == 2 else columns
         scaled = self._counted(wide) / self.deviations[:, None]
-        nuisance = self._decorrelated(self._counted(self.nuisance) / self.deviations[:, None])
-        white = self._without_initial_states(self._decorrelated(scaled), nuisance)
+        white = self._without_initial_states(self._decorrelated(scaled), self._white_nuisance())
         return white[..., 0] if columns.ndim == 2 else white
 
     def log_errors(self, candidates):

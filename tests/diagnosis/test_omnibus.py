@@ -14,19 +14,20 @@ from skat.simulators import MujocoSimulator
 
 
 class Rows:
-    """As much of residuals as the test of persistence needs: episodes and names."""
+    """As much of residuals as the test of persistence needs: episodes, names, and that nothing is projected out."""
 
     log = Log(np.zeros((1000, 1)), np.zeros((1000, 1)), np.repeat(np.arange(20), 50), True)
+    channels = ("a", "b")
 
-    class simulator:
-        residual_names = ("a", "b")
+    def taken(self):
+        return np.zeros((1000, len(self.channels), 0))
 
 
 def test_persistence_is_uniform_for_noise_with_heavy_tails():
     p_values = [
         pair.p_value
         for seed in range(200)
-        for pair in _persistence(Rows, np.random.default_rng(seed).standard_t(4, (1000, 2)))
+        for pair in _persistence(Rows(), np.random.default_rng(seed).standard_t(4, (1000, 2)))
     ]
     # A standard deviation of the share is 0.011 at 5 %.
     assert 0.02 < np.mean(np.array(p_values) < 0.05) < 0.09
@@ -36,7 +37,7 @@ def test_persistence_is_uniform_for_noise_with_heavy_tails():
 def test_periodic_remainder_is_found_in_its_channel():
     white = np.random.default_rng(0).normal(size=(1000, 2))
     white[:, 1] += np.sin(np.arange(1000) / 3)
-    quiet, loud = _persistence(Rows, white)
+    quiet, loud = _persistence(Rows(), white)
     assert (loud.direction, loud.coordinate) == ("b", TIME)
     assert loud.p_value < 1e-4 < quiet.p_value
 
@@ -44,7 +45,25 @@ def test_periodic_remainder_is_found_in_its_channel():
 def test_one_contact_whose_linearisation_failed_does_not_count_as_lasting():
     white = np.random.default_rng(0).normal(size=(1000, 2))
     white[200:230, 1] += 5.0
-    assert all(pair.p_value > 0.05 for pair in _persistence(Rows, white))
+    assert all(pair.p_value > 0.05 for pair in _persistence(Rows(), white))
+
+
+@pytest.mark.parametrize("taken_off", [True, False])
+def test_what_initial_states_take_of_noise_does_not_count_as_lasting(taken_off):
+    """Of episodes of 20 rows a line each is taken: that leaves the rest correlated, in 100 episodes plainly."""
+    line = np.linalg.qr(np.stack([np.ones(20), np.arange(20.0)], 1))[0]
+    rows, p_values = Rows(), []
+    rows.log = Log(np.zeros((2000, 1)), np.zeros((2000, 1)), np.repeat(np.arange(100), 20), True)
+    columns = np.tile(line, (100, 1))[:, None] if taken_off else np.zeros((2000, 2, 0))
+    rows.taken = lambda: np.broadcast_to(columns, (2000, 2, columns.shape[-1]))
+    for seed in range(50):
+        noise = np.random.default_rng(seed).normal(size=(100, 20, 2))
+        white = noise - np.einsum("rk,sk,esc->erc", line, line, noise)
+        p_values += [pair.p_value for pair in _persistence(rows, white.reshape(2000, 2))]
+    if taken_off:
+        assert np.mean(np.array(p_values) < 0.05) < 0.12
+    else:
+        assert np.median(p_values) < 0.01
 
 
 class Joints(Rows):
@@ -54,15 +73,11 @@ class Joints(Rows):
 
     def __init__(self, seed, input_names):
         self.points = np.random.default_rng(seed).normal(size=(1000, 10))
-        self.simulator = type(
-            "simulator",
-            (),
-            {"residual_names": [f"qvel.{joint}" for joint in self.joints], "input_names": input_names},
-        )
+        self.channels = [f"qvel.{joint}" for joint in self.joints]
+        self.simulator = SimpleNamespace(input_names=input_names)
 
     def directions(self, values):
-        names = self.simulator.residual_names
-        return np.broadcast_to(np.eye(10), (1000, 10, 10)), tuple((name, (name,)) for name in names)
+        return np.broadcast_to(np.eye(10), (1000, 10, 10)), tuple((name, (name,)) for name in self.channels)
 
     def whiten(self, columns):
         return columns
@@ -182,6 +197,6 @@ def test_persistence_does_not_reach_across_the_borders_of_whitening():
     signs = rng.choice([-1.0, 1.0], 40)
     white[np.arange(40) * 120 + 59, 0] = signs  # the last row of a piece
     white[np.arange(40) * 120 + 63, 0] = -signs  # in the next one
-    residuals = SimpleNamespace(log=log, simulator=SimpleNamespace(residual_names=("p",)))
+    residuals = SimpleNamespace(log=log, channels=("p",), taken=lambda: np.zeros((len(log), 1, 0)))
     (pair,) = _persistence(residuals, white)
     assert pair.p_value > 0.001

@@ -231,7 +231,7 @@ def test_where_channels_were_not_measured_no_more_is_claimed_than_was_tested():
         array[:, 1] = 0.0
     for findings in ({"value": None, "verdict": "nothing detected"}, {}):
         text = Page(reported(log=log, hidden=("rate",), held_out=False, **findings).html(figures=False)).text
-        assert "whether anything is left was not tested" in text
+        assert "what it depends on was not tested" in text
         assert "no difference from the simulation" not in text
 
 

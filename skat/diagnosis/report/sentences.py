@@ -35,8 +35,8 @@ def verdict_sentences(diagnosis, comparisons):
         )
     if tuple(diagnosis.hidden):
         sentences.append(
-            "With channels that were not measured, what no effect explains passes for noise: whether anything is left "
-            "was not tested."
+            "With channels that were not measured, what no effect explains passes for noise unless it lasts: what it "
+            "depends on was not tested."
         )
     if unexplained:
         rest = remainder_sentence(diagnosis)
