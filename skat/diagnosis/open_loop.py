@@ -5,6 +5,13 @@ import numpy as np
 from skat.diagnosis.log import measured_channels
 
 FIT_STEPS = 12
+# Of a channel's spread, over which to differentiate by its initial state.
+RELATIVE_STEP = 1e-4
+# The rows of an episode that its initial state is fitted to, relative to those before, until it is whole.
+GROWTH = 1.6
+# In noise units squared: a step that lowers the loss by less was the last one.
+SMALL_GAIN = 1e-3
+MOST_DAMPING = 1e6
 # Of an episode's residuals, what fitted initial states leave is never taken for a smaller share than this.
 LEAST_FREE = 0.1
 
@@ -59,35 +66,54 @@ class Episodes:
             [self.simulator.residual(self.log.y, path[:, 1:][self.place])[:, self.measured] for path in paths]
         )
 
-    def sensitivities(self, values, initial, steps):
+    def sensitivities(self, values, initial, steps, *, horizon=None, episodes=None):
         """Return residuals at the initial states and their derivatives by them.
+
+        Parameters
+        ----------
+        values : dict of str to float
+            The model's effects.
+        initial : ndarray of shape (n_episodes, n_states)
+        steps : ndarray of shape (n_directions,)
+            Over which to differentiate.
+        horizon : int, optional
+            So many rows of each episode are simulated. By default all.
+        episodes : ndarray of int, optional
+            Of these. By default all.
 
         Returns
         -------
         residuals : ndarray of shape (n_rows, n_measured)
-        derivatives : ndarray of shape (n_rows, n_measured, n_states)
+            Zero in rows that are not simulated.
+        derivatives : ndarray of shape (n_rows, n_measured, n_directions)
             By which a unit of each tangent direction of the row's own initial state lowers the residual.
         """
-        n_directions = len(self.measured)
-        n_episodes = len(initial)
-        moved = np.concatenate(
-            [
-                initial,
-                *(
-                    self.simulator.displace(initial, np.broadcast_to(row, (n_episodes, n_directions)))
-                    for row in np.diag(steps)
-                ),
-            ]
-        )
-        inputs = np.tile(self.inputs, (n_directions + 1, 1, 1))
-        paths = self.simulator.rollout_many(moved, inputs, [values], n_steps=self.n_steps)[0]
-        paths = paths.reshape(n_directions + 1, n_episodes, self.n_steps + 1, -1)[:, :, 1:]
-        at = [self.simulator.residual(self.log.y, path[self.place])[:, self.measured] for path in paths]
+        horizon = self.n_steps if horizon is None else horizon
+        episodes = np.arange(len(initial)) if episodes is None else episodes
+        n_directions, n_episodes, log = len(self.measured), len(episodes), self.log
+        rows = np.flatnonzero(np.isin(log.episodes, episodes) & (log.steps < horizon))
+        place = np.searchsorted(episodes, log.episodes[rows]), log.steps[rows]
+        start = initial[episodes]
+        moved = [
+            self.simulator.displace(start, np.broadcast_to(one, (n_episodes, n_directions)))
+            for one in np.diag(steps)
+        ]
+        inputs = np.tile(self.inputs[episodes, :horizon], (n_directions + 1, 1, 1))
+        paths = self.simulator.rollout_many(
+            np.concatenate([start, *moved]), inputs, [values], n_steps=horizon
+        )[0]
+        paths = paths.reshape(n_directions + 1, n_episodes, horizon + 1, -1)[:, :, 1:]
+        at = np.zeros((n_directions + 1, len(log), int(self.measured.sum())))
+        for one, path in zip(at, paths):
+            one[rows] = self.simulator.residual(log.y[rows], path[place])[:, self.measured]
         derivatives = np.stack([(at[0] - one) / step for one, step in zip(at[1:], steps)], axis=-1)
         return at[0], derivatives
 
     def fit_initial_states(self, values, deviations, present=None):
         """Return the initial states that explain each episode best, by damped Gauss-Newton.
+
+        They are fitted to the first rows, then to more and more: where a guess of what was not measured is poor, the
+        whole of an episode with contacts has many optima.
 
         Parameters
         ----------
@@ -103,46 +129,58 @@ class Episodes:
         RuntimeError
             If an episode diverges from its measured initial state.
         """
-        spread = self.simulator.residual(self.log.y, np.broadcast_to(self.log.y[:1], self.log.y.shape)).std(
-            axis=0
-        )
-        steps = 1e-4 * np.where(spread > 0, spread, 1.0)
-        initial = self.initial
-        n_episodes, n_directions = len(initial), len(self.measured)
-        episodes = self.log.episodes if present is None else self.log.episodes[present]
-        best_loss = np.full(n_episodes, np.inf)
-        best = initial.copy()
-        moves = np.zeros((n_episodes, n_directions))
-        damping = np.full(n_episodes, 1e-6)
-        information = np.zeros((n_episodes, n_directions, n_directions))
-        score = np.zeros((n_episodes, n_directions))
-        for _ in range(FIT_STEPS):
-            trial = self.simulator.displace(best, moves)
-            residuals, derivatives = self.sensitivities(values, trial, steps)
-            white, design = residuals / deviations, derivatives / deviations[:, None]
-            if present is not None:
-                white, design = white[present], design[present]
-            losses = np.bincount(episodes, np.sum(white**2, axis=1), minlength=n_episodes)
-            better = np.nan_to_num(losses, nan=np.inf) < best_loss
-            best[better], best_loss[better] = trial[better], losses[better]
-            damping = np.where(better, np.maximum(damping / 10, 1e-9), damping * 30)
-            for episode in np.flatnonzero(better):
-                rows = episodes == episode
-                flat = np.nan_to_num(design[rows]).reshape(-1, n_directions)
-                information[episode] = flat.T @ flat
-                score[episode] = flat.T @ np.nan_to_num(white[rows]).ravel()
-            for episode in np.arange(n_episodes):
-                scale = np.sqrt(np.maximum(np.diag(information[episode]), 1e-300))
-                inner = information[episode] / np.outer(scale, scale) + damping[episode] * np.eye(
-                    n_directions
-                )
-                moves[episode] = np.linalg.lstsq(inner, score[episode] / scale, rcond=1e-12)[0] / scale
-            if np.all(np.abs(moves) < steps) or damping.min() > 1e6:
-                break
-        if not np.isfinite(best_loss).all():
-            lost = self.log.label(np.flatnonzero(~np.isfinite(best_loss))[0])
+        counts = np.ones(len(self.log), dtype=bool) if present is None else present
+        best, horizon = self.initial, 0
+        while horizon < self.n_steps:
+            horizon = min(int(np.ceil(GROWTH * max(horizon, 1))), self.n_steps)
+            best, loss = self._fitted(best, values, deviations, counts, horizon)
+        if not np.isfinite(loss).all():
+            lost = self.log.label(np.flatnonzero(~np.isfinite(loss))[0])
             raise RuntimeError(
                 f"The simulation of episode {lost} diverges from the initial state in its first row: cut the episode "
                 "into shorter ones, or leave it out."
             )
         return best
+
+    def _fitted(self, initial, values, deviations, counts, horizon):
+        """Return initial states fitted to the first rows of the episodes, and the loss of each episode."""
+        y = self.log.y
+        spread = self.simulator.residual(y, np.broadcast_to(y[:1], y.shape)).std(axis=0)
+        steps = RELATIVE_STEP * np.where(spread > 0, spread, 1.0)
+        n_episodes, n_directions = len(initial), len(self.measured)
+        counts = counts & (self.log.steps < horizon)
+        best, best_loss = initial.copy(), np.full(n_episodes, np.inf)
+        moves = np.zeros((n_episodes, n_directions))
+        damping = np.full(n_episodes, 1e-6)
+        information = np.zeros((n_episodes, n_directions, n_directions))
+        score = np.zeros((n_episodes, n_directions))
+        active = np.arange(n_episodes)
+        for _ in range(FIT_STEPS):
+            trial = best.copy()
+            trial[active] = self.simulator.displace(best[active], moves[active])
+            residuals, derivatives = self.sensitivities(
+                values, trial, steps, horizon=horizon, episodes=active
+            )
+            white, design = residuals / deviations, derivatives / deviations[:, None]
+            settled = []
+            for episode in active:
+                rows = (self.log.episodes == episode) & counts
+                flat = white[rows].ravel()
+                loss = np.nan_to_num(flat @ flat, nan=np.inf)
+                gain = best_loss[episode] - loss
+                if gain > 0:
+                    by_state = np.nan_to_num(design[rows]).reshape(-1, n_directions)
+                    best[episode], best_loss[episode] = trial[episode], loss
+                    information[episode], score[episode] = by_state.T @ by_state, by_state.T @ flat
+                damping[episode] = max(damping[episode] / 10, 1e-9) if gain > 0 else damping[episode] * 30
+                scale = np.sqrt(np.maximum(np.diag(information[episode]), 1e-300))
+                inner = information[episode] / np.outer(scale, scale) + damping[episode] * np.eye(
+                    n_directions
+                )
+                moves[episode] = np.linalg.lstsq(inner, score[episode] / scale, rcond=1e-12)[0] / scale
+                small = np.all(np.abs(moves[episode]) < steps) or 0 < gain < SMALL_GAIN
+                settled.append(small or damping[episode] > MOST_DAMPING)
+            active = active[~np.array(settled)]
+            if not len(active):
+                break
+        return best, best_loss

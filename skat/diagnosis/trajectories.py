@@ -125,7 +125,7 @@ class TrajectoryResiduals(Residuals):
         return out
 
     def _bases(self, initial_state):
-        """Yield each episode's rows and an orthonormal basis (n_rows * n_channels, k) of what its initial state moves."""
+        """Yield the rows of each episode and an orthonormal basis (n_rows * n_channels, k) of its initial state."""
         for episode in range(self.log.n_episodes):
             rows = np.flatnonzero(self.log.episodes == episode)
             nuisance = initial_state[rows].reshape(-1, initial_state.shape[-1])
