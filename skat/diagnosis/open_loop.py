@@ -167,19 +167,20 @@ class Episodes:
                 rows = (self.log.episodes == episode) & counts
                 flat = white[rows].ravel()
                 loss = np.nan_to_num(flat @ flat, nan=np.inf)
-                gain = best_loss[episode] - loss
-                if gain > 0:
+                better = loss < best_loss[episode]
+                last = better and loss > best_loss[episode] - SMALL_GAIN
+                if better:
                     by_state = np.nan_to_num(design[rows]).reshape(-1, n_directions)
                     best[episode], best_loss[episode] = trial[episode], loss
                     information[episode], score[episode] = by_state.T @ by_state, by_state.T @ flat
-                damping[episode] = max(damping[episode] / 10, 1e-9) if gain > 0 else damping[episode] * 30
+                damping[episode] = max(damping[episode] / 10, 1e-9) if better else damping[episode] * 30
                 scale = np.sqrt(np.maximum(np.diag(information[episode]), 1e-300))
                 inner = information[episode] / np.outer(scale, scale) + damping[episode] * np.eye(
                     n_directions
                 )
                 moves[episode] = np.linalg.lstsq(inner, score[episode] / scale, rcond=1e-12)[0] / scale
-                small = np.all(np.abs(moves[episode]) < steps) or 0 < gain < SMALL_GAIN
-                settled.append(small or damping[episode] > MOST_DAMPING)
+                small = np.all(np.abs(moves[episode]) < steps)
+                settled.append(small or last or damping[episode] > MOST_DAMPING)
             active = active[~np.array(settled)]
             if not len(active):
                 break
