@@ -7,6 +7,8 @@ from skat.diagnosis.log import measured_channels
 FIT_STEPS = 12
 # Of a channel's spread, over which to differentiate by its initial state.
 RELATIVE_STEP = 1e-4
+# Of a channel's spread: a change by less than that is none.
+ROUNDING = 1e-11
 # The rows of an episode that its initial state is fitted to, relative to those before, until it is whole.
 GROWTH = 1.6
 # In noise units squared: a step that lowers the loss by less was the last one.
@@ -40,6 +42,10 @@ class Episodes:
         self.initial = log.X[first, :n_states]
         self.inputs = np.zeros((log.n_episodes, self.n_steps, log.X.shape[1] - n_states))
         self.inputs[self.place] = log.X[:, n_states:]
+        spread = simulator.residual(log.y, np.broadcast_to(log.y[:1], log.y.shape)).std(axis=0)
+        self.spread = np.where(spread > 0, spread, 1.0)
+        # By which each coordinate of an initial state is moved to differentiate.
+        self.steps = RELATIVE_STEP * self.spread
 
     def noise_left(self):
         """Return the share of the noise's variance that initial states leave if they are fitted to it.
@@ -66,7 +72,7 @@ class Episodes:
             [self.simulator.residual(self.log.y, path[:, 1:][self.place])[:, self.measured] for path in paths]
         )
 
-    def sensitivities(self, values, initial, steps, *, horizon=None, episodes=None):
+    def sensitivities(self, values, initial, *, horizon=None, episodes=None):
         """Return residuals at the initial states and their derivatives by them.
 
         Parameters
@@ -74,8 +80,6 @@ class Episodes:
         values : dict of str to float
             The model's effects.
         initial : ndarray of shape (n_episodes, n_states)
-        steps : ndarray of shape (n_directions,)
-            Over which to differentiate.
         horizon : int, optional
             So many rows of each episode are simulated. By default all.
         episodes : ndarray of int, optional
@@ -96,7 +100,7 @@ class Episodes:
         start = initial[episodes]
         moved = [
             self.simulator.displace(start, np.broadcast_to(one, (n_episodes, n_directions)))
-            for one in np.diag(steps)
+            for one in np.diag(self.steps)
         ]
         inputs = np.tile(self.inputs[episodes, :horizon], (n_directions + 1, 1, 1))
         paths = self.simulator.rollout_many(
@@ -106,8 +110,10 @@ class Episodes:
         at = np.zeros((n_directions + 1, len(log), int(self.measured.sum())))
         for one, path in zip(at, paths):
             one[rows] = self.simulator.residual(log.y[rows], path[place])[:, self.measured]
-        derivatives = np.stack([(at[0] - one) / step for one, step in zip(at[1:], steps)], axis=-1)
-        return at[0], derivatives
+        changes = np.stack([at[0] - one for one in at[1:]], axis=-1)
+        # What nothing depends on, such as the orientation of what flies freely, would move by rounding errors else.
+        changes[np.abs(changes) < ROUNDING * self.spread[self.measured, None]] = 0.0
+        return at[0], changes / self.steps
 
     def fit_initial_states(self, values, deviations, present=None):
         """Return the initial states that explain each episode best, by damped Gauss-Newton.
@@ -144,9 +150,6 @@ class Episodes:
 
     def _fitted(self, initial, values, deviations, counts, horizon):
         """Return initial states fitted to the first rows of the episodes, and the loss of each episode."""
-        y = self.log.y
-        spread = self.simulator.residual(y, np.broadcast_to(y[:1], y.shape)).std(axis=0)
-        steps = RELATIVE_STEP * np.where(spread > 0, spread, 1.0)
         n_episodes, n_directions = len(initial), len(self.measured)
         counts = counts & (self.log.steps < horizon)
         best, best_loss = initial.copy(), np.full(n_episodes, np.inf)
@@ -158,9 +161,7 @@ class Episodes:
         for _ in range(FIT_STEPS):
             trial = best.copy()
             trial[active] = self.simulator.displace(best[active], moves[active])
-            residuals, derivatives = self.sensitivities(
-                values, trial, steps, horizon=horizon, episodes=active
-            )
+            residuals, derivatives = self.sensitivities(values, trial, horizon=horizon, episodes=active)
             white, design = residuals / deviations, derivatives / deviations[:, None]
             settled = []
             for episode in active:
@@ -174,12 +175,13 @@ class Episodes:
                     best[episode], best_loss[episode] = trial[episode], loss
                     information[episode], score[episode] = by_state.T @ by_state, by_state.T @ flat
                 damping[episode] = max(damping[episode] / 10, 1e-9) if better else damping[episode] * 30
-                scale = np.sqrt(np.maximum(np.diag(information[episode]), 1e-300))
+                sizes = np.diag(information[episode])
+                scale = np.sqrt(np.where(sizes > 0, sizes, 1.0))
                 inner = information[episode] / np.outer(scale, scale) + damping[episode] * np.eye(
                     n_directions
                 )
                 moves[episode] = np.linalg.lstsq(inner, score[episode] / scale, rcond=1e-12)[0] / scale
-                small = np.all(np.abs(moves[episode]) < steps)
+                small = np.all(np.abs(moves[episode]) < self.steps)
                 settled.append(small or last or damping[episode] > MOST_DAMPING)
             active = active[~np.array(settled)]
             if not len(active):

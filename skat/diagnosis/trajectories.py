@@ -48,7 +48,7 @@ class TrajectoryResiduals(Residuals):
             raw = self.episodes.residuals([values])[0]
             self.variances = np.maximum(np.nan_to_num(np.nanvar(raw, axis=0), nan=1.0), self.smallest)
         self.initial = self.episodes.fit_initial_states(values, self.deviations, self.present)
-        _, self.nuisance = self.episodes.sensitivities(values, self.initial, 1e-4 * self._spread())
+        _, self.nuisance = self.episodes.sensitivities(values, self.initial)
 
     def differentiate(self, values):
         """Fit the initial states to the model."""
@@ -89,13 +89,8 @@ class TrajectoryResiduals(Residuals):
         raw = self.raw_residuals(candidates)[:, rows]
         return raw[:1] - raw[1:]
 
-    def _spread(self):
-        y = self.log.y
-        spread = self.simulator.residual(y, np.broadcast_to(y[:1], y.shape)).std(axis=0)
-        return np.where(spread > 0, spread, 1.0)
-
     def _smallest_variances(self):
-        return (1e-6 * self._spread()[self.episodes.measured]) ** 2
+        return (1e-6 * self.episodes.spread[self.episodes.measured]) ** 2
 
     def _estimate_noise(self, raw):
         """Estimate variance and correlation of what neither initial states nor all effects explain."""

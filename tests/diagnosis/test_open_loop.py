@@ -35,9 +35,8 @@ def test_rows_that_are_not_simulated_say_nothing_of_initial_states():
     X, y, groups, _ = without_velocities(0, n_episodes=3, n_steps=10)
     simulator = make_simulator()
     episodes = Episodes(simulator, check_log(simulator, X, y, groups, hidden=HIDDEN), HIDDEN)
-    steps = np.full(4, 1e-4)
-    whole = episodes.sensitivities({}, episodes.initial, steps)
-    part = episodes.sensitivities({}, episodes.initial, steps, horizon=4, episodes=np.array([0, 2]))
+    whole = episodes.sensitivities({}, episodes.initial)
+    part = episodes.sensitivities({}, episodes.initial, horizon=4, episodes=np.array([0, 2]))
     simulated = (groups != 1) & (np.arange(30) % 10 < 4)
     for some, everything in zip(part, whole):
         np.testing.assert_allclose(some[simulated], everything[simulated], rtol=1e-9, atol=1e-12)
