@@ -1,4 +1,7 @@
-"""Small machines as MJCF: one with a wheel, one with tendons and a servo."""
+"""Small machines as MJCF, one with a wheel, one with tendons and a servo, and plain MuJoCo to step any."""
+
+import mujoco
+import numpy as np
 
 ROLLER = """
 <mujoco model="roller">
@@ -48,3 +51,22 @@ def changed(text, *changes):
         assert text.count(old) >= 1, old
         text = text.replace(old, new)
     return text
+
+
+def plain(text, rows, n_steps, force=None, joint_forces=0.0, inertia=None):
+    """Step each row in plain MuJoCo, each from a new MjData; `inertia` multiplies that of bodies, by name."""
+    model = mujoco.MjModel.from_xml_string(text)
+    for body, factor in (inertia or {}).items():
+        model.body(body).inertia *= factor
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+    found = []
+    for row in rows:
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:], data.ctrl[:] = np.split(row, [model.nq, model.nq + model.nv])
+        for _ in range(n_steps):
+            if force is not None:
+                data.xfrc_applied[1, :3] = force
+            data.qfrc_applied[:] = joint_forces
+            mujoco.mj_step(model, data)
+        found.append(np.r_[data.qpos, data.qvel])
+    return np.array(found)

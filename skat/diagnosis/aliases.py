@@ -8,12 +8,12 @@ from skat.diagnosis.evidence import as_good
 
 # Rivals are refitted where they have at least half of the cause's direction, to first order ...
 LEAST_LIKE = 0.75
-# ... and leave less than this loss in noise units, or this share of it, or are among the nearest, as where effects bend
-# over the steps that directions are taken by, two that are the same have directions that differ; so many of each cause.
+# ... and leave less than this loss in noise units, or this share of it; so many of each cause.
 FAR_APART = 100.0
 SIMILAR = 0.1
-NEAREST = 2
 SHORTLIST = 8
+# So many are refitted whatever they leave: over wide steps, directions of effects that are the same may differ.
+NEAREST = 2
 
 
 def find_aliases(estimates, values, line, progress):

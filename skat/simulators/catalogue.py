@@ -130,10 +130,10 @@ def _link_effects(anatomy: Anatomy) -> Found:
     stretch = partial(edits.scale_length, meshes)
     armatured = {joint for joint in range(model.njnt) if not _is_base(anatomy, joint)}
     yield from _each_and_all("length", extended, anatomy.body_name, (0.3, 3.0), stretch)
-    wheels = {body: anatomy.rims_of(body) for body in massive}
-    rims = {body: geoms for body, geoms in wheels.items() if geoms}
+    rims = {body: anatomy.rims_of(body) for body in massive}
+    wheels = [body for body, geoms in rims.items() if geoms]
     yield from _each_and_all(
-        "radius", list(rims), anatomy.body_name, (0.5, 2.0), partial(edits.scale_radius, rims)
+        "radius", wheels, anatomy.body_name, (0.5, 2.0), partial(edits.scale_radius, rims)
     )
     for body in massive:
         turned_by = anatomy.turned_by(body)
