@@ -160,6 +160,9 @@ def _tasks(arguments):
     tasks = []
     n_seeds = arguments.seeds if arguments.seeds is not None else (3 if arguments.cut else 10)
 
+    def seeds(count):
+        return range(arguments.first_seed, arguments.first_seed + count)
+
     def add(table, label, seed):
         if arguments.only in label:
             tasks.append(
@@ -174,19 +177,19 @@ def _tasks(arguments):
 
     rows = cut() if arguments.cut else causes()
     for table, count in (("cause", n_seeds), ("small", arguments.small)):
-        for seed in range(count):
+        for seed in seeds(count):
             for row in rows:
                 add(table, row.label, seed)
-    for seed in range(arguments.pairs):
+    for seed in seeds(arguments.pairs):
         for kind in KINDS:
             add("pair", kind, seed)
-    for seed in range(arguments.outside):
+    for seed in seeds(arguments.outside):
         for row in outside():
             add("outside", row.label, seed)
-    for seed in range(arguments.clean // len(KINDS)):
+    for seed in seeds(arguments.clean // len(KINDS)):
         for kind in KINDS:
             add("clean", kind, seed)
-    for seed in range(arguments.conditions):
+    for seed in seeds(arguments.conditions):
         for kind in KINDS[:3]:
             for label in CONDITIONS:
                 add("condition", f"{kind}, {label}", seed)
@@ -224,6 +227,9 @@ def _arguments():
     )
     parser.add_argument("--cut", action="store_true", help="ten causes of each world instead of all")
     parser.add_argument("--seeds", type=int, help="seeds of each cause; by default 3 of the cut, else 10")
+    parser.add_argument(
+        "--first-seed", type=int, default=0, help="from here on, such as one no engine was made with"
+    )
     parser.add_argument("--small", type=int, default=0, help="seeds of the causes with s in [0.03, 0.1]")
     parser.add_argument("--pairs", type=int, default=0, help="pairs of each world")
     parser.add_argument("--outside", type=int, default=0, help="seeds of the effects that are in no list")
