@@ -15,6 +15,7 @@ ALLOWED = {
     "threads": set(),
     "files": set(),
     "episodes": set(),
+    "rounding": set(),
     "moments": set(),
     "gaussian": {"moments", "threads"},
     "alignment": {"gaussian"},
@@ -36,6 +37,7 @@ ALLOWED = {
         "_compat",
         "files",
         "episodes",
+        "rounding",
         "effects",
         "gaussian",
         "transport",
@@ -44,7 +46,7 @@ ALLOWED = {
         "simulators",
         "plotting",
     },
-    "plotting": {"gaussian", "transport", "baselines", "metrics"},
+    "plotting": {"rounding", "gaussian", "transport", "baselines", "metrics"},
     "experiments": {
         "_compat",
         "gaussian",
@@ -59,6 +61,7 @@ ALLOWED = {
     },
     "cli": {
         "files",
+        "rounding",
         "gaussian",
         "transport",
         "baselines",

@@ -234,14 +234,24 @@ def cause(name, value, low, high, unit="1"):
 
 
 def test_causes_stand_on_the_side_of_their_deviation():
-    causes = [cause("mass[leg]", 1.5, 1.25, 2.0), cause("tilt[x]", -0.2, -0.25, 0.05, "rad")]
-    display = CauseDisplay.from_causes(causes, neutral={"mass[leg]": 1.0, "tilt[x]": 0.0, "wind[x]": 0.0})
+    causes = [
+        cause("mass[leg]", 1.5, 1.25, 2.0),
+        cause("tilt[x]", -0.2, -0.25, 0.05, "rad"),
+        cause("radius[wheel]", 1.050045, 1.050032, 1.050058),
+    ]
+    display = CauseDisplay.from_causes(
+        causes, neutral={"mass[leg]": 1.0, "tilt[x]": 0.0, "radius[wheel]": 1.0}
+    )
     points = display.ax_.lines[-1].get_xydata()
-    np.testing.assert_allclose(points, [[0.5, 0], [-0.8, 1]])
+    np.testing.assert_allclose(points[:2], [[0.5, 0], [-0.8, 1]])
     intervals = [segment[:, 0] for segment in display.ax_.collections[-1].get_segments()]
-    np.testing.assert_allclose(intervals, [[0.25, 1], [-1, 0.2]])
+    np.testing.assert_allclose(intervals[:2], [[0.25, 1], [-1, 0.2]])
     texts = [text.get_text() for text in display.ax_.texts]
-    assert texts == ["1.5  (1.25 to 2; neutral 1)", "-0.2 rad  (-0.25 to 0.05; neutral 0)"]
+    assert texts == [
+        "1.5  (1.25 to 2; neutral 1)",
+        "-0.2 rad  (-0.25 to 0.05; neutral 0)",
+        "1.050045  (1.050032 to 1.050058; neutral 1)",
+    ]
 
 
 def test_causes_of_a_diagnosis_find_their_neutral_values():

@@ -297,12 +297,12 @@ def _show(study):
 def _causes(causes):
     import pandas as pd
 
-    from skat.diagnosis.report.sentences import interval_text, size_text
+    from skat.rounding import interval_text, size_text
 
     return pd.DataFrame(
         {
             "cause": [cause.name for cause in causes],
-            "size": [size_text(cause) for cause in causes],
+            "size": [size_text(cause.value, cause.interval) for cause in causes],
             "95 % interval": [interval_text(cause.interval) for cause in causes],
             "unit": [cause.unit for cause in causes],
             "aliases": [", ".join(cause.aliases) or "none" for cause in causes],

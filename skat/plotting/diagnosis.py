@@ -3,6 +3,7 @@
 import numpy as np
 
 from skat.plotting.style import AFTER, BEFORE, MEASURED, column_of, new_axes, trim
+from skat.rounding import interval_text, number, size_text
 
 
 class TrajectoryDisplay:
@@ -297,9 +298,10 @@ class CauseDisplay:
         )
         self.ax_.hlines(rows, low, high, color=AFTER, linewidth=5, alpha=0.45)
         self.ax_.plot(middle, rows, "o", color=AFTER, markersize=7)
-        for row, (first, last) in enumerate(ends):
+        for row, interval in enumerate(ends):
             unit = "" if self.units[row] in ("", "1") else f" {self.units[row]}"
-            text = f"{values[row]:.3g}{unit}  ({first:.3g} to {last:.3g}; neutral {neutrals[row]:.3g})"
+            size = f"{size_text(values[row], interval)}{unit}"
+            text = f"{size}  ({interval_text(interval)}; neutral {number(neutrals[row])})"
             self.ax_.text(1.12, row, text, va="center", fontsize=9)
         if not n_causes:
             self.ax_.text(0.05, 0, "nothing named", va="center")

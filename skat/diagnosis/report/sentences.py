@@ -4,8 +4,7 @@ import numpy as np
 
 from skat.diagnosis.comparison import ceiling_sentence, is_beaten
 from skat.diagnosis.omnibus import is_structured
-
-MOST_DIGITS = 9
+from skat.rounding import interval_text, size_text
 
 
 def verdict_sentences(diagnosis, comparisons):
@@ -91,7 +90,7 @@ def cause_sentence(cause):
     low, high = cause.interval
     if low <= cause.value <= high and not low <= float(f"{cause.value:.3g}") <= high:
         # Rounded as in the sentence, the value would lie outside its own interval.
-        interval = f"{size_text(cause)}; {interval}"
+        interval = f"{size_text(cause.value, cause.interval)}; {interval}"
     return f"{sentence.rstrip('.')} ({interval}){end}."
 
 
@@ -108,30 +107,3 @@ def counted(things, word):
 def _listed(names):
     *first, last = names
     return f"{', '.join(first)} and {last}" if first else last
-
-
-def size_text(cause):
-    """Return a Cause's value in as many digits as its interval has."""
-    return number(cause.value, _digits(cause.interval))
-
-
-def interval_text(interval):
-    """Return the ends of an interval in words, in four digits or in as many as tell how far apart they are."""
-    digits = _digits(interval)
-    return f"{number(interval[0], digits)} to {number(interval[1], digits)}"
-
-
-def _digits(interval):
-    """Return how many digits tell the ends of an interval apart, four at least."""
-    low, high = interval
-    width, size = high - low, max(abs(low), abs(high))
-    if not 0 < width < np.inf:
-        return 4
-    return int(np.clip(np.ceil(np.log10(size / width)) + 2, 4, MOST_DIGITS))
-
-
-def number(value, digits=4):
-    """Return a number in so many digits."""
-    if np.isinf(value):
-        return "∞" if value > 0 else "-∞"
-    return f"{value:.{digits}g}"

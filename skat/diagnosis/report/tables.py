@@ -8,7 +8,7 @@ import pandas as pd
 from skat.diagnosis.comparison import EXTENDED, NOMINAL
 from skat.diagnosis.log import measured_channels
 from skat.diagnosis.omnibus import is_structured
-from skat.diagnosis.report.sentences import interval_text, number, size_text
+from skat.rounding import interval_text, number, size_text
 
 # Longer tables are folded away.
 LONGEST_TABLE = 15
@@ -75,7 +75,7 @@ def cause_table(causes):
         pd.DataFrame(
             {
                 "cause": [cause.name for cause in causes],
-                "size": [size_text(cause) for cause in causes],
+                "size": [size_text(cause.value, cause.interval) for cause in causes],
                 "95 % interval": [
                     interval_text(cause.interval).replace(" ", "\N{NO-BREAK SPACE}") for cause in causes
                 ],

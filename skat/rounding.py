@@ -1,0 +1,31 @@
+"""Numbers in text, in as many digits as their intervals deserve."""
+
+import numpy as np
+
+LEAST_DIGITS, MOST_DIGITS = 4, 9
+
+
+def number(value, digits=LEAST_DIGITS):
+    """Return a number in so many digits."""
+    if np.isinf(value):
+        return "∞" if value > 0 else "-∞"
+    return f"{value:.{digits}g}"
+
+
+def size_text(value, interval):
+    """Return a value in as many digits as its interval (low, high) has."""
+    return number(value, _digits(interval))
+
+
+def interval_text(interval):
+    """Return the ends of an interval (low, high) in words, in as many digits as tell how far apart they are."""
+    digits = _digits(interval)
+    return f"{number(interval[0], digits)} to {number(interval[1], digits)}"
+
+
+def _digits(interval):
+    low, high = interval
+    width, size = high - low, max(abs(low), abs(high))
+    if not 0 < width < np.inf:
+        return LEAST_DIGITS
+    return int(np.clip(np.ceil(np.log10(size / width)) + 2, LEAST_DIGITS, MOST_DIGITS))
