@@ -1,5 +1,6 @@
 """What every simulator offers: rows of inputs in, rows of outputs out, under any effects."""
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -41,9 +42,14 @@ class Simulator(BaseEstimator, ABC):
         return self.output_names
 
     @property
+    def units(self) -> Mapping[str, str]:
+        """Unit of each column whose unit is known, such as ``"m"`` or ``"rad/s"``, by name."""
+        return {}
+
+    @property
     def angle_names(self) -> tuple[str, ...]:
-        """Names of the inputs that are angles or their rates, in rad or rad/s."""
-        return ()
+        """Names of the state's columns that are angles or their rates, in rad or rad/s."""
+        return tuple(name for name in self.state_names if self.units.get(name) in ("rad", "rad/s"))
 
     @property
     def command_limits(self) -> dict[str, tuple[float, float]]:
@@ -290,9 +296,11 @@ class Simulator(BaseEstimator, ABC):
 
     def _sensor_effects(self) -> tuple[Effect, ...]:
         channels = self.state_names or self.output_names
+        units = {name: self.units.get(name, f"unit of {name}") for name in channels}
+        limits = {name: math.pi if unit == "rad" else 1e3 for name, unit in units.items()}
         return (
             *(
-                Effect(f"bias[{name}]", unit=f"unit of {name}", neutral=0.0, bounds=(-1e3, 1e3))
+                Effect(f"bias[{name}]", unit=units[name], neutral=0.0, bounds=(-limits[name], limits[name]))
                 for name in channels
             ),
             *(Effect(f"scale[{name}]", unit="1", neutral=1.0, bounds=(0.1, 10.0)) for name in channels),

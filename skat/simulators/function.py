@@ -28,6 +28,9 @@ class FunctionSimulator(Simulator):
         What the function can take on. Effects of the sensors are added by themselves.
     dt : float, optional
         Duration of a transition, s.
+    units : mapping from name to str, optional
+        Units of columns, such as ``{"angle": "rad", "rate": "rad/s"}``: findings have them, a sensor of an angle is
+        off by half a turn at most, and a log whose angles look like degrees is warned of.
     built_in : mapping from name to value, optional
         Effects that are built in; see `extended`.
 
@@ -55,6 +58,7 @@ class FunctionSimulator(Simulator):
         state_names: Sequence[str] = (),
         effects: Sequence[Effect] = (),
         dt: float | None = None,
+        units: Mapping[str, str] | None = None,
         built_in: Mapping[str, float] | None = None,
     ):
         self.function = function
@@ -62,14 +66,25 @@ class FunctionSimulator(Simulator):
         self.output_names = tuple(output_names)
         self.state_names = tuple(state_names)
         self.dt = dt
+        self._units = units  # as `effects`
         self.built_in = built_in
         self._effects = tuple(effects)  # `effects` is a method of every simulator
         _check_names(self.input_names, self.output_names, self.state_names)
+        _check_units(self.units, (*self.input_names, *self.output_names))
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Units of columns by name, as given."""
+        return self._units or {}
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
         """Return the constructor's parameters by name."""
         names = ("function", "input_names", "output_names", "state_names", "dt", "built_in")
-        return {**{name: getattr(self, name) for name in names}, "effects": self._effects}
+        return {
+            **{name: getattr(self, name) for name in names},
+            "effects": self._effects,
+            "units": self._units,
+        }
 
     def set_params(self, **params: Any) -> Self:
         """Set constructor parameters by name."""
@@ -100,6 +115,15 @@ class FunctionSimulator(Simulator):
             result = np.where(np.isfinite(result).all(axis=1, keepdims=True), result, np.nan)
             outputs[index] = result
         return outputs
+
+
+def _check_units(units: Mapping[str, str], names: Sequence[str]) -> None:
+    unknown = sorted(set(units) - set(names))
+    if unknown:
+        raise ValueError(
+            f"units has names that no column bears: {', '.join(unknown)}; the columns are "
+            f"{', '.join(dict.fromkeys(names))}"
+        )
 
 
 def _check_names(inputs: tuple[str, ...], outputs: tuple[str, ...], states: tuple[str, ...]) -> None:

@@ -123,6 +123,11 @@ class MujocoSimulator(Simulator):
         return self._layout.tangent_names
 
     @property
+    def units(self) -> dict[str, str]:
+        """Unit of each column of the state, by name."""
+        return dict(zip(self._layout.names, self._layout.units))
+
+    @property
     def angle_names(self) -> tuple[str, ...]:
         """Names of the positions and velocities of hinges."""
         model = self._nominal

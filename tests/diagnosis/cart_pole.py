@@ -108,5 +108,6 @@ def make_simulator():
         input_names=(*STATES, "force"),
         output_names=STATES,
         state_names=STATES,
+        units={"x": "m", "angle": "rad", "v": "m/s", "w": "rad/s"},
         effects=[Effect(name, unit="1", neutral=NEUTRAL[name], bounds=BOUNDS[name]) for name in NEUTRAL],
     )

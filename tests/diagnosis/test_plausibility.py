@@ -49,6 +49,18 @@ def test_angles_in_degrees_are_noticed(simulator, log):
         warn_of_doubts(simulator, check_log(simulator, X, y, groups))
 
 
+def test_degrees_are_noticed_where_a_function_s_columns_have_units(simulator, log):
+    names = simulator.input_names
+    units = dict(zip(names, ("rad", "rad/s")))
+    arm = FunctionSimulator(
+        simulator.predict, input_names=names, output_names=names[:2], state_names=names[:2], units=units
+    )
+    X, y, groups = log
+    X[:, :2], y[:] = np.rad2deg(X[:, :2]), np.rad2deg(y)
+    with pytest.warns(UserWarning, match=r"qpos\.shoulder, qvel\.shoulder look like degrees"):
+        warn_of_doubts(arm, check_log(arm, X, y, groups))
+
+
 def test_angle_of_many_turns_in_radians_is_sound(simulator):
     states = simulator.rollout([[0.0, 60.0]], n_steps=60, inputs=np.zeros((1, 60, 1)))[0]
     X = np.hstack([states[:-1], np.zeros((60, 1))])

@@ -176,6 +176,27 @@ def test_names_must_fit_together():
         FunctionSimulator(swing, input_names=("a", "a"), output_names=("b",))
 
 
+def test_units_are_those_of_sensor_effects_and_bound_the_bias_of_an_angle():
+    units = {"angle": "rad", "rate": "rad/s"}
+    pendulum = FunctionSimulator(
+        swing,
+        input_names=(*STATE, "torque"),
+        output_names=STATE,
+        state_names=STATE,
+        effects=EFFECTS,
+        units=units,
+    )
+    effects = {effect.name: effect for effect in clone(pendulum).effects()}
+    assert (effects["bias[angle]"].unit, effects["bias[rate]"].unit) == ("rad", "rad/s")
+    assert effects["bias[angle]"].bounds == (-np.pi, np.pi)
+    assert effects["bias[rate]"].bounds[1] > 100
+    assert pendulum.angle_names == STATE
+    with pytest.raises(
+        ValueError, match=r"units has names that no column bears: angel; the columns are angle, rate"
+    ):
+        pendulum.set_params(units={"angel": "rad"})
+
+
 def test_function_of_the_wrong_shape_is_named():
     wrong = FunctionSimulator(lambda X: X[:, 0], input_names=("a",), output_names=("b",))
     with pytest.raises(
