@@ -1,6 +1,7 @@
 """Displays show the data they are given, and say what is wrong with data they cannot show."""
 
 from types import SimpleNamespace
+from typing import ClassVar
 
 import matplotlib
 import numpy as np
@@ -178,6 +179,7 @@ class Growth:
 
     state_names = output_names = ("mass", "clock")
     input_names = (*state_names, "feed")
+    units: ClassVar = {"clock": "s"}
     dt = 0.5
 
     def __init__(self, rate):
@@ -195,6 +197,7 @@ def test_trajectory_rolls_both_simulations_out_from_the_first_measured_state():
     X = np.array([[1.0, 3.0, 0.0], [2.0, 6.0, 0.0], [4.0, 12.0, 0.0]])
     display = TrajectoryDisplay.from_estimator(diagnosis, X, 2 * X[:, :2], channels=["clock"])
     np.testing.assert_array_equal(display.time, [0, 0.5, 1, 1.5])
+    assert display.ax_[0].get_ylabel() == "clock\n(s)"
     np.testing.assert_array_equal(display.measured[:, 0], [3, 6, 12, 24])
     np.testing.assert_array_equal(display.before[:, 0], [3, 3, 3, 3])
     np.testing.assert_array_equal(display.after, display.measured)
@@ -207,8 +210,8 @@ def test_trajectory_rolls_both_simulations_out_from_the_first_measured_state():
 
 def test_trajectory_has_one_axes_for_each_channel():
     rows = np.arange(6.0).reshape(3, 2)
-    display = TrajectoryDisplay.from_predictions([0, 1, 2], rows, rows, names=["x", "y"])
-    assert [ax.get_ylabel() for ax in display.ax_] == ["x", "y"]
+    display = TrajectoryDisplay.from_predictions([0, 1, 2], rows, rows, names=["x", "y"], units={"y": "m"})
+    assert [ax.get_ylabel() for ax in display.ax_] == ["x", "y\n(m)"]
     assert display.ax_[-1].get_xlabel() == "time (s)"
     assert len(display.ax_[0].lines) == 2
 

@@ -19,6 +19,8 @@ class TrajectoryDisplay:
         `after` may be None.
     names : sequence of str
         Names of the channels.
+    units : mapping from name to str, default=None
+        Units of channels, as far as they are known.
 
     Attributes
     ----------
@@ -36,12 +38,13 @@ class TrajectoryDisplay:
     ['height', 'velocity']
     """
 
-    def __init__(self, *, time, measured, before, after, names):
+    def __init__(self, *, time, measured, before, after, names, units=None):
         self.time = time
         self.measured = measured
         self.before = before
         self.after = after
         self.names = names
+        self.units = units
 
     @classmethod
     def from_estimator(cls, diagnosis, X, y, *, channels=None, ax=None):
@@ -84,13 +87,17 @@ class TrajectoryDisplay:
             for each in (simulator, diagnosis.extended_simulator_)
         )
         time = np.arange(len(measured)) * (1.0 if simulator.dt is None else simulator.dt)
-        display = cls.from_predictions(time, measured, before, after, names=names, channels=channels, ax=ax)
+        display = cls.from_predictions(
+            time, measured, before, after, names=names, channels=channels, units=simulator.units, ax=ax
+        )
         if simulator.dt is None:
             display.ax_[-1].set_xlabel("step")
         return display
 
     @classmethod
-    def from_predictions(cls, time, measured, before, after=None, *, names, channels=None, ax=None):
+    def from_predictions(
+        cls, time, measured, before, after=None, *, names, channels=None, units=None, ax=None
+    ):
         """Draw trajectories computed before.
 
         Parameters
@@ -105,6 +112,8 @@ class TrajectoryDisplay:
             Names of the channels.
         channels : sequence of str, default=None
             Which of them to show; all by default.
+        units : mapping from name to str, default=None
+            Units of channels, as far as they are known.
         ax : sequence of matplotlib Axes, default=None
             One for each channel; a new figure by default.
 
@@ -133,7 +142,9 @@ class TrajectoryDisplay:
             rows[name][:, columns] if name in rows else None for name in ("measured", "before", "after")
         )
         shown = [names[k] for k in columns]
-        return cls(time=time, measured=measured, before=before, after=after, names=shown).plot(ax=ax)
+        return cls(time=time, measured=measured, before=before, after=after, names=shown, units=units).plot(
+            ax=ax
+        )
 
     def plot(self, ax=None):
         """Draw.
@@ -173,7 +184,8 @@ class TrajectoryDisplay:
             axes.plot(self.time, self.before[:, k], color=BEFORE, linestyle="--", label="simulated, before")
             if self.after is not None:
                 axes.plot(self.time, self.after[:, k], color=AFTER, linewidth=1.2, label="simulated, after")
-            axes.set_ylabel(name)
+            unit = (self.units or {}).get(name)
+            axes.set_ylabel(f"{name}\n({unit})" if unit else name)
             trim(axes)
         self.figure_.align_ylabels(list(self.ax_))
         self.ax_[-1].set_xlabel("time (s)")

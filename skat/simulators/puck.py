@@ -145,6 +145,11 @@ class PuckSimulator(Simulator):
         states[:, 10:12] = speed[:, None] * along
         return states
 
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each output, by name."""
+        return {"x": "m", "y": "m"}
+
     def _own_effects(self) -> tuple[Effect, ...]:
         return self._cached("own_effects", lambda: _puck_effects(self.world))
 

@@ -366,6 +366,7 @@ def _open_loop(diagnosis, log):
                 time,
                 *parts[: 3 if diagnosis.causes_ else 2],
                 names=[names[k] for k in channels],
+                units=simulator.units,
                 ax=panels[:, column],
             )
             for axes in display.ax_:

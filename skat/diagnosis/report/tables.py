@@ -129,10 +129,7 @@ def channel_table(diagnosis, test):
     frame = pd.DataFrame(
         {"noise": np.asarray(diagnosis.noise_, dtype=float)}, index=pd.Index(names, name="channel")
     )
-    units = {
-        effect.target: effect.unit for effect in diagnosis.simulator.effects() if effect.family == "bias"
-    }
-    frame["unit"] = [_unit(units.get(name, "")) for name in names]
+    frame["unit"] = [_unit(simulator.units.get(name, "")) for name in names]
     if test.gain is not None and test.gain.channels:
         horizon = "one step" if test.gain.horizon == 1 else "open loop"
         before, after = (
