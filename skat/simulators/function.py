@@ -72,6 +72,13 @@ class FunctionSimulator(Simulator):
         _check_names(self.input_names, self.output_names, self.state_names)
         _check_units(self.units, (*self.input_names, *self.output_names))
 
+    def __repr__(self) -> str:
+        parts = [getattr(self.function, "__name__", repr(self.function))]
+        parts.append(f"effects=[{', '.join(effect.name for effect in self._effects)}]")
+        if self.built_in:
+            parts.append(f"built_in={dict(self.built_in)}")
+        return f"{type(self).__name__}({', '.join(parts)})"
+
     @property
     def units(self) -> Mapping[str, str]:
         """Units of columns by name, as given."""

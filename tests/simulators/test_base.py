@@ -197,6 +197,11 @@ def test_units_are_those_of_sensor_effects_and_bound_the_bias_of_an_angle():
         pendulum.set_params(units={"angel": "rad"})
 
 
+def test_representation_names_the_function_and_the_effects(pendulum):
+    assert repr(pendulum) == "FunctionSimulator(swing, effects=[gravity, damping[joint]])"
+    assert repr(pendulum.extended({"gravity": 1.5})).endswith("built_in={'gravity': 1.5})")
+
+
 def test_function_of_the_wrong_shape_is_named():
     wrong = FunctionSimulator(lambda X: X[:, 0], input_names=("a",), output_names=("b",))
     with pytest.raises(
