@@ -81,13 +81,14 @@ class Estimates:
             name: k
             for k, name in enumerate(line.names)
             if freedom[k] < FEWEST_ROWS
-            or self._secant_width(name, errors[k]) > JAGGED * self.residuals.steps[name]
+            or self._secant_width(name, errors[k]) > JAGGED * self.residuals.slopes.steps[name]
         }
         for factor in SECANTS_IN_STEPS:
             if not jagged:
                 break
             widths = {
-                name: self._at_most_widest(name, factor * self.residuals.steps[name]) for name in jagged
+                name: self._at_most_widest(name, factor * self.residuals.slopes.steps[name])
+                for name in jagged
             }
             slopes = self.residuals.secants(line.values, widths)
             tells = lone_statistics(grams(line.residuals, self.residuals.whiten(slopes), clusters))[0]

@@ -127,7 +127,7 @@ class Refits:
 
     def _moved(self, values, name):
         high = self.effects[name].bounds[1]
-        step = self.residuals.steps[name]
+        step = self.residuals.slopes.steps[name]
         at = values[name]
         return {**values, name: at + step if at + step <= high else at - step}
 

@@ -12,16 +12,9 @@ import joblib
 import numpy as np
 from scipy import stats
 
+from skat.diagnosis.slopes import LEAST_CHANGE, Slopes
 from skat.diagnosis.whitening import estimate_variances
 
-# A derivative by an effect is a difference over a step that moves the predictions by about this much noise ...
-STEP_IN_NOISE = 0.3
-# ... sought from this share of the effect's range, and never beyond that one.
-FIRST_STEP = 1e-4
-LARGEST_STEP = 0.05
-# In noise units.
-LEAST_CHANGE = 1e-5
-ROWS_FOR_STEPS = 40
 # Where few rows stand for a log, so many follow each other: an action may act on the row after.
 ROWS_OF_RUN = 3
 # Fewer simulated rows are not worth sending to other processes.
@@ -83,9 +76,8 @@ class Residuals:
         self.smallest = self._smallest_variances()
         self.variances: Any = self.given_variances
         self.regressors = np.zeros((len(log), self.n_channels, 0))
-        self.steps = {}
         self.forces = simulator.joint_forces()
-        self.movable = {**self.effects, **{force.name: force for force, _ in self.forces}}
+        self.slopes = Slopes([*effects, *(force for force, _ in self.forces)])
         self.n_simulated_rows = 0
 
     @property
@@ -199,78 +191,18 @@ class Residuals:
         return self.whiten(self._derivatives(values, names))
 
     def _derivatives(self, values, names):
-        names = list(names)
-        if not names:
-            return np.zeros((len(self.log), self.n_channels, 0))
-        new = [name for name in names if name not in self.steps]
-        if new:
-            self._choose_steps(values, new)
-        stepped, moves = [], []
-        for name in names:
-            at = values.get(name, self.movable[name].neutral)
-            move = _within(at, self.steps[name], self.movable[name].bounds)
-            stepped.append({**values, name: at + move})
-            moves.append(move)
-        changes = np.nan_to_num(self._changes([values, *stepped]), nan=0.0, posinf=0.0, neginf=0.0)
-        # What a step of an effect moves by less than this is rounding, not a derivative.
-        felt = np.max(np.abs(changes / self._typical_deviations()), axis=(1, 2))
-        changes[felt < LEAST_CHANGE] = 0.0
-        return np.moveaxis(changes, 0, -1) / np.where(np.equal(moves, 0), np.inf, moves)
+        return self.slopes.derivatives(
+            self._changes, values, names, n_rows=len(self.log), deviations=self._typical_deviations()
+        )
 
     def secants(self, values, widths):
-        """Return the raw slopes (n_rows, n_channels, n_effects) of secants about a model.
-
-        Parameters
-        ----------
-        values : dict of str to float
-        widths : dict of str to float
-            How far each effect's secant reaches to both sides, as far as the effect's bounds allow.
-        """
-        ends = []
-        for name, width in widths.items():
-            at, (low, high) = values.get(name, self.movable[name].neutral), self.movable[name].bounds
-            ends += [max(at - width, low), min(at + width, high)]
-        changes = self._changes(
-            [values, *({**values, name: end} for name, end in zip(np.repeat(list(widths), 2), ends))]
-        )
-        moves = np.subtract(ends[1::2], ends[::2])[:, None, None]
-        slopes = (changes[1::2] - changes[::2]) / np.where(moves == 0, np.inf, moves)
-        return np.moveaxis(np.nan_to_num(slopes, nan=0.0, posinf=0.0, neginf=0.0), 0, -1)
+        """Return the raw slopes of secants about a model, as `Slopes.secants`."""
+        return self.slopes.secants(self._changes, values, widths)
 
     def _changes(self, candidates, rows=slice(None)):
         """Return by how much the predictions of the candidates after the first exceed the first's."""
         base, *moved = self._predict(candidates, rows)
         return np.stack([self.simulator.residual(one, base) for one in moved])
-
-    def _choose_steps(self, values, names):
-        """Scale each effect's step until the predictions change by little against the noise but well above rounding."""
-        rows = np.unique(np.linspace(0, len(self.log) - 1, ROWS_FOR_STEPS).astype(int))
-        steps = {name: FIRST_STEP * np.ptp(self.movable[name].bounds) for name in names}
-        largest = {name: LARGEST_STEP * np.ptp(self.movable[name].bounds) for name in names}
-        open_names = list(names)
-        for _ in range(4):
-            moves = [
-                _within(values.get(name, self.movable[name].neutral), steps[name], self.movable[name].bounds)
-                for name in open_names
-            ]
-            candidates = [
-                {**values, name: values.get(name, self.movable[name].neutral) + move}
-                for name, move in zip(open_names, moves)
-            ]
-            still_open = []
-            for name, change in zip(
-                open_names, self._changes([values, *candidates], rows) / self._typical_deviations()
-            ):
-                size = np.sqrt(np.nanmean(change**2)) if np.isfinite(change).any() else np.inf
-                factor = np.clip(STEP_IN_NOISE / size, 1e-3, 1e3) if size > 0 else 1e3
-                step = min(steps[name] * factor, largest[name])
-                if not 0.2 < step / steps[name] < 5:
-                    still_open.append(name)
-                steps[name] = step
-            open_names = still_open
-            if not open_names:
-                break
-        self.steps.update(steps)
 
     def _solution(self, raw, columns):
         """Return the coefficients (n_columns,) by which raw columns together explain raw residuals, robustly."""
@@ -495,13 +427,3 @@ def robust_weights(residuals):
     noise = largest_of_noise(n_channels)
     typical = 4 * np.median(sizes[sizes > 0]) if (sizes > 0).any() else noise
     return np.sqrt(np.minimum(1.0, max(noise, typical) / np.maximum(sizes, 1e-30)))
-
-
-def _within(at, step, bounds):
-    """Return the step, turned or shortened so that at + step stays within the bounds."""
-    low, high = bounds
-    if at + step <= high:
-        return step
-    if at - step >= low:
-        return -step
-    return high - at if high - at >= at - low else low - at

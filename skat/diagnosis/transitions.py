@@ -102,7 +102,7 @@ class TransitionResiduals(Residuals):
             part = self.log.part(n_rows, RUN_FOR_FIRST_NOISE)
             inner = TransitionResiduals(self.simulator, part, self.effects.values(), n_jobs=self.n_jobs)
             variances = inner._first_variances(values)
-            self.steps = inner.steps
+            self.slopes = inner.slopes
             self.n_simulated_rows += inner.n_simulated_rows
             return variances
         raw = super().raw_residuals([values])[0]
