@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from skat.diagnosis.evidence import as_good
+from skat.diagnosis.evidence import is_ruled_out
 
 # Rivals are refitted where they have at least half of the cause's direction, to first order ...
 LEAST_LIKE = 0.75
@@ -14,14 +14,17 @@ SIMILAR = 0.1
 SHORTLIST = 8
 # So many are refitted whatever they leave: over wide steps, directions of effects that are the same may differ.
 NEAREST = 2
+# What stands in a cause's place may have far to go, and must not be refused for not having arrived.
+REFIT_STEPS = 30
 
 
-def find_aliases(estimates, values, line, progress):
+def find_aliases(estimates, proposals, values, line, progress):
     """Return for each named effect those that, put in its place and refitted, explain the log as well.
 
     Parameters
     ----------
     estimates : Estimates
+    proposals : Proposals
     values : dict of str to float
         The final model.
     line : Linearisation
@@ -39,13 +42,23 @@ def find_aliases(estimates, values, line, progress):
     aliases = {}
     for done, name in enumerate(values, start=1):
         rest = {other: value for other, value in values.items() if other != name}
-        rivals = _rivals(
+        nearest = _rivals(
             estimates.effects, name, values, _with_directions(estimates, name, values, rest, line)
         )
-        aliases[name] = ()
-        if rivals:
-            swapped = refits.fit([{**rest, rival: start} for rival, start in rivals.items()])
-            aliases[name] = tuple(rival for rival, fit in zip(rivals, swapped) if as_good(fit.losses, losses))
+        # Of two limits in a row the one behind shows nothing, as long as the first one is reached.
+        flat = [other for k, other in enumerate(line.names) if not line.derivatives[..., k].any()]
+        hidden = [other for other in flat if other != name and other not in nearest]
+        models = [{**rest, rival: start} for rival, start in nearest.items()]
+        models += [{**rest, **start} for start in proposals.asleep(rest, hidden)]
+        for model in models:
+            estimates.residuals.choose_steps(model, list(model))
+        fits = refits.fit(models, n_steps=REFIT_STEPS)
+        aliases[name] = tuple(
+            rival
+            for fit in fits
+            for rival in fit.values
+            if rival not in rest and not is_ruled_out(fit.losses, losses)
+        )
         progress("aliases", done, len(values))
     return aliases
 

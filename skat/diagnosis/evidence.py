@@ -20,6 +20,9 @@ LEAST_MOVED = 1.0
 FEWEST_MOVED = 5
 # Loss in noise units that a refit may leave of what it could explain.
 LEFT_BY_A_REFIT = 0.01
+# A model is not ruled out by less than this loss in noise units, a likelihood ratio of 20, however evenly it is spread:
+# of two models that hardly differ, one is always better by a little, and the difference of their losses nearly normal.
+LEAST_TO_RULE_OUT = 6.0
 
 
 @dataclass(frozen=True)
@@ -230,6 +233,11 @@ def _above_zero(values, least_error):
         return 1.0
     error = max(np.sqrt(len(values) * values.var(ddof=1)), least_error)
     return float(stats.t.sf(values.sum() / error, len(values) - 1))
+
+
+def is_ruled_out(losses, reference):
+    """Whether a log speaks against a model with these losses (n_blocks,), beside one with the reference's."""
+    return not as_good(losses, reference) and bool((losses - reference).sum() > LEAST_TO_RULE_OUT)
 
 
 def as_good(losses, reference, level=ALIAS_LEVEL):

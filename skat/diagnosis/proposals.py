@@ -71,7 +71,7 @@ class Proposals:
                 grid += [{name: point} for point in _points(self.effects[name]) if name not in values]
         if far_off or not values:
             grid += self._grid(values, [first.names[k] for k in np.flatnonzero(first.p_values < 1)])
-            grid += self._asleep(values, [first.names[k] for k in np.flatnonzero(first.flat)])
+            grid += self.asleep(values, [first.names[k] for k in np.flatnonzero(first.flat)])
         if steps or grid:
             yield self._contenders(values, steps + grid)
 
@@ -111,7 +111,7 @@ class Proposals:
         ranked = sorted(best.values(), key=lambda pair: pair[0])
         return [candidate for size, candidate in ranked[:LONGEST_GRID] if size < sizes[0] - WORTH_A_REFIT]
 
-    def _asleep(self, values, names):
+    def asleep(self, values, names):
         """Return the best starting value of each effect that has no derivative at a model but acts elsewhere.
 
         A limit that is not reached is one. What acts nowhere, such as the friction of what never touches anything, is
@@ -172,9 +172,13 @@ class Proposals:
                     {**kept, effect.name: float(np.clip(effect.neutral + move, *effect.bounds))}
                     for _, effect, move in explained[:EXCHANGES]
                 ]
-                models += [{**kept, **start} for start in self._asleep(kept, flat)]
+                models += [{**kept, **start} for start in self.asleep(kept, flat)]
             if models:
                 yield n_dropped, models
+
+    def n_values(self, name):
+        """Return how many values of an effect are tried where it is asleep."""
+        return len(_points(self.effects[name]))
 
     def elsewhere(self, values, names):
         """Return for each of the effects the best model that has it at quite another value."""

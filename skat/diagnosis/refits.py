@@ -47,17 +47,18 @@ class Refits:
         self.starts = np.flatnonzero(np.r_[True, np.diff(residuals.blocks) > 0])
         self.cut = np.inf
 
-    def fit(self, models, *, race=False, hold=None):
+    def fit(self, models, *, race=False, hold=None, n_steps=REFIT_STEPS):
         """Fit the values of several models by damped Gauss-Newton, all side by side, and return their Fits.
 
-        With `race`, only the best go on to the end. The effect named by `hold` keeps its value.
+        With `race`, only the best go on to the end. The effect named by `hold` keeps its value. After `n_steps` a refit
+        ends where it is.
         """
         damping = np.full(len(models), 1e-4)
         best: list[Any] = [None] * len(models)
         held = [{name: value for name, value in model.items() if name == hold} for model in models]
         proposals = [{name: value for name, value in model.items() if name != hold} for model in models]
         active = list(range(len(models)))
-        for step in range(REFIT_STEPS):
+        for step in range(n_steps):
             if race and step in FINALISTS:
                 leaders = np.argsort([one[0].sum() for one in best])[: FINALISTS[step]]
                 active = [m for m in active if m in leaders]

@@ -195,6 +195,12 @@ class Residuals:
             self._changes, values, names, n_rows=len(self.log), deviations=self._typical_deviations()
         )
 
+    def choose_steps(self, values, names):
+        """Choose the steps of effects anew, as fits a model and its noise: the first were chosen before either."""
+        self.slopes.choose(
+            self._changes, values, names, n_rows=len(self.log), deviations=self._typical_deviations()
+        )
+
     def secants(self, values, widths):
         """Return the raw slopes of secants about a model, as `Slopes.secants`."""
         return self.slopes.secants(self._changes, values, widths)

@@ -7,7 +7,14 @@ from scipy import stats
 
 from skat.diagnosis.aliases import find_aliases
 from skat.diagnosis.estimates import Estimates
-from skat.diagnosis.evidence import as_good, fall_p_value, family_p_value, grams, screen
+from skat.diagnosis.evidence import (
+    as_good,
+    fall_p_value,
+    family_p_value,
+    grams,
+    lone_statistics,
+    screen,
+)
 from skat.diagnosis.proposals import Proposals
 
 # Exchanges made, and the fall of the loss in noise units that makes one worth it.
@@ -206,12 +213,12 @@ class Selection:
             for index in np.argsort([fit.loss for fit in fits]):
                 fit = fits[index]
                 (new,) = set(fit.values) - set(values)
+                screened = min(first.p_values[first.names.index(new)], fall_p_value(present, fit.losses))
                 p_value = min(
-                    first.p_values[first.names.index(new)],
-                    self.estimates.p_values(fit.values)[new],
-                    fall_p_value(present, fit.losses),
+                    family_p_value(screened, len(self.names)),
+                    self._in_family(fit.values, self.estimates.p_values(fit.values))[new],
                 )
-                significant = family_p_value(p_value, len(self.names)) < self.alpha
+                significant = p_value < self.alpha
                 matters = present.sum() - fit.loss > least_explained
                 if (
                     significant
@@ -263,10 +270,7 @@ class Selection:
             if fit.loss > APART_LOSS * loss:
                 continue
             while True:
-                p_values = {
-                    other: family_p_value(p, len(self.names))
-                    for other, p in self.estimates.p_values(fit.values).items()
-                }
+                p_values = self._in_family(fit.values, self.estimates.p_values(fit.values))
                 kept = {other: value for other, value in fit.values.items() if p_values[other] < self.alpha}
                 if len(kept) == len(fit.values) or not kept:
                     break
@@ -297,9 +301,11 @@ class Selection:
         while values:
             self.refits.set_scale(line.residuals)
             losses = self.refits.losses(line.residuals)
-            for name, p_value in self.estimates.p_values(values, spread).items():
-                if name not in by_fall:
-                    p_values[name] = family_p_value(p_value, len(self.names))
+            p_values |= {
+                name: p_value
+                for name, p_value in self._in_family(values, self.estimates.p_values(values, spread)).items()
+                if name not in by_fall
+            }
             worst = max(p_values, key=lambda name: p_values[name])
             significant = p_values[worst] < self.alpha
             if significant:
@@ -320,6 +326,31 @@ class Selection:
             p_values, by_fall, spread = {}, set(), None
         return Pruned(values, line, p_values, by_fall)
 
+    def _in_family(self, values, p_values):
+        """Return the family-wise p-values of the effects of a model, given each one's own by its size.
+
+        An effect that has no derivative where it is neutral, as a limit that is not reached there, may be far from it
+        in standard errors and explain nothing. It is judged by how well the change that it makes fits what is missing
+        without it, and each of the values that were tried counts.
+        """
+        of_family = {}
+        for name, p_value in p_values.items():
+            n_tried = len(self.names)
+            without = {other: value for other, value in values.items() if other != name}
+            if not self.residuals.derivatives(without, [name]).any():
+                p_value, n_tried = (
+                    self._p_value_asleep(values, without),
+                    n_tried * self.proposals.n_values(name),
+                )
+            of_family[name] = family_p_value(p_value, n_tried)
+        return of_family
+
+    def _p_value_asleep(self, values, without):
+        missed, left = self.refits.whitened([without, values])
+        change = (missed - left)[..., np.newaxis]
+        statistic, _, freedom = lone_statistics(grams(missed, change, self.estimates.clusters(1)))
+        return float(2 * stats.t.sf(abs(statistic[0]), freedom[0]))
+
     def _predicts(self, values, less):
         """Whether a model predicts the next states better than one with less, from the states as they were measured.
 
@@ -330,11 +361,11 @@ class Selection:
         return present < without
 
     def _misleading(self, values):
-        """Return the effect of a model without which it predicts best, and better than with it; None if none is."""
+        """Return the effect of a model without which it predicts best, and as well as with it; None if none is."""
         models = {name: {other: values[other] for other in values if other != name} for name in values}
         present, *without = self.residuals.log_errors([values, *models.values()]).sum(axis=1)
         best = int(np.argmin(without))
-        return list(models)[best] if without[best] < present else None
+        return list(models)[best] if without[best] <= present else None
 
     def _result(self, pruned, spread):
         values, line = pruned.values, pruned.line
@@ -342,21 +373,25 @@ class Selection:
         if not values:
             return Selected({}, {}, {}, {}, line, gram)
         names, covariance, freedom = self.estimates.covariance(values)
-        p_values, intervals, telling = {}, {}, {}
+        errors = np.hypot(np.sqrt(np.diag(covariance)), [spread[name] for name in names])
+        distances = [abs(values[name] - self.effects[name].neutral) for name in names]
+        telling = dict(zip(names, distances / errors))
+        by_value = self._in_family(
+            values, {name: 2 * stats.t.sf(telling[name], freedom[k]) for k, name in enumerate(names)}
+        )
+        p_values = {name: min(by_value[name], pruned.p_values[name]) for name in names}
+        intervals = {}
         for k, name in enumerate(names):
-            error = np.hypot(np.sqrt(covariance[k, k]), spread[name])
-            distance = values[name] - self.effects[name].neutral
-            telling[name] = abs(distance) / error
-            by_value = family_p_value(2 * stats.t.sf(telling[name], freedom[k]), len(self.names))
-            p_values[name] = min(by_value, pruned.p_values[name])
-            reach = stats.t.ppf(0.975, freedom[k]) * error
+            reach = stats.t.ppf(0.975, freedom[k]) * errors[k]
             low, high = self.effects[name].bounds
             intervals[name] = (max(values[name] - reach, low), min(values[name] + reach, high))
             # The error of an effect at a kink may be another one from one secant to the next.
-            if name in pruned.by_fall or by_value >= self.alpha:
+            if name in pruned.by_fall or by_value[name] >= self.alpha:
                 intervals[name] = self.estimates.profile_interval(name, values, line)
         order = sorted(names, key=lambda name: telling[name], reverse=True)
-        aliases = find_aliases(self.estimates, {name: values[name] for name in order}, line, self.progress)
+        aliases = find_aliases(
+            self.estimates, self.proposals, {name: values[name] for name in order}, line, self.progress
+        )
         for cause, rival in self._better(values):
             aliases[cause] = tuple(dict.fromkeys((*aliases[cause], rival)))
         return Selected({name: values[name] for name in order}, p_values, intervals, aliases, line, gram)

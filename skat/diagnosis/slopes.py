@@ -58,8 +58,7 @@ class Slopes:
             return np.zeros((n_rows, len(deviations), 0))
         new = [name for name in names if name not in self.steps]
         if new:
-            rows = np.unique(np.linspace(0, n_rows - 1, ROWS_FOR_STEPS).astype(int))
-            self._choose_steps(lambda candidates: changes(candidates, rows) / deviations, values, new)
+            self.choose(changes, values, new, n_rows=n_rows, deviations=deviations)
         moves = [self._move(values, name, self.steps[name]) for name in names]
         moved = changes([values, *self._stepped(values, names, moves)])
         moved = np.nan_to_num(moved, nan=0.0, posinf=0.0, neginf=0.0)
@@ -94,14 +93,18 @@ class Slopes:
         slopes = (moved[1::2] - moved[::2]) / np.where(moves == 0, np.inf, moves)
         return np.moveaxis(np.nan_to_num(slopes, nan=0.0, posinf=0.0, neginf=0.0), 0, -1)
 
-    def _choose_steps(self, changes_in_noise, values, names):
-        """Scale each effect's step until the predictions change by little against the noise but well above rounding."""
+    def choose(self, changes, values, names, *, n_rows, deviations):
+        """Scale each effect's step until the predictions change by little against the noise but well above rounding.
+
+        Parameters are those of `derivatives`.
+        """
+        rows = np.unique(np.linspace(0, n_rows - 1, ROWS_FOR_STEPS).astype(int))
         ranges = {name: np.ptp(self.effects[name].bounds) for name in names}
         steps = {name: FIRST_STEP * ranges[name] for name in names}
         open_names = list(names)
         for _ in range(4):
             moves = [self._move(values, name, steps[name]) for name in open_names]
-            moved = changes_in_noise([values, *self._stepped(values, open_names, moves)])
+            moved = changes([values, *self._stepped(values, open_names, moves)], rows) / deviations
             still_open = []
             for name, change in zip(open_names, moved):
                 size = np.sqrt(np.nanmean(change**2)) if np.isfinite(change).any() else np.inf
