@@ -16,6 +16,8 @@ CLOCK_TOLERANCE = 0.01
 STEP_TOLERANCE = 1e-3
 # Positions that move by so many times more or less than velocities say are not seconds apart.
 OTHER_CLOCK = 30.0
+# Where velocities say so many times more, times are in milliseconds, or smaller units.
+MILLISECONDS = 300.0
 
 
 def load_log(path, simulator, *, frame_skip=None):
@@ -28,8 +30,9 @@ def load_log(path, simulator, *, frame_skip=None):
         column for each input of the simulator: ``qpos.<joint>``, ``qvel.<joint>``, ``ctrl.<actuator>``. The
         action in a row acts from that row to the next.
 
-    simulator : MujocoSimulator
-        Its inputs name the columns, and its time step tells how many steps make a transition.
+    simulator : Simulator
+        With a state. Its inputs name the columns. The time step of a `MujocoSimulator` tells how many steps make a
+        transition; a transition of another simulator takes its ``dt``, and the log's rows must be as far apart.
 
     frame_skip : int, default=None
         Number of steps of the model from a row to the next. None means: from the times in the log. With a
@@ -53,8 +56,8 @@ def load_log(path, simulator, *, frame_skip=None):
         dt : float
             Seconds per transition.
         frame_skip : int
-            Steps of the model per transition.
-        simulator : MujocoSimulator
+            Steps of the model per transition; 1 where a model has no steps of its own.
+        simulator : Simulator
             The simulator with this `frame_skip`.
 
     Raises
@@ -64,8 +67,8 @@ def load_log(path, simulator, *, frame_skip=None):
 
     ValueError
         If the file is no table, its columns are not those of the simulator, a value is missing or no number,
-        an episode's rows are not together, the times are not even or not a multiple of the model's time step,
-        or there are fewer than 20 transitions.
+        an episode's rows are not together, the times are not even, not in seconds or not a multiple of the model's
+        time step, or there are fewer than 20 transitions; if the simulator has no state.
 
     Examples
     --------
@@ -80,6 +83,22 @@ def load_log(path, simulator, *, frame_skip=None):
     ((39, 2), 4, 0.0667)
     """
     path = Path(path)
+    steps_itself = "frame_skip" in simulator.get_params(deep=False)
+    if not simulator.state_names:
+        raise ValueError(
+            "A log of states in time needs a simulator with a state; this one is one-shot. Read its inputs and outputs "
+            "by pandas.read_csv, and pass them to fit as X and y."
+        )
+    if not steps_itself:
+        if frame_skip is not None:
+            raise ValueError(
+                f"frame_skip={frame_skip} is of MuJoCo models; a transition of this {type(simulator).__name__} takes "
+                "its dt."
+            )
+        if simulator.dt is None:
+            raise ValueError(
+                "The simulator has no dt, the seconds of a transition, to compare the log's times with."
+            )
     table = read_table(path)
     _check_columns(table, simulator, path, needs_time=frame_skip is None)
     values = _numbers(table, list(simulator.input_names), path)
@@ -92,12 +111,17 @@ def load_log(path, simulator, *, frame_skip=None):
             f"{path} has {len(arrivals)} transitions in {len(starts)} episodes; at least {FEWEST_ROWS} are needed. "
             "Record longer, or put several episodes into one file with a column 'episode'."
         )
-    timestep = simulator.dt / simulator.frame_skip
+    timestep = simulator.dt / (simulator.frame_skip if steps_itself else 1)
     if frame_skip is None:
         frame_skip = _steps_per_row(_numbers(table, ["time"], path)[:, 0], arrivals, timestep, path)
         _doubt_clock(values, arrivals, simulator, frame_skip * timestep, path)
+    if not steps_itself and frame_skip != 1:
+        raise ValueError(
+            f"{path}: {frame_skip * timestep:g} s from row to row, while a transition of the simulator takes "
+            f"{timestep:g} s (dt). Write the function for the log's step, or resample the log."
+        )
     episode = np.cumsum(~inside) - 1
-    parameters = {**simulator.get_params(deep=False), "frame_skip": frame_skip}
+    parameters = simulator.get_params(deep=False) | ({"frame_skip": frame_skip} if steps_itself else {})
     n_states = len(simulator.state_names)
     return Bunch(
         data=values[arrivals - 1],
@@ -274,13 +298,14 @@ def _doubt_clock(values, arrivals, simulator, dt, path):
         if moved > 0 and told > 0:
             ratios.append(moved / told)
     ratio = float(np.median(ratios)) if ratios else 1.0
+    text = (
+        f"{path}: from row to row, {dt:g} s by the column 'time', positions move by {ratio:.2g} of what the "
+        "velocities say. Times must be in seconds, positions and velocities in the same unit of length or angle."
+    )
+    if ratio < 1 / MILLISECONDS:
+        raise ValueError(f"{text} The times look like milliseconds or less: divide them by 1000.")
     if not 1 / OTHER_CLOCK < ratio < OTHER_CLOCK:
-        warnings.warn(
-            f"{path}: from row to row, {dt:g} s by the column 'time', positions move by {ratio:.2g} of what the "
-            "velocities say. Times must be in seconds, positions and velocities in the same unit of length or angle.",
-            UserWarning,
-            stacklevel=3,
-        )
+        warnings.warn(text, UserWarning, stacklevel=3)
 
 
 def _line(path, row):

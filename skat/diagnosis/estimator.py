@@ -27,6 +27,8 @@ CLEAN_EXCESS = 1.3
 LARGEST_ERROR = 9.0
 # Where fewer blocks were held out, errors of the rows fitted are judged in their place.
 FEWEST_BLOCKS_OF_EXCESS = 3
+# A log in which the simulation diverges in a larger share of the rows is not explained by it.
+MOST_DIVERGED = 0.1
 QUATERNION = ("qw", "qx", "qy", "qz")
 # An estimate within this share of its range from a bound is at it.
 AT_BOUND = 1e-6
@@ -72,6 +74,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         What is left beside the causes.
     excess_p_value_ : float
         Chance of one-step errors so far above the noise if nothing were left.
+    diverged_share_ : float
+        Share of the rows in which the simulation, as given or with its causes, diverges; they tell nothing.
     extended_simulator_ : Simulator
         The simulation with the causes built in.
     identifiability_ : DataFrame
@@ -141,9 +145,9 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         effects = self._chosen_effects()
         random_state = check_random_state(self.random_state)
         hidden = self._checked_hidden()
-        log = check_log(self.simulator, X, y, groups, hidden=hidden)
-        if hidden and not log.consecutive:
+        if hidden and groups is None:
             raise ValueError("hidden= needs episodes: pass groups=, the episode of each row.")
+        log = check_log(self.simulator, X, y, groups, hidden=hidden)
         warn_of_doubts(self.simulator, log, hidden)
         self.n_features_in_ = log.X.shape[1]
         fitted, held_out = log.split(self.test_size, random_state)
@@ -178,6 +182,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             except RuntimeError as error:
                 warnings.warn(f"The gain could not be measured on the rows held out. {error}", stacklevel=2)
         _warn_of_diverged(n_diverged, len(log))
+        self.diverged_share_ = float(n_diverged / len(log))
         self.excess_p_value_ = self._excess(residuals, len(fitted))
         self.verdict_ = self._verdict()
         self.report_ = Report(self, fitted, held_out)
@@ -399,7 +404,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         if is_structured(self.remainder_, self.alpha) or self.excess_p_value_ < self.alpha / 4:
             return "unexplained"
         if not self.causes_:
-            return "nothing detected"
+            return "nothing detected" if self.diverged_share_ < MOST_DIVERGED else "unexplained"
         return "ambiguous" if any(cause.aliases for cause in self.causes_) else "named"
 
     @staticmethod

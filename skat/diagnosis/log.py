@@ -11,6 +11,8 @@ from skat.episodes import FEWEST_ROWS, drawn_episodes
 
 # Rows whitened together, and rows that count as one independent piece of evidence.
 CHAIN_LENGTH = 60
+# Rows of which more than this share begin where the one before has ended are in time order.
+FOLLOWING = 0.9
 BLOCK_LENGTH = 12
 FEWEST_BLOCKS = 20
 # Groups of rows that have something in common, in logs without time order.
@@ -174,6 +176,15 @@ def check_log(simulator, X, y, groups, *, fewest_rows=FEWEST_ROWS, hidden=()):
             "Measure longer, or join several logs and tell the episodes apart with groups=."
         )
     if groups is None:
+        state = len(simulator.state_names)
+        if state and fewest_rows > 1 and np.mean(np.all(X[1:, :state] == y[:-1], axis=1)) > FOLLOWING:
+            warnings.warn(
+                "Each row begins where the one before it has ended, but without groups= rows are taken for "
+                "independent: noise then counts as if it were another one in y than in the X of the next row, and "
+                "what the state's own noise does is not seen. Pass groups=, the episode of each row.",
+                UserWarning,
+                stacklevel=3,
+            )
         return Log(X, y, np.arange(len(X)), False)
     groups = np.asarray(groups)
     if groups.shape != (len(X),):

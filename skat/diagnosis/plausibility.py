@@ -1,4 +1,4 @@
-"""Signs that a log is not what it seems: stuck channels, clipped commands, other units, jumps, made velocities."""
+"""Signs that a log is not what it seems: stuck channels, late commands, other units, jumps, made velocities."""
 
 import warnings
 
@@ -6,9 +6,21 @@ import numpy as np
 
 # Share of an actuator's commands beyond its range that is worth a warning.
 CLIPPED_SHARE = 0.01
-# The log in degrees is tried where an angle leaves a full turn; it must fit so many times better in radians.
+# The log in degrees is tried where an angle leaves a full turn; it must fit so many times better in radians, and is
+# refused where it does so by far.
 BETTER_IN_RADIANS = 2.0
+CERTAIN_IN_RADIANS = 10.0
 ROWS_TRIED = 200
+# Commands are late where the simulation misses so many times less with those of the row after, in rows in which they
+# change.
+BETTER_IF_EARLIER = 2.0
+FEWEST_CHANGES = 20
+# The state jumps in a row in which so many of the channels miss by more than the first share of their spread, if they
+# miss by less than the second one in a typical row, and jumps are no larger a share of the rows than the third.
+MOST_CHANNELS = 0.75
+JUMP = 0.3
+SMOOTH = 0.05
+MOST_JUMPS = 0.1
 # Velocities that nine rows in ten have as a difference of positions, this much better than velocities that the
 # simulation makes, were computed from them.
 DIFFERENCED_SHARE = 0.05
@@ -28,12 +40,18 @@ def warn_of_doubts(simulator, log, hidden=()):
     log : Log
     hidden : sequence of str
         State channels that were not measured.
+
+    Raises
+    ------
+    ValueError
+        If angles are in degrees.
     """
     for doubt in (
         *_constant(simulator, log, hidden),
         *_clipped(simulator, log),
-        *_degrees(simulator, log, hidden),
-        *_wrapped(simulator, log, hidden),
+        *(_degrees(simulator, log, hidden) or _wrapped(simulator, log, hidden)),
+        *_late(simulator, log, hidden),
+        *_jumps(simulator, log, hidden),
         *_differenced(simulator, log, hidden),
     ):
         warnings.warn(doubt, UserWarning, stacklevel=3)
@@ -77,12 +95,12 @@ def _clipped(simulator, log):
 
 
 def _degrees(simulator, log, hidden):
-    """Say that angles look like degrees where they leave a full turn and the simulation fits them better as such."""
+    """Return a text if angles leave a full turn and the simulation fits them better as degrees; raise if by far."""
     angles = [name for name in simulator.angle_names if name not in hidden]
     columns = [simulator.input_names.index(name) for name in angles]
     positions = [column for column, name in zip(columns, angles) if simulator.units[name] == "rad"]
     if not positions or np.abs(log.X[:, positions]).max() < 2 * np.pi:
-        return
+        return ()
     some = log.rows(np.arange(min(len(log), ROWS_TRIED)))
     misses = []
     for factor in (1.0, np.pi / 180):
@@ -93,12 +111,14 @@ def _degrees(simulator, log, hidden):
         spread = y[:, columns].std(axis=0)
         errors = np.abs(y - predicted)[:, columns] / np.where(spread > 0, spread, 1.0)
         misses.append(np.median(np.nan_to_num(errors, nan=np.inf)))
-    if misses[1] * BETTER_IN_RADIANS < misses[0]:
-        yield (
-            f"{', '.join(angles)} look like degrees: read as such, the simulation's typical error falls from "
-            f"{misses[0]:.2g} to {misses[1]:.2g} of their spread. The simulator's unit is rad (rad/s): convert with "
-            "numpy.deg2rad."
-        )
+    text = (
+        f"{', '.join(angles)} look like degrees: read as such, the simulation's typical error falls from "
+        f"{misses[0]:.2g} to {misses[1]:.2g} of their spread. The simulator's unit is rad (rad/s): convert with "
+        "numpy.deg2rad."
+    )
+    if misses[1] * CERTAIN_IN_RADIANS < misses[0]:
+        raise ValueError(text)
+    return (text,) if misses[1] * BETTER_IN_RADIANS < misses[0] else ()
 
 
 def _wrapped(simulator, log, hidden):
@@ -118,6 +138,54 @@ def _wrapped(simulator, log, hidden):
                 f"{name} jumps by about a full turn in {count} of {len(log)} rows, where the simulation turns on: an "
                 "angle that starts anew at a full turn. Unwrap it within each episode (numpy.unwrap)."
             )
+
+
+def _late(simulator, log, hidden):
+    """Say that commands stand a row too late where the simulation fits better with those of the row after."""
+    n_states = len(simulator.state_names)
+    if not log.consecutive or hidden or n_states == log.X.shape[1] or simulator.n_lags():
+        return
+    changes = np.any(log.X[1:, n_states:] != log.X[:-1, n_states:], axis=1)
+    rows = np.flatnonzero(changes & (np.diff(log.episodes) == 0))[:ROWS_TRIED]
+    if len(rows) < FEWEST_CHANGES:
+        return
+    earlier = log.X[rows].copy()
+    earlier[:, n_states:] = log.X[rows + 1, n_states:]
+    misses = []
+    for X in (log.X[rows], earlier):
+        errors = _shares_of_spread(simulator, log.y[rows], simulator.predict_many(X, [{}])[0])
+        misses.append(np.median(np.sqrt(np.mean(errors**2, axis=1))))
+    if misses[1] * BETTER_IF_EARLIER < misses[0]:
+        yield (
+            "Commands look a row late: with those of the row after, the simulation's typical error falls from "
+            f"{misses[0]:.2g} to {misses[1]:.2g} of the spread. The action in a row must be the one that acts from "
+            "that row to the next; move the commands up by one row in each episode."
+        )
+
+
+def _jumps(simulator, log, hidden):
+    """Name rows in which most of the state changes as the simulation never does it: another episode may begin there."""
+    if not log.consecutive or hidden:
+        return
+    predicted = simulator.predict_many(log.X, [{}], groups=log.groups)[0]
+    errors = _shares_of_spread(simulator, log.y, predicted)
+    misses = np.quantile(errors, 1 - MOST_CHANNELS, axis=1, method="lower")
+    rows = np.flatnonzero(misses > JUMP)
+    if len(rows) and np.median(misses) < SMOOTH and len(rows) < MOST_JUMPS * len(log):
+        some = ", ".join(map(str, rows[:5])) + (", ..." if len(rows) > 5 else "")
+        yield (
+            f"The state jumps in {'row' if len(rows) == 1 else 'rows'} {some}, in most channels at once, where the "
+            "simulation goes on: does another episode begin behind it? Name the episode of each row (groups=; in a "
+            "file the column episode), and leave out rows that lead from one into the next."
+        )
+
+
+def _shares_of_spread(simulator, y, predicted):
+    """Return errors (n_rows, n_channels) as shares of each channel's spread; infinite where a simulation diverged."""
+    spread = simulator.residual(y, np.broadcast_to(y[:1], y.shape)).std(axis=0)
+    errors = np.abs(simulator.residual(y, np.where(np.isfinite(predicted), predicted, y)))
+    errors[~np.isfinite(predicted).all(axis=1)] = np.inf
+    return errors / np.where(spread > 0, spread, 1.0)
 
 
 def _differenced(simulator, log, hidden):

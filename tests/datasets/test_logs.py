@@ -5,7 +5,7 @@ from sklearn.utils import Bunch
 
 from skat.datasets import load_log, split_episodes
 from skat.datasets.logs import numeric_columns, with_same_columns
-from skat.simulators import MujocoSimulator
+from skat.simulators import FunctionSimulator, MujocoSimulator
 
 CART = """
 <mujoco>
@@ -108,12 +108,39 @@ def test_a_step_that_misses_a_multiple_by_half_a_percent_is_refused(tmp_path, ta
     assert load_log(written(tmp_path, table), finer, frame_skip=67).frame_skip == 67
 
 
-def test_milliseconds_for_seconds_raise_a_warning(tmp_path, table, cart):
+def test_milliseconds_for_seconds_are_refused(tmp_path, table, cart):
     table["qpos.rail"] = np.cumsum(0.02 * table["qvel.rail"])
     assert load_log(written(tmp_path, table), cart).frame_skip == 4
-    table["time"] *= 1000
-    with pytest.warns(UserWarning, match=r"20 s by the column 'time', positions move by 0\.00\d+ of what"):
+    message = refusal(tmp_path, table.assign(time=1000 * table["time"]), cart)
+    assert "20 s by the column 'time', positions move by 0.00" in message
+    assert message.endswith("look like milliseconds or less: divide them by 1000.")
+
+
+def test_velocities_in_another_unit_raise_a_warning(tmp_path, table, cart):
+    table["qpos.rail"] = np.cumsum(0.02 * table["qvel.rail"] / 57.3)
+    with pytest.warns(UserWarning, match="positions and velocities in the same unit"):
         load_log(written(tmp_path, table), cart)
+
+
+def glide(X):
+    return np.stack([X[:, 0] + 0.02 * X[:, 1], X[:, 1] + 0.02 * X[:, 2]], axis=1)
+
+
+def test_log_of_a_function_has_its_columns_and_its_step(tmp_path, table):
+    names = ("qpos.rail", "qvel.rail", "ctrl.push")
+    columns = {"input_names": names, "output_names": names[:2], "state_names": names[:2]}
+    log = load_log(written(tmp_path, table), FunctionSimulator(glide, **columns, dt=0.02))
+    np.testing.assert_array_equal(log.data, table[list(names)].to_numpy()[np.r_[0:29, 30:49]])
+    assert (log.dt, log.frame_skip, log.simulator.dt) == (0.02, 1, 0.02)
+    assert "0.02 s from row to row, while a transition of the simulator takes 0.01 s" in refusal(
+        tmp_path, table, FunctionSimulator(glide, **columns, dt=0.01)
+    )
+    assert "has no dt" in refusal(tmp_path, table, FunctionSimulator(glide, **columns))
+    assert "frame_skip=2 is of MuJoCo models" in refusal(
+        tmp_path, table, FunctionSimulator(glide, **columns, dt=0.02), frame_skip=2
+    )
+    shot = FunctionSimulator(glide, input_names=names, output_names=("a", "b"))
+    assert "needs a simulator with a state" in refusal(tmp_path, table, shot)
 
 
 def test_rows_in_another_order_are_refused(tmp_path, table, cart):

@@ -5,6 +5,7 @@ import warnings
 import numpy as np
 import pytest
 
+from skat.diagnosis import plausibility
 from skat.diagnosis.log import check_log
 from skat.diagnosis.plausibility import warn_of_doubts
 from skat.simulators import FunctionSimulator, MujocoSimulator
@@ -45,8 +46,19 @@ def test_sound_log_raises_no_warning(simulator, log):
 def test_angles_in_degrees_are_noticed(simulator, log):
     X, y, groups = log
     X[:, :2], y[:] = np.rad2deg(X[:, :2]), np.rad2deg(y)
-    with pytest.warns(UserWarning, match=r"qpos\.shoulder, qvel\.shoulder look like degrees"):
+    with pytest.raises(
+        ValueError, match=r"qpos\.shoulder, qvel\.shoulder look like degrees.* numpy\.deg2rad"
+    ):
         warn_of_doubts(simulator, check_log(simulator, X, y, groups))
+
+
+def test_angles_that_may_be_degrees_are_only_warned_of(simulator, log, monkeypatch):
+    monkeypatch.setattr(plausibility, "CERTAIN_IN_RADIANS", 1e12)
+    X, y, groups = noisy(log)
+    X[:, :2], y[:] = np.rad2deg(X[:, :2]), np.rad2deg(y)
+    with pytest.warns(UserWarning, match="look like degrees") as caught:
+        warn_of_doubts(simulator, check_log(simulator, X, y, groups))
+    assert len(caught) == 1
 
 
 def test_degrees_are_noticed_where_a_function_s_columns_have_units(simulator, log):
@@ -57,8 +69,54 @@ def test_degrees_are_noticed_where_a_function_s_columns_have_units(simulator, lo
     )
     X, y, groups = log
     X[:, :2], y[:] = np.rad2deg(X[:, :2]), np.rad2deg(y)
-    with pytest.warns(UserWarning, match=r"qpos\.shoulder, qvel\.shoulder look like degrees"):
+    with pytest.raises(ValueError, match=r"qpos\.shoulder, qvel\.shoulder look like degrees"):
         warn_of_doubts(arm, check_log(arm, X, y, groups))
+
+
+def noisy(log):
+    X, y, groups = log
+    noise = 0.01 * np.std(y, axis=0) * np.random.default_rng(1).normal(size=(len(y) + 1, 2))
+    return np.hstack([X[:, :2] + noise[:-1], X[:, 2:]]), y + noise[1:], groups
+
+
+def test_commands_that_stand_a_row_late_are_noticed(simulator, log):
+    X, y, groups = noisy(log)
+    for episode in np.unique(groups):
+        rows = np.flatnonzero(groups == episode)
+        X[rows[1:], 2] = X[rows[:-1], 2].copy()
+    with pytest.warns(UserWarning, match=r"Commands look a row late.*move the commands up by one row"):
+        plausibility.warn_of_doubts(simulator, check_log(simulator, X, y, groups))
+
+
+def test_delayed_commands_are_no_late_ones(simulator, log):
+    commands = log[0][:, 2].reshape(3, 40, 1)
+    states = simulator.rollout(
+        [[1.5, 0], [-1.0, 0], [0.5, 2]], commands, n_steps=40, effects={"delay[action]": 0.02}
+    )
+    X = np.concatenate([states[:, :-1], commands], axis=2).reshape(-1, 3)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warn_of_doubts(simulator, check_log(simulator, X, states[:, 1:].reshape(-1, 2), log[2]))
+
+
+def test_episodes_that_are_glued_together_are_noticed(simulator, log):
+    X, y, _ = log
+    y[39], y[79] = X[40, :2], X[80, :2]
+    glued = check_log(simulator, X, y, np.zeros(len(X)))
+    with pytest.warns(
+        UserWarning, match=r"The state jumps in rows 39, 79, .*does another episode begin behind it\?"
+    ):
+        warn_of_doubts(simulator, glued)
+
+
+def test_rows_in_time_order_without_groups_are_noticed(simulator, log):
+    X, y, groups = log
+    with pytest.warns(UserWarning, match=r"Each row begins where the one before it has ended.*Pass groups="):
+        check_log(simulator, X, y, None)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_log(simulator, X[::2], y[::2], None)
+        check_log(simulator, X, y, groups)
 
 
 def test_angle_of_many_turns_in_radians_is_sound(simulator):

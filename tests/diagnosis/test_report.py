@@ -249,12 +249,16 @@ def test_errors_without_a_shape_are_said_to_have_none():
     simulator = pendulum()
     diagnosis = diagnosed(simulator, value=None, verdict="unexplained")
     diagnosis.remainder_ = Remainder(0.4, "rate", "angle", (("rate", "angle", 0.02),))
+    diagnosis.excess_p_value_, diagnosis.diverged_share_ = 1e-6, 0.0
     X, y, groups = pendulum_log()
     log = check_log(simulator, X, y, groups)
     report = Report(diagnosis, *log.split(0.4, np.random.RandomState(0)))
     assert "larger than the noise explains" in report.text()
     assert "something acts on" not in report.text()
     assert "What is left" not in report.html(figures=False)
+    diagnosis.excess_p_value_, diagnosis.diverged_share_ = 1.0, 0.25
+    report = Report(diagnosis, *log.split(0.4, np.random.RandomState(0)))
+    assert "The simulation diverges in 25 % of the rows, which tell nothing." in report.text()
 
 
 def test_an_unexplained_verdict_says_what_is_left_and_how_far_a_transport_comes():
@@ -343,7 +347,7 @@ def test_a_one_shot_simulation_is_shown_measured_against_simulated():
 
 
 def test_independent_rows_are_shown_by_their_changes_of_state():
-    X, y, _ = pendulum_log()
+    X, y = (part[::2] for part in pendulum_log()[:2])
     texts = [texts_of(svg) for svg in pictures_of(reported(log=(X, y, None)).html())]
     assert any({"measured change of rate", "simulated change of rate"} <= set(one) for one in texts)
 

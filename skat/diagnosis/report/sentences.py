@@ -75,6 +75,8 @@ def remainder_sentence(diagnosis):
     """Return in words what is left: its shape, or that it has none."""
     if is_structured(diagnosis.remainder_, diagnosis.alpha):
         return diagnosis.remainder_.sentence
+    if diagnosis.excess_p_value_ >= diagnosis.alpha / 4:
+        return f"the simulation diverges in {100 * diagnosis.diverged_share_:.0f} % of the rows, which tell nothing"
     return "errors are larger than the noise explains, and depend on no single input in a way that would say where"
 
 
