@@ -169,7 +169,7 @@ def test_columns_that_do_not_match_are_listed(here):
     renamed = edited(here, **{"qvel.rail": None, "qvel.track": 0.0})
     message = refused("diagnose", "model.xml", renamed)
     assert "Missing: qvel.rail." in message
-    assert "Not in the model: qvel.track." in message
+    assert "Not in the model: qvel.track; take such columns out." in message
 
 
 def test_nan_is_refused_with_its_line(here):

@@ -209,7 +209,8 @@ def _check_columns(table, simulator, path, *, needs_time):
         raise ValueError(
             f"The columns of {path} do not match the model. "
             + (f"Missing: {_listed(missing)}. " if missing else "")
-            + (f"Not in the model: {_listed(unknown)}. " if unknown else "")
+            + (f"Not in the model: {_listed(unknown)}; take such columns out. " if unknown else "")
+            + _advice(missing, table)
             + f"Expected time, episode (optional), {_listed(list(simulator.input_names), 40)}."
         )
     if needs_time and "time" not in table:
@@ -217,6 +218,18 @@ def _check_columns(table, simulator, path, *, needs_time):
             f"{path} has no column 'time' (s). Add it, or say how many steps of the model lie between two rows "
             "(frame_skip, on the command line --frame-skip)."
         )
+
+
+def _advice(missing, table):
+    """Return what to do about columns that are missing."""
+    if len(table.columns) == 1 and any(mark in table.columns[0] for mark in ";\t|"):
+        return "The file seems to be separated by another mark than commas: write it with commas. "
+    if missing and all(name.startswith("qvel.") for name in missing):
+        return (
+            "Velocities that were not measured may be differences of the positions, if they are named in hidden= "
+            "(--hidden). "
+        )
+    return ""
 
 
 def _numbers(table, names, path):

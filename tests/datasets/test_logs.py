@@ -179,8 +179,13 @@ def test_a_row_without_an_episode_is_refused(tmp_path, table, cart):
 def test_columns_must_be_those_of_the_model(tmp_path, table, cart):
     message = refusal(tmp_path, table.rename(columns={"ctrl.push": "ctrl.pull"}), cart)
     assert "Missing: ctrl.push." in message
-    assert "Not in the model: ctrl.pull." in message
+    assert "Not in the model: ctrl.pull; take such columns out." in message
     assert "has no column 'time'" in refusal(tmp_path, table.drop(columns="time"), cart)
+    assert "named in hidden= (--hidden)" in refusal(tmp_path, table.drop(columns="qvel.rail"), cart)
+    path = tmp_path / "log.csv"
+    table.to_csv(path, index=False, sep=";")
+    with pytest.raises(ValueError, match="separated by another mark than commas"):
+        load_log(path, cart)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, "fast"])
