@@ -370,6 +370,11 @@ def _actuator_effects(anatomy: Anatomy) -> Found:
         and int(model.actuator_biastype[index]) in LINEAR_BIASES
     ]
     yield from _each_and_all("gain", simple, name, (-3.0, 3.0), edits.scale_gain)
+    # Without damping of its own, a servo's stiffness is all of its gain.
+    damped = [
+        index for index in simple if _is_servo(model, index) and model.actuator_biasprm[index, 1:3].all()
+    ]
+    yield from _each_and_all("kp", damped, name, (0.02, 20.0), edits.scale_stiffness_of_servo)
     for index in simple:
         if _is_servo(model, index):
             low, high = model.actuator_ctrlrange[index]

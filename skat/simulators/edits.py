@@ -181,6 +181,15 @@ def scale_gain(actuators: Sequence[int], spec: mujoco.MjSpec, factor: float) -> 
             actuator.gainprm[0] = np.nextafter(actuator.gainprm[0], np.inf)
 
 
+def scale_stiffness_of_servo(actuators: Sequence[int], spec: mujoco.MjSpec, factor: float) -> None:
+    """Multiply the position gain of servos, and leave their damping as it is."""
+    elements = spec.actuators
+    for index in actuators:
+        actuator = elements[index]
+        actuator.gainprm[0] = actuator.gainprm[0] * factor
+        actuator.biasprm[1] = actuator.biasprm[1] * factor
+
+
 def offset_command(actuator: int, spec: mujoco.MjSpec, offset: float) -> None:
     """Let a servo act as if its control were larger."""
     element = spec.actuators[actuator]

@@ -28,6 +28,11 @@ def askew(model):
     model.actuator("servo").biasprm[0] += 0.05 * 0.15
 
 
+def stiffer(model):
+    model.actuator("servo").gainprm[0] *= 1.2
+    model.actuator("servo").biasprm[1] *= 1.2
+
+
 def measured(text, edit, seed, n_episodes=8, n_rows=40):
     """Return states with noise of 1 % of each channel's spread, 1e-5 at least, rounded to half of that, and actions."""
     rng = np.random.default_rng(seed)
@@ -60,6 +65,7 @@ def measured(text, edit, seed, n_episodes=8, n_rows=40):
         (FINGER, softer, "tendon_stiffness[band]", -9.0, 0.0),
         (FINGER, stickier, "tendon_dry_friction[flexor]", 1.0, 0.0),
         (FINGER, askew, "offset[servo]", 0.15, 0.0),
+        (FINGER, stiffer, "kp[servo]", 1.2, 1.0),
     ],
 )
 def test_effect_of_a_wheel_a_tendon_or_a_servo_is_named_and_measured(text, edit, name, value, neutral):

@@ -89,6 +89,7 @@ ARM_CASES = {
           '<general name="servo" joint="elbow" biastype="affine" gainprm="4" biasprm=".8 -4 -.1"/>')],
     ),
     "gain[servo]": ({"gain[servo]": 0.5}, [('kp="4" kv="0.1"', 'kp="2" kv="0.05"')]),
+    "kp[servo]": ({"kp[servo]": 1.5}, [('kp="4" kv="0.1"', 'kp="6" kv="0.1"')]),
     "contact_friction[all]": (
         {"contact_friction[all]": 0.25},
         [('friction="0.8"', 'friction="0.2"'), ('friction="0.5"', 'friction="0.1"'),
