@@ -202,6 +202,7 @@ _PHRASES = {
     "tendon_damping": ("viscous damping of tendon {}", ""),
     "tendon_dry_friction": ("dry friction of tendon {}", ""),
     "tendon_stiffness": ("the stiffness of tendon {}", ""),
+    "force_limit": ("the force limit of {}", "the force limit of every actuator"),
     "kp": ("the position gain of {}", "the position gain of every servo"),
     "delay": ("the delay of every {}", ""),
     "bias": ("the bias of sensor {}", ""),

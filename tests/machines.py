@@ -39,7 +39,7 @@ FINGER = """
   </tendon>
   <actuator>
     <motor name="pull" tendon="flexor" gear="8" ctrlrange="-1 1"/>
-    <position name="servo" joint="tip" kp=".05" kv=".002" ctrlrange="-1 1"/>
+    <position name="servo" joint="tip" kp=".05" kv=".002" ctrlrange="-1 1" forcerange="-.2 .2"/>
   </actuator>
 </mujoco>
 """

@@ -370,6 +370,8 @@ def _actuator_effects(anatomy: Anatomy) -> Found:
         and int(model.actuator_biastype[index]) in LINEAR_BIASES
     ]
     yield from _each_and_all("gain", simple, name, (-3.0, 3.0), edits.scale_gain)
+    limited = [index for index in range(model.nu) if model.actuator_forcelimited[index]]
+    yield from _each_and_all("force_limit", limited, name, (0.02, 20.0), edits.scale_force_limit)
     # Without damping of its own, a servo's stiffness is all of its gain.
     damped = [
         index for index in simple if _is_servo(model, index) and model.actuator_biasprm[index, 1:3].all()

@@ -51,13 +51,17 @@ def checked_model(spec: mujoco.MjSpec, frame_skip: int) -> mujoco.MjModel:
     if model.nq == 0:
         raise ValueError("the model has no joints: nothing in it can move, so there is no state to predict")
     hidden = {
-        f"{model.na} actuator activations (dyntype other than 'none')": model.na,
-        "a history (delay, nsample); for a delay take the effect delay[action]": model.nhistory,
-        "a plugin with a state": model.npluginstate,
+        f"{model.na} actuator activations (dyntype other than 'none')": (model.na, "remove it"),
+        "delayed actuators or sensors (delay, nsample)": (
+            model.nhistory,
+            "take delay and nsample out of the MJCF, and build the delay in by "
+            'MujocoSimulator(...).extended({"delay[action]": seconds})',
+        ),
+        "a plugin with a state": (model.npluginstate, "remove it"),
     }
-    for what, count in hidden.items():
+    for what, (count, advice) in hidden.items():
         if count:
             raise ValueError(
-                f"the model has {what}: a state that the rows [qpos, qvel, ctrl] do not hold; remove it"
+                f"the model has {what}, a state that the rows [qpos, qvel, ctrl] do not hold: {advice}"
             )
     return model

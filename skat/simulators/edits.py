@@ -190,6 +190,13 @@ def scale_stiffness_of_servo(actuators: Sequence[int], spec: mujoco.MjSpec, fact
         actuator.biasprm[1] = actuator.biasprm[1] * factor
 
 
+def scale_force_limit(actuators: Sequence[int], spec: mujoco.MjSpec, factor: float) -> None:
+    """Multiply both ends of actuators' range of force."""
+    elements = spec.actuators
+    for index in actuators:
+        elements[index].forcerange = np.asarray(elements[index].forcerange) * factor
+
+
 def offset_command(actuator: int, spec: mujoco.MjSpec, offset: float) -> None:
     """Let a servo act as if its control were larger."""
     element = spec.actuators[actuator]

@@ -20,7 +20,7 @@ from skat.simulators.catalogue import Listing, effect_listing
 from skat.simulators.channels import HINGE, StateLayout, joint_name, state_layout
 from skat.simulators.compiling import checked_model, compile_spec, lean_spec
 from skat.simulators.derived import write_down
-from skat.simulators.source import ModelSource, broken_model, read_source, write_xml
+from skat.simulators.source import NOTES, ModelSource, broken_model, read_source, write_xml
 from skat.simulators.stepping import Forces, Job, Stepper, delayed_controls
 from skat.simulators.tables import Array
 
@@ -235,7 +235,7 @@ class MujocoSimulator(Simulator):
         spec.compile()
         files = {target: write_xml(spec).encode()}
         files |= {target.parent / name: content for name, content in self.model.assets.items()}
-        notes = writable(target.with_suffix(".effects.json"), force=force)
+        notes = writable(target.with_suffix(NOTES), force=force)
         if beside:
             files[notes] = (json.dumps(self._beside(beside), indent=2) + "\n").encode()
         changed = [file for file, content in files.items() if not _holds(file, content)]

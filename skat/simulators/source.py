@@ -1,6 +1,7 @@
 """Models as text: reading them from a path, XML text or MjSpec, and writing them without loss of digits."""
 
 import ctypes
+import json
 import re
 import warnings
 from collections.abc import Iterator, Mapping
@@ -15,6 +16,8 @@ import mujoco
 from skat.simulators.derived import write_down
 
 FULL_PRECISION = 17
+# Beside a model, what MJCF cannot express of it.
+NOTES = ".effects.json"
 # What refers to files that no element of the parsed model names.
 ELSEWHERE = re.compile(r"<(include|attach|model|flexcomp[^>]*\sfile)\b")
 
@@ -78,6 +81,7 @@ def _read(model: Any) -> ModelSource:
         spec = _parsed(lambda: mujoco.MjSpec.from_string(model), "the MJCF text")
         return ModelSource(model) if _stands_alone(spec, model) else _source_of_spec(spec, Path("."))
     path = Path(model)
+    _warn_of_notes(path.with_suffix(NOTES))
     if not path.is_file():
         raise FileNotFoundError(
             f"there is no model file {str(path)!r} (looked in {Path.cwd()}); give the path of an MJCF "
@@ -86,6 +90,20 @@ def _read(model: Any) -> ModelSource:
     spec = _parsed(lambda: mujoco.MjSpec.from_file(str(path)), f"the model {str(path)!r}")
     text = path.read_text(encoding="utf-8", errors="replace")
     return ModelSource(text) if _stands_alone(spec, text) else _source_of_spec(spec, path.parent)
+
+
+def _warn_of_notes(path: Path) -> None:
+    """Say that effects that MJCF cannot express stand beside a model, and are not read with it."""
+    try:
+        values = {one["name"]: one["value"] for one in json.loads(path.read_text())["effects"]}
+    except (OSError, ValueError, KeyError, TypeError):
+        return
+    warnings.warn(
+        f"{path} holds effects that this model had and that MJCF cannot express; they are not read with it. Build them "
+        f"in: simulator.extended({values}).",
+        UserWarning,
+        stacklevel=5,
+    )
 
 
 def broken_model(what: str, error: Exception) -> ValueError:

@@ -33,6 +33,10 @@ def stiffer(model):
     model.actuator("servo").biasprm[1] *= 1.2
 
 
+def weaker(model):
+    model.actuator("servo").forcerange *= 0.1
+
+
 def measured(text, edit, seed, n_episodes=8, n_rows=40):
     """Return states with noise of 1 % of each channel's spread, 1e-5 at least, rounded to half of that, and actions."""
     rng = np.random.default_rng(seed)
@@ -66,6 +70,7 @@ def measured(text, edit, seed, n_episodes=8, n_rows=40):
         (FINGER, stickier, "tendon_dry_friction[flexor]", 1.0, 0.0),
         (FINGER, askew, "offset[servo]", 0.15, 0.0),
         (FINGER, stiffer, "kp[servo]", 1.2, 1.0),
+        (FINGER, weaker, "force_limit[servo]", 0.1, 1.0),
     ],
 )
 def test_effect_of_a_wheel_a_tendon_or_a_servo_is_named_and_measured(text, edit, name, value, neutral):

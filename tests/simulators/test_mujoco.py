@@ -303,6 +303,18 @@ def test_what_mjcf_cannot_express_is_written_beside(bot, tmp_path):
         name: value for name, value in values.items() if name != "mass[leg]"
     }
     assert "the mass of leg is 1.3 times the model" in model.read_text()
+    with pytest.warns(
+        UserWarning, match=r"windy\.effects\.json holds effects .* simulator\.extended\(\{'wind\[x\]': 1"
+    ):
+        again = MujocoSimulator(model, frame_skip=5)
+    del values["mass[leg]"]
+    rows = rows_of(bot, 5)
+    np.testing.assert_allclose(
+        again.extended(values).predict(rows),
+        bot.extended({**values, "mass[leg]": 1.3}).predict(rows),
+        rtol=1e-10,
+        atol=1e-10,
+    )
 
 
 @pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])
@@ -325,6 +337,8 @@ def test_delay_of_mujoco_agrees_with_ours(bot, tmp_path, integrator, delay):
             data.qacc_warmstart[:] = 0
             found = simulator.residual(np.r_[data.qpos, data.qvel], expected[step + 1])
             np.testing.assert_allclose(found, 0, atol=1e-6)
+    with pytest.raises(ValueError, match=r"delayed actuators or sensors.*build the delay in by .*extended"):
+        MujocoSimulator(path)
 
 
 def test_no_file_is_overwritten_unless_that_is_asked_for(bot, tmp_path):
@@ -441,7 +455,7 @@ def test_hidden_states_are_refused():
     with pytest.raises(ValueError, match=r"1 actuator activations.*rows .* do not hold"):
         MujocoSimulator(active)
     late = BOT.replace('gear="10"', 'gear="10" delay="0.01" nsample="4"')
-    with pytest.raises(ValueError, match=r"take the effect delay\[action\]"):
+    with pytest.raises(ValueError, match=r"build the delay in by .*delay\[action\]"):
         MujocoSimulator(late)
 
 

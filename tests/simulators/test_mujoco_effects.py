@@ -27,7 +27,7 @@ ARM = """
   </worldbody>
   <actuator>
     <motor joint="shoulder" gear="5" ctrlrange="-1 1" ctrllimited="true"/>
-    <position name="servo" joint="elbow" kp="4" kv="0.1"/>
+    <position name="servo" joint="elbow" kp="4" kv="0.1" forcerange="-1.2 0.8"/>
   </actuator>
 </mujoco>
 """
@@ -85,10 +85,13 @@ ARM_CASES = {
     "gain[shoulder]": ({"gain[shoulder]": -1.0}, [('gear="5"', 'gear="-5"')]),
     "offset[servo]": (
         {"offset[servo]": 0.2},
-        [('<position name="servo" joint="elbow" kp="4" kv="0.1"/>',
-          '<general name="servo" joint="elbow" biastype="affine" gainprm="4" biasprm=".8 -4 -.1"/>')],
+        [('<position name="servo" joint="elbow" kp="4" kv="0.1" ',
+          '<general name="servo" joint="elbow" biastype="affine" gainprm="4" biasprm=".8 -4 -.1" ')],
     ),
     "gain[servo]": ({"gain[servo]": 0.5}, [('kp="4" kv="0.1"', 'kp="2" kv="0.05"')]),
+    "force_limit[servo]": (
+        {"force_limit[servo]": 0.25}, [('forcerange="-1.2 0.8"', 'forcerange="-0.3 0.2"')],
+    ),
     "kp[servo]": ({"kp[servo]": 1.5}, [('kp="4" kv="0.1"', 'kp="6" kv="0.1"')]),
     "contact_friction[all]": (
         {"contact_friction[all]": 0.25},
@@ -536,7 +539,7 @@ def test_effects_that_repeat_another_are_accepted_but_not_listed():
 
 def test_scaling_masses_and_all_forces_together_is_a_symmetry():
     values = {"mass[all]": 2.0, "armature[shoulder]": 0.02, "damping[shoulder]": 0.1, "damping[elbow]": 0.2}
-    values |= {"stiffness[shoulder]": 2.0, "gain[all]": 2.0}
+    values |= {"stiffness[shoulder]": 2.0, "gain[all]": 2.0, "force_limit[servo]": 2.0}
     rows, simulator = (
         arm_rows(),
         MujocoSimulator(ARM.replace("<geom ", '<geom contype="0" conaffinity="0" ', 1), frame_skip=4),
