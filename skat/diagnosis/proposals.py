@@ -20,6 +20,8 @@ SHARES_OF_STEP = (1.0, 0.3, 0.1)
 # Values tried over an effect's range when the model is far off, in units of the way to each bound.
 GRID = (0.02, 0.1, 0.4)
 FACTORS = (0.33, 0.5, 0.7, 0.85, 1.2, 1.5, 2.0, 3.0)
+# A limit may be so far away that it wakes up only there.
+FAR_FACTORS = (0.03, 0.06, 0.1, 0.2, 5.0, 10.0)
 LONGEST_GRID = 5
 # Fall of the log error, summed over channels, that makes a value far off worth a refit.
 WORTH_A_REFIT = 0.3
@@ -121,7 +123,7 @@ class Proposals:
         for name in names:
             if name in values or name in self.dead:
                 continue
-            models = [{**values, name: point} for point in _points(self.effects[name])]
+            models = [{**values, name: point} for point in _far_points(self.effects[name])]
             moved = self.residuals.moved(values, models, ROWS_OF_GRID) if models else []
             models = [model for model, moves in zip(models, moved) if moves]
             if models:
@@ -178,7 +180,7 @@ class Proposals:
 
     def n_values(self, name):
         """Return how many values of an effect are tried where it is asleep."""
-        return len(_points(self.effects[name]))
+        return len(_far_points(self.effects[name]))
 
     def elsewhere(self, values, names):
         """Return for each of the effects the best model that has it at quite another value."""
@@ -193,11 +195,15 @@ class Proposals:
         return [self.refits.losses(one).sum() for one in self.refits.whitened(models)]
 
 
-def _points(effect):
+def _points(effect, factors=FACTORS):
     """Return values over the whole range of an effect."""
     if effect.is_factor:
-        points = [*FACTORS, 0.0, -1.0] if effect.bounds[0] < 0 else FACTORS
+        points = [*factors, 0.0, -1.0] if effect.bounds[0] < 0 else factors
     else:
         points = [effect.neutral + share * (end - effect.neutral) for share in GRID for end in effect.bounds]
     low, high = effect.bounds
     return [point for point in points if low <= point <= high and point != effect.neutral]
+
+
+def _far_points(effect):
+    return _points(effect, FACTORS + FAR_FACTORS)
