@@ -37,7 +37,7 @@ FEWEST_EPISODES = 8
 # Or blocks lose at most this share of what others gain, and no block has more than that share of the gain.
 LOST_SHARE = 0.1
 LARGEST_BLOCK_SHARE = 0.7
-# What explains so much of the loss in noise units, without being significant, is judged at the noise that it leaves.
+# What explains so much of the loss in noise units, where nothing stands, is judged at the noise that it leaves.
 WORTH_ITS_OWN_NOISE = 30.0
 # A named effect's value far off, refitted, is taken where the loss falls by this much in noise units; so many times.
 WORTH_A_JUMP = 10.0
@@ -202,7 +202,7 @@ class Selection:
         A refit starts from states smoothed by the present model, and may end in a jag of the loss, short of the
         effect's value, where the evidence is weaker than when all effects were screened; so either counts. What is
         added is judged again at states smoothed by its own model, in the end. So is at once what explains much, where
-        nothing is significant: a sensor's scale may pass for noise of its channel, and make itself insignificant.
+        nothing stands: a sensor's scale may pass for noise of its channel, in which it shows little.
         """
         gram = grams(line.residuals, line.derivatives, self.estimates.clusters(len(line.names)))
         first = screen(gram, line.names, values, self.effects, list(values))
@@ -233,24 +233,24 @@ class Selection:
                 ):
                     better = self._elsewhere(fit.values, fit.loss, [new])
                     return better if better and self._predicts(better, values) else fit.values
-                enough = present.sum() - fit.loss > max(least_explained, WORTH_ITS_OWN_NOISE)
-                if not significant and enough and self._improves(fit, present):
-                    doubtful.append(fit)
-        return (
-            self._at_its_own_noise(min(doubtful, key=lambda fit: fit.loss), values, line)
-            if doubtful
-            else None
-        )
+            doubtful += fits
+        best = min(doubtful, key=lambda fit: fit.loss, default=None)
+        if best is None or present.sum() - best.loss < max(least_explained, WORTH_ITS_OWN_NOISE):
+            return None
+        return self._at_its_own_noise(best, values, line)
 
     def _at_its_own_noise(self, fit, values, line):
-        """Return the values of a model with a further effect that is significant at the noise it leaves, else None."""
+        """Return the values of a model with a further effect that stands at the noise which it leaves, else None."""
         (new,) = set(fit.values) - set(values)
         misfit, state = self.refits.misfit(line.residuals), self.residuals.state()
         found, _ = self.estimates.fitted(fit.values)
-        likelier = self.refits.misfit(self.refits.whitened([found])[0]) < misfit - WORTH_A_JUMP
+        residuals, without = self.refits.whitened([found, values])
+        self.refits.set_scale(residuals)
+        settled = Fit(found, self.refits.losses(residuals))
         if (
-            likelier
+            self.refits.misfit(residuals) < misfit - WORTH_A_JUMP
             and self._in_family(found, self.estimates.p_values(found))[new] < self.alpha
+            and self._improves(settled, self.refits.losses(without))
             and self._predicts(found, values)
         ):
             return found
