@@ -3,5 +3,6 @@
 from skat.diagnosis.comparison import compare_transports
 from skat.diagnosis.estimator import SimulationDiagnosis
 from skat.diagnosis.findings import Cause, Gain
+from skat.diagnosis.omnibus import Remainder
 
-__all__ = ["Cause", "Gain", "SimulationDiagnosis", "compare_transports"]
+__all__ = ["Cause", "Gain", "Remainder", "SimulationDiagnosis", "compare_transports"]
