@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from sklearn.utils import check_random_state
 
+from skat.diagnosis import SimulationDiagnosis
 from skat.diagnosis.aliases import _rivals
 from skat.diagnosis.evidence import grams, screen
 from skat.diagnosis.log import check_log
@@ -360,3 +361,42 @@ def test_nearest_effects_are_tried_as_aliases_however_large_the_cause_is():
     values = {"gain": 4.0}
     line = Linearisation(values, np.zeros((500, 1)), derivatives, names)
     assert list(_rivals(effects, "gain", values, line)) == ["mass", "damping"]
+
+
+N_JOINTS = 4
+
+
+def pushed_to_stops(X):
+    """Return the next places and speeds of joints that are pushed against stiff stops at 0.5."""
+    places, speeds, forces = np.split(X, 3, axis=1)
+    for _ in range(20):
+        depths = np.maximum(0.5 - places, 0.0)
+        pushed = 8 * forces - 2 * speeds + 2000 * depths - 40 * speeds * (depths > 0)
+        speeds = speeds + 0.0025 * pushed
+        places = places + 0.0025 * speeds
+    return np.hstack([places, speeds])
+
+
+def test_scale_that_passes_for_noise_at_a_stop_is_judged_at_the_noise_it_leaves():
+    """A joint that is read 4 % too small lies within its stop, which throws it out in the simulation of such rows."""
+    rng = np.random.default_rng(2)
+    n_episodes, n_rows = 4, 50
+    forces = np.repeat(rng.uniform(-1.5, 0.7, (n_episodes, n_rows // 5, N_JOINTS)), 5, axis=1)
+    states = np.zeros((n_episodes, n_rows + 1, 2 * N_JOINTS))
+    states[:, 0, :N_JOINTS] = rng.uniform(0.5, 1.2, (n_episodes, N_JOINTS))
+    for row in range(n_rows):
+        states[:, row + 1] = pushed_to_stops(np.hstack([states[:, row], forces[:, row]]))
+    states[..., 1] *= 0.96
+    states += 0.01 * states.std(axis=(0, 1)) * rng.normal(size=states.shape)
+    names = tuple(f"{what}{joint}" for what in ("place", "speed") for joint in range(N_JOINTS))
+    inputs = (*names, *(f"force{joint}" for joint in range(N_JOINTS)))
+    simulator = FunctionSimulator(pushed_to_stops, input_names=inputs, output_names=names, state_names=names)
+    X = np.concatenate([states[:, :-1], forces], axis=2).reshape(-1, len(inputs))
+    groups = np.repeat(np.arange(n_episodes), n_rows)
+    diagnosis = SimulationDiagnosis(simulator, random_state=2).fit(
+        X, states[:, 1:].reshape(len(X), -1), groups=groups
+    )
+    (cause,) = diagnosis.causes_
+    assert (diagnosis.verdict_, cause.name) == ("named", "scale[place1]")
+    low, high = cause.interval
+    assert 0.95 < low < 0.96 < high < 0.97
