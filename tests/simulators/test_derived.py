@@ -288,7 +288,8 @@ def test_ends_of_a_closed_loop_are_found_where_static_bodies_are_fused(equality)
 
 
 @pytest.mark.parametrize("fused", ["", 'fusestatic="true"'])
-def test_bounds_and_a_total_of_masses_are_those_of_the_compiler(fused, tmp_path):
+def test_bounds_and_a_total_of_masses_are_those_of_the_compiler(fused, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # where MuJoCo logs its warning
     light = '<body name="a" pos="1 0 0"><joint name="k" axis="0 1 0"/><geom size=".05" mass="1" pos="0 0 .3"/></body>'
     post = '<body name="post"><geom size=".1" pos="0 3 0"/></body>'
     text = model(

@@ -387,7 +387,8 @@ def test_delay_under_runge_kutta_is_written_beside(tmp_path):
     assert "delay[action]" in beside.read_text()
 
 
-def test_total_mass_of_the_compiler_does_not_undo_effects(tmp_path):
+def test_total_mass_of_the_compiler_does_not_undo_effects(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # where MuJoCo logs its warning
     text = BOT.replace("<option", '<compiler settotalmass="7"/><option')
     simulator = MujocoSimulator(text)
     assert simulator.compiled().body_mass.sum() == pytest.approx(7)
