@@ -98,7 +98,7 @@ def _degrees(simulator, log, hidden):
     """Return a text if angles leave a full turn and the simulation fits them better as degrees; raise if by far."""
     angles = [name for name in simulator.angle_names if name not in hidden]
     columns = [simulator.input_names.index(name) for name in angles]
-    positions = [column for column, name in zip(columns, angles) if simulator.units[name] == "rad"]
+    positions = [column for column, name in zip(columns, angles) if simulator.units.get(name) == "rad"]
     if not positions or np.abs(log.X[:, positions]).max() < 2 * np.pi:
         return ()
     some = log.rows(np.arange(min(len(log), ROWS_TRIED)))
@@ -124,7 +124,7 @@ def _degrees(simulator, log, hidden):
 def _wrapped(simulator, log, hidden):
     """Name angles that jump by a full turn where the simulation turns on."""
     for name in simulator.angle_names:
-        if simulator.units[name] != "rad" or name in hidden:
+        if simulator.units.get(name) != "rad" or name in hidden:
             continue
         before, after = simulator.input_names.index(name), simulator.output_names.index(name)
         jumps = np.flatnonzero(np.abs(log.y[:, after] - log.X[:, before]) > np.pi)

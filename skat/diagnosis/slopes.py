@@ -13,7 +13,7 @@ ROWS_FOR_STEPS = 40
 
 
 class Slopes:
-    """Slopes of predictions by effects, each over a step of its own that is chosen once.
+    """Slopes of predictions by effects, each over a step of its own, chosen when it is first asked for or by `choose`.
 
     Its methods take a function ``changes(candidates, rows)``, which returns by how much the predictions
     (n_candidates - 1, n_rows, n_channels) of the candidates after the first exceed the first's; ``rows`` are an index,
@@ -27,7 +27,7 @@ class Slopes:
     Attributes
     ----------
     steps : dict of str to float
-        The steps chosen so far.
+        The steps as they were last chosen.
     """
 
     def __init__(self, effects):
