@@ -5,8 +5,8 @@ import pandas as pd
 from scipy import stats
 
 from skat.diagnosis.evidence import grams, solve_scaled
+from skat.diagnosis.judgement import least_fall
 from skat.diagnosis.log import Log, check_log
-from skat.diagnosis.selection import least_fall
 
 COMMON_NOISE = 0.01
 # Effects whose derivatives make a smaller angle than this cosine are worth a warning before measuring.

@@ -12,9 +12,9 @@ from skat.diagnosis.evidence import (
     fall_p_value,
     family_p_value,
     grams,
-    lone_statistics,
     screen,
 )
+from skat.diagnosis.judgement import Judgement
 from skat.diagnosis.proposals import Proposals
 from skat.diagnosis.refits import Fit
 
@@ -31,12 +31,6 @@ LEAST_SHARE = 0.1
 # An effect on all is taken apart into so many elements at most, where that leaves less than this share of the loss.
 MOST_ELEMENTS = 16
 APART_LOSS = 0.7
-# A cause must lower the loss of episodes, not only of the whole, at this level; from so many episodes on.
-IMPROVEMENT_LEVEL = 0.02
-FEWEST_EPISODES = 8
-# Or blocks lose at most this share of what others gain, and no block has more than that share of the gain.
-LOST_SHARE = 0.1
-LARGEST_BLOCK_SHARE = 0.7
 # What explains so much of the loss in noise units, where nothing stands, is judged at the noise that it leaves.
 WORTH_ITS_OWN_NOISE = 30.0
 # A named effect's value far off, refitted, is taken where the loss falls by this much in noise units; so many times.
@@ -114,6 +108,7 @@ class Selection:
         self.estimates = Estimates(residuals, names)
         self.refits = self.estimates.refits
         self.proposals = Proposals(self.estimates)
+        self.judgement = Judgement(self.estimates, self.proposals)
         # Sets of effects that were exchanged for better ones.
         self.left: set[frozenset] = set()
         # Of each set that was exchanged, the one that it was left for.
@@ -221,18 +216,18 @@ class Selection:
                 screened = min(first.p_values[first.names.index(new)], fall_p_value(present, fit.losses))
                 p_value = min(
                     family_p_value(screened, len(self.names)),
-                    self._in_family(fit.values, self.estimates.p_values(fit.values))[new],
+                    self.judgement.p_values(fit.values)[new],
                 )
                 significant = p_value < self.alpha
                 matters = present.sum() - fit.loss > least_explained
                 if (
                     significant
                     and matters
-                    and self._improves(fit, present)
-                    and self._predicts(fit.values, values)
+                    and self.judgement.improves(fit, present)
+                    and self.judgement.predicts(fit.values, values)
                 ):
                     better = self._elsewhere(fit.values, fit.loss, [new])
-                    return better if better and self._predicts(better, values) else fit.values
+                    return better if better and self.judgement.predicts(better, values) else fit.values
             doubtful += fits
         best = min(doubtful, key=lambda fit: fit.loss, default=None)
         if best is None or present.sum() - best.loss < max(least_explained, WORTH_ITS_OWN_NOISE):
@@ -249,9 +244,9 @@ class Selection:
         settled = Fit(found, self.refits.losses(residuals))
         if (
             self.refits.misfit(residuals) < misfit - WORTH_A_JUMP
-            and self._in_family(found, self.estimates.p_values(found))[new] < self.alpha
-            and self._improves(settled, self.refits.losses(without))
-            and self._predicts(found, values)
+            and self.judgement.p_values(found)[new] < self.alpha
+            and self.judgement.improves(settled, self.refits.losses(without))
+            and self.judgement.predicts(found, values)
         ):
             return found
         self.residuals.restore(state)
@@ -298,7 +293,7 @@ class Selection:
             if fit.loss > APART_LOSS * loss:
                 continue
             while True:
-                p_values = self._in_family(fit.values, self.estimates.p_values(fit.values))
+                p_values = self.judgement.p_values(fit.values)
                 kept = {other: value for other, value in fit.values.items() if p_values[other] < self.alpha}
                 if len(kept) == len(fit.values) or not kept:
                     break
@@ -331,13 +326,13 @@ class Selection:
             losses = self.refits.losses(line.residuals)
             p_values |= {
                 name: p_value
-                for name, p_value in self._in_family(values, self.estimates.p_values(values, spread)).items()
+                for name, p_value in self.judgement.p_values(values, spread).items()
                 if name not in by_fall
             }
             worst = max(p_values, key=lambda name: p_values[name])
             significant = p_values[worst] < self.alpha
             if significant:
-                worst = self._misleading(values)
+                worst = self.judgement.misleading(values)
                 if worst is None:
                     break
             kept = {name: value for name, value in values.items() if name != worst}
@@ -354,47 +349,6 @@ class Selection:
             p_values, by_fall, spread = {}, set(), None
         return Pruned(values, line, p_values, by_fall)
 
-    def _in_family(self, values, p_values):
-        """Return the family-wise p-values of the effects of a model, given each one's own by its size.
-
-        An effect that has no derivative where it is neutral, as a limit that is not reached there, may be far from it
-        in standard errors and explain nothing. It is judged by how well the change that it makes fits what is missing
-        without it, and each of the values that were tried counts.
-        """
-        of_family = {}
-        for name, p_value in p_values.items():
-            n_tried = len(self.names)
-            without = {other: value for other, value in values.items() if other != name}
-            if not self.residuals.derivatives(without, [name]).any():
-                p_value, n_tried = (
-                    self._p_value_asleep(values, without),
-                    n_tried * self.proposals.n_values(name),
-                )
-            of_family[name] = family_p_value(p_value, n_tried)
-        return of_family
-
-    def _p_value_asleep(self, values, without):
-        missed, left = self.refits.whitened([without, values])
-        change = (missed - left)[..., np.newaxis]
-        statistic, _, freedom = lone_statistics(grams(missed, change, self.estimates.clusters(1)))
-        return float(2 * stats.t.sf(abs(statistic[0]), freedom[0]))
-
-    def _predicts(self, values, less):
-        """Whether a model predicts the next states better than one with less, from the states as they were measured.
-
-        The loss is of states smoothed by the model with the noise that it leaves. A channel in which something else
-        is missed passes for noisy there, and may then be given any scale.
-        """
-        present, without = self.residuals.log_errors([values, less]).sum(axis=1)
-        return present < without
-
-    def _misleading(self, values):
-        """Return the effect of a model without which it predicts best, and as well as with it; None if none is."""
-        models = {name: {other: values[other] for other in values if other != name} for name in values}
-        present, *without = self.residuals.log_errors([values, *models.values()]).sum(axis=1)
-        best = int(np.argmin(without))
-        return list(models)[best] if without[best] <= present else None
-
     def _result(self, pruned, spread):
         values, line = pruned.values, pruned.line
         gram = grams(line.residuals, line.derivatives, self.estimates.clusters(len(line.names)))
@@ -404,7 +358,7 @@ class Selection:
         errors = np.hypot(np.sqrt(np.diag(covariance)), [spread[name] for name in names])
         distances = [abs(values[name] - self.effects[name].neutral) for name in names]
         telling = dict(zip(names, distances / errors))
-        by_value = self._in_family(
+        by_value = self.judgement.in_family(
             values, {name: 2 * stats.t.sf(telling[name], freedom[k]) for k, name in enumerate(names)}
         )
         p_values = {name: min(by_value[name], pruned.p_values[name]) for name in names}
@@ -432,29 +386,3 @@ class Selection:
         better = self.better.get(frozenset(values), frozenset(values))
         gone, new = values.keys() - better, better - values.keys()
         return [(*gone, *new)] if len(gone) == len(new) == 1 else []
-
-    def _improves(self, fit, losses):
-        """Whether the loss falls throughout: in episodes (blocks, where they are few), or wherever it moves at all.
-
-        An effect that acts in few blocks, such as at impacts, passes where it lowers several of them and raises
-        hardly any; what fits one row at the cost of others does not.
-        """
-        fall = losses - fit.losses
-        gained, lost = fall[fall > 0].sum(), -fall[fall < 0].sum()
-        if lost < LOST_SHARE * gained and fall.max() < LARGEST_BLOCK_SHARE * gained:
-            return True
-        if _by_episode(self.residuals.log):
-            fall = np.bincount(self.residuals.log.episodes[self.refits.starts], fall)
-        error = np.sqrt(len(fall) * fall.var(ddof=1))
-        return bool(fall.sum() > least_fall(self.residuals) * error)
-
-
-def least_fall(residuals):
-    """Return the t, over episodes or blocks, beyond which the loss counts as lower throughout the log."""
-    log = residuals.log
-    n_parts = log.n_episodes if _by_episode(log) else len(np.unique(residuals.blocks))
-    return float(stats.t.isf(IMPROVEMENT_LEVEL, max(n_parts - 1, 1)))
-
-
-def _by_episode(log):
-    return log.consecutive and log.n_episodes >= FEWEST_EPISODES

@@ -72,10 +72,10 @@ def test_right_pair_is_kept(simulator):
 
 def test_effect_without_which_a_model_predicts_better_misleads(simulator):
     selection = selection_of(simulator, {"drag": 0.3})
-    assert selection._predicts({"drag": 0.3}, {})
-    assert not selection._predicts({"drag": 0.3, "gain": 1.2}, {"drag": 0.3})
-    assert selection._misleading({"drag": 0.3, "gain": 1.2}) == "gain"
-    assert selection._misleading({"drag": 0.3}) is None
+    assert selection.judgement.predicts({"drag": 0.3}, {})
+    assert not selection.judgement.predicts({"drag": 0.3, "gain": 1.2}, {"drag": 0.3})
+    assert selection.judgement.misleading({"drag": 0.3, "gain": 1.2}) == "gain"
+    assert selection.judgement.misleading({"drag": 0.3}) is None
 
 
 def weight(X, shift_x=0.0, shift_y=0.0, turn=0.0, **pulls):
