@@ -149,13 +149,23 @@ class Refits:
         return np.sqrt(np.minimum(1.0, self.cut / np.maximum(np.sum(residuals**2, axis=-1), 1e-30)))
 
     def misfit(self, residuals):
-        """Return twice the negative log likelihood, robust, of residuals whitened with their model's own noise.
+        """Return twice the negative log likelihood, robust, of residuals whitened with their model's own noise, by row.
 
-        Losses compare models in one whitening. Where a model misses, more passes for noise, which this counts.
+        Losses compare models in one whitening. Where a model misses, more passes for noise, which this counts. It is
+        a mean over the rows that are evidence, since a model may leave some out: those whose past it does not know.
         """
         cut, sizes = largest_of_noise(residuals.shape[1]), np.sum(residuals**2, axis=-1)
         robust = np.where(sizes <= cut, sizes, 2 * np.sqrt(cut * sizes) - cut)
-        return float(robust.sum()) + self.residuals.log_determinant()
+        n_rows = np.count_nonzero(self.residuals.present)
+        return float(robust.sum() + self.residuals.log_determinant()) / n_rows
+
+    def is_likelier(self, residuals, misfit, by):
+        """Whether residuals, whitened with their model's own noise, are likelier than another model's misfit was.
+
+        `by` so much of twice the log likelihood of all their rows.
+        """
+        n_rows = np.count_nonzero(self.residuals.present)
+        return bool(n_rows * (misfit - self.misfit(residuals)) > by)
 
     def losses(self, residuals):
         """Return the robust loss of each block, in noise units."""

@@ -181,7 +181,7 @@ class Selection:
             state = self.residuals.state()
             found, settled = self.estimates.fitted(other)
             residuals = self.refits.whitened([found])[0]
-            likelier = self.refits.misfit(residuals) < present - WORTH_A_JUMP
+            likelier = self.refits.is_likelier(residuals, present, WORTH_A_JUMP)
             if likelier and self.refits.losses(residuals).sum() < self.refits.fit([values])[0].loss:
                 self.better[frozenset(values)] = frozenset(found)
                 return found, self.estimates.linearised(found, settled=settled)
@@ -243,7 +243,7 @@ class Selection:
         self.refits.set_scale(residuals)
         settled = Fit(found, self.refits.losses(residuals))
         if (
-            self.refits.misfit(residuals) < misfit - WORTH_A_JUMP
+            self.refits.is_likelier(residuals, misfit, WORTH_A_JUMP)
             and self.judgement.p_values(found)[new] < self.alpha
             and self.judgement.improves(settled, self.refits.losses(without))
             and self.judgement.predicts(found, values)

@@ -238,6 +238,17 @@ def test_misfit_that_changes_from_one_settling_to_the_next_makes_no_exchange(off
     assert offset_or_scale._nearer(values, line, [{"offset": 0.07}]) == (values, line)
 
 
+def test_rows_that_a_model_leaves_out_make_it_no_likelier_and_no_less_likely(offset_or_scale):
+    refits, residuals = offset_or_scale.refits, offset_or_scale.residuals
+    misfit = refits.misfit(refits.whitened([{"scale": 1.075}])[0])
+    wrong = refits.misfit(refits.whitened([{"scale": 1.074}])[0])
+    residuals._leave_out(np.arange(300) % 10 == 0)
+    white = refits.whitened([{"scale": 1.075}])[0]
+    assert abs(refits.misfit(white) - misfit) < 0.1 * abs(misfit)
+    assert refits.is_likelier(white, wrong, 0.0)
+    assert not refits.is_likelier(white, misfit - 0.1, 0.0)
+
+
 @pytest.mark.parametrize(
     ("values", "near", "best"),
     [({"offset": 0.07}, {"scale": 1.05}, "scale"), ({"scale": 1.075}, {"offset": 0.05}, "scale")],
