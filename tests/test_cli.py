@@ -81,7 +81,7 @@ def edited(here, **columns):
 def test_help_names_the_commands():
     result = skat("--help")
     assert result.exit_code == 0
-    for command in ("demo", "diagnose", "transport", "experiment"):
+    for command in ("demo", "diagnose", "preflight", "transport", "experiment"):
         assert command in result.stdout
 
 
@@ -114,6 +114,24 @@ def test_a_column_that_was_guessed_is_hidden_from_the_diagnosis(here):
     assert "Error of whole episodes on data not used" in result.stdout
     assert "trajectory error" in result.stdout
     assert (here / "edited-report.html").exists()
+
+
+def test_preflight_says_what_a_log_would_show_and_what_nothing_in_it_tells_apart(here):
+    names = ("mass[cart]", "gain[push]", "damping[rail]", "dry_friction[rail]", "gravity")
+    chosen = [word for name in names for word in ("--effect", name)]
+    result = skat("preflight", "model.xml", "log.csv", *chosen, "-o", "table.csv")
+    assert result.exit_code == 0, result.output
+    assert "Not shown within their bounds: gravity" in result.stdout
+    table = pd.read_csv(here / "table.csv", index_col="effect", keep_default_na=False)
+    assert list(table.index) == list(names)
+    # A world with a damping of 0.6 N s/m was measured, which such a log shows well.
+    assert 0.001 < table.loc["damping[rail]", "smallest"] < 0.06
+    assert table.loc["mass[cart]", "nearest_alias"] == "gain[push]"
+    assert table.loc["mass[cart]", "separating_excitation"] == "nothing in these rows"
+    assert table.loc["dry_friction[rail]", "nearest_alias"] == "damping[rail]"
+    assert "table.csv exists" in refused("preflight", "model.xml", "log.csv", "-o", "table.csv")
+    assert "nonsense" in refused("preflight", "model.xml", "log.csv", "--effect", "nonsense")
+    assert not list(here.glob("*.html"))
 
 
 def test_extended_model_is_one_that_mujoco_loads(here):

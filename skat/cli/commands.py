@@ -29,6 +29,14 @@ app.add_typer(demo, name="demo")
 Output = Annotated[Path | None, typer.Option("--output", "-o", help="HTML report to write.")]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite output that exists.")]
 Seed = Annotated[int, typer.Option(help="Seed of everything random.")]
+Model = Annotated[Path, typer.Argument(metavar="MODEL.xml", help="The simulation, a MuJoCo model (MJCF).")]
+FrameSkip = Annotated[
+    int | None, typer.Option(min=1, help="Steps of the model between two rows; replaces the column time.")
+]
+Effects = Annotated[
+    list[str] | None, typer.Option(help="Name of an effect to consider; repeat for several. Default: all.")
+]
+Alpha = Annotated[float, typer.Option(help="Chance of a false alarm on clean data.")]
 Jobs = Annotated[int | None, typer.Option(help="Processes to use; -1: one per core.")]
 
 
@@ -98,21 +106,14 @@ def demo_cube_tosses(
 
 @app.command()
 def diagnose(
-    model: Annotated[
-        Path, typer.Argument(metavar="MODEL.xml", help="The simulation, a MuJoCo model (MJCF).")
-    ],
+    model: Model,
     log: Annotated[Path, typer.Argument(metavar="LOG.csv", help="What was measured.")],
-    frame_skip: Annotated[
-        int | None, typer.Option(min=1, help="Steps of the model between two rows; replaces the column time.")
-    ] = None,
-    effect: Annotated[
-        list[str] | None,
-        typer.Option(help="Name of an effect to consider; repeat for several. Default: all."),
-    ] = None,
+    frame_skip: FrameSkip = None,
+    effect: Effects = None,
     hidden: Annotated[
         list[str] | None, typer.Option(help="Name of a state column that is a guess, no measurement; repeat.")
     ] = None,
-    alpha: Annotated[float, typer.Option(help="Chance of a false alarm on clean data.")] = 0.01,
+    alpha: Alpha = 0.01,
     max_effects: Annotated[int, typer.Option(min=1, help="Name this many causes at most.")] = 6,
     test_size: Annotated[float, typer.Option(help="Part of the log that measures the gain; 0: none.")] = 0.3,
     extended: Annotated[Path | None, typer.Option(help="File to write the extended model to (MJCF).")] = None,
@@ -126,17 +127,13 @@ def diagnose(
     Columns of the log: time, episode (optional), qpos.<joint>, qvel.<joint>, ctrl.<actuator>.
     """
     with clear_errors():
-        from skat.datasets import load_log
         from skat.experiments.studies import study_log
-        from skat.simulators import MujocoSimulator
 
-        existing_file(model, "a MuJoCo model")
-        existing_file(log, "a log in CSV")
         path = _report_path(output, f"{log.stem}-report.html", force)
         if extended is not None:
             extended = output_file(extended, force=force)
             output_file(extended.with_suffix(".effects.json"), force=force)
-        data = load_log(log, MujocoSimulator(model), frame_skip=frame_skip)
+        data = _log_of(model, log, frame_skip)
         with progress_bars() as progress:
             study = study_log(
                 data,
@@ -154,6 +151,49 @@ def diagnose(
         if extended is not None:
             for path in study.diagnosis.extended_simulator_.to_mjcf(extended, force=force):
                 print_line(f"Extended model: {path}")
+
+
+@app.command()
+def preflight(
+    model: Model,
+    log: Annotated[
+        Path, typer.Argument(metavar="LOG.csv", help="States and actions such as you plan to measure.")
+    ],
+    frame_skip: FrameSkip = None,
+    effect: Effects = None,
+    alpha: Alpha = 0.01,
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="CSV file for the table.")] = None,
+    force: Force = False,
+):
+    """Say, before measuring, how small an effect a log like LOG.csv would show, and what it would pass for.
+
+    Columns of the log as for diagnose; it may come from the simulation.
+    """
+    with clear_errors():
+        from skat.diagnosis import SimulationDiagnosis
+
+        output = None if output is None else output_file(output, force=force)
+        data = _log_of(model, log, frame_skip)
+        diagnosis = SimulationDiagnosis(data.simulator, effects=effect or "all", alpha=alpha)
+        with progress_bars() as progress:
+            progress("differentiate", 0, 1)
+            table = diagnosis.preflight(data.data, groups=data.groups).reset_index()
+            progress("differentiate", 1, 1)
+        shown = table["smallest"] < float("inf")
+        title = f"Named one time in two in {len(data.data)} transitions with noise of 1 % of each channel's spread"
+        columns = table[shown].rename(
+            columns={
+                "smallest": "from this size on",
+                "nearest_alias": "nearest alias",
+                "separating_excitation": "told apart by",
+            }
+        )
+        output_console().print(table_of(columns, title=title, formats={"similarity": ".3f"}))
+        if not shown.all():
+            print_line(f"Not shown within their bounds: {', '.join(table['effect'][~shown])}")
+        if output is not None:
+            table.to_csv(output, index=False)
+            print_line(f"Table: {output}")
 
 
 PUCKS_ARE_SIMULATED = (
@@ -266,6 +306,15 @@ def experiment(
         if plot is not None:
             figure(table).savefig(plot)
             print_line(f"Picture: {plot}")
+
+
+def _log_of(model, log, frame_skip):
+    from skat.datasets import load_log
+    from skat.simulators import MujocoSimulator
+
+    existing_file(model, "a MuJoCo model")
+    existing_file(log, "a log in CSV")
+    return load_log(log, MujocoSimulator(model), frame_skip=frame_skip)
 
 
 def _show(study):

@@ -285,7 +285,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         -------
         DataFrame
             As `identifiability_`, with the noise taken as 1 % of each channel's spread unless `noise` gives it, and
-            for each effect the further excitation that would separate it from its nearest alias.
+            for each effect the further excitation that would separate it from its nearest alias: more rows in which an
+            input is large or small; "nothing in these rows" where none of those given tells the two apart.
         """
         self._check_parameters()
         if self._checked_hidden():

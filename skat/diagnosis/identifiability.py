@@ -11,6 +11,9 @@ from skat.diagnosis.log import Log, check_log
 COMMON_NOISE = 0.01
 # Effects whose derivatives make a smaller angle than this cosine are worth a warning before measuring.
 NEARLY_ALIKE = 0.95
+# At the end of its range an effect differs from its nearest alias by more than this much noise, or by rounding only.
+LEAST_APART = 2.0
+NOTHING_SEPARATES = "nothing in these rows"
 # An effect of which the causes found leave a smaller share is not seen beside them.
 LEAST_SHARE = 1e-9
 
@@ -105,6 +108,10 @@ def _excitation(line, residuals, table):
         one, other = line.derivatives[..., k], line.derivatives[..., line.names.index(alias)]
         share = np.sum(one * other) / np.sum(other**2)
         apart = np.sum((one - share * other) ** 2, axis=-1)
+        effect = residuals.effects[name]
+        if np.sqrt(apart.sum()) * np.max(np.abs(np.subtract(effect.bounds, effect.neutral))) < LEAST_APART:
+            hints.append(NOTHING_SEPARATES)
+            continue
         inputs = residuals.points
         spread = inputs.std(axis=0)
         standard = (inputs - inputs.mean(axis=0)) / np.where(spread > 0, spread, 1.0)
@@ -119,6 +126,6 @@ def _excitation(line, residuals, table):
         column = best % inputs.shape[1]
         where = "large |{}|" if best < inputs.shape[1] else ("large {}" if strength[best] > 0 else "small {}")
         hints.append(
-            where.format(residuals.simulator.input_names[column]) if signs[best] > 0 else "none found in X"
+            where.format(residuals.simulator.input_names[column]) if signs[best] > 0 else NOTHING_SEPARATES
         )
     return hints
