@@ -227,4 +227,6 @@ def _sentence(name: str, unit: str, neutral: float, value: float) -> str:
         return f"{phrase} is {abs(value):.3g} {unit} {'more' if value >= 0 else 'less'} than the model's"
     if family == "centre_of_mass":
         return f"{phrase} is shifted by {value:.3g} {unit}"
-    return f"{phrase} is {value:.3g} {unit}".removesuffix(" 1").rstrip()
+    named_unit = "" if unit == "1" else f" {unit}"
+    beside = f" (the model has {neutral:.3g}{named_unit})" if neutral else ""
+    return f"{phrase} is {value:.3g}{named_unit}{beside}"

@@ -330,7 +330,8 @@ def _show(study):
         console.print(table_of(_causes(diagnosis.causes_)))
     if gain is not None:
         whose = "Error of whole episodes" if tuple(diagnosis.hidden) else "One-step error"
-        console.print(table_of(study.errors[["method", "error", "ratio"]], title=f"{whose} on data not used"))
+        title = f"{whose} on data not used, in standard deviations of each channel"
+        console.print(table_of(study.errors[["method", "error", "ratio"]], title=title))
         noted = study.errors[study.errors["note"] != ""]
         for note, rows in noted.groupby("note", sort=False):
             print_line(f"  {', '.join(rows['method'])}: {note}")
