@@ -42,7 +42,7 @@ Jobs = Annotated[int | None, typer.Option(help="Processes to use; -1: one per co
 
 @demo.callback()
 def demo_puck(context: typer.Context, output: Output = None, force: Force = False, seed: Seed = 0):
-    """Puck shots, simulated with a hidden effect; or measured data: demo ball-drops, demo cube-tosses."""
+    """Puck shots, simulated with a hidden effect; or measured data: demo ball-drops, cube-tosses, pendulum."""
     if context.invoked_subcommand is not None:
         return
     with clear_errors():
@@ -100,6 +100,24 @@ def demo_cube_tosses(
         path = _report_path(output, "skat-cube-tosses-report.html", force)
         with progress_bars() as progress:
             study = study_cube_tosses(n_fit=fit, n_test=test, random_state=seed, progress=progress)
+        _show(study)
+        _write_report(study, path, force)
+
+
+@demo.command("pendulum")
+def demo_pendulum(
+    seconds: Annotated[float, typer.Option(help="Length of the pieces of the run that are compared.")] = 0.5,
+    output: Output = None,
+    force: Force = False,
+    seed: Seed = 0,
+):
+    """A motor swings up a pendulum: fit on some pieces of the run, test on the others."""
+    with clear_errors():
+        from skat.experiments.studies import study_pendulum
+
+        path = _report_path(output, "skat-pendulum-report.html", force)
+        with progress_bars() as progress:
+            study = study_pendulum(seconds=seconds, random_state=seed, progress=progress)
         _show(study)
         _write_report(study, path, force)
 
@@ -330,8 +348,8 @@ def _show(study):
         console.print(table_of(_causes(diagnosis.causes_)))
     if gain is not None:
         whose = "Error of whole episodes" if tuple(diagnosis.hidden) else "One-step error"
-        title = f"{whose} on data not used, in standard deviations of each channel"
-        console.print(table_of(study.errors[["method", "error", "ratio"]], title=title))
+        print_line(f"{whose} on data not used, in standard deviations of each channel")
+        console.print(table_of(study.errors[["method", "error", "ratio"]]))
         noted = study.errors[study.errors["note"] != ""]
         for note, rows in noted.groupby("note", sort=False):
             print_line(f"  {', '.join(rows['method'])}: {note}")

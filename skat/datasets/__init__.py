@@ -4,6 +4,7 @@ from skat.datasets.ball_drops import ball_drop_simulator, fetch_ball_drops
 from skat.datasets.cube_tosses import cube_toss_simulator, fetch_cube_tosses
 from skat.datasets.logs import load_log, split_episodes
 from skat.datasets.originals import data_home
+from skat.datasets.pendulum import fetch_pendulum, pendulum_simulator
 from skat.datasets.pucks import make_hidden_puck, make_real_puck
 
 __all__ = [
@@ -12,8 +13,10 @@ __all__ = [
     "data_home",
     "fetch_ball_drops",
     "fetch_cube_tosses",
+    "fetch_pendulum",
     "load_log",
     "make_hidden_puck",
     "make_real_puck",
+    "pendulum_simulator",
     "split_episodes",
 ]

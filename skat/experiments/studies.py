@@ -12,7 +12,9 @@ from skat.datasets import (
     cube_toss_simulator,
     fetch_ball_drops,
     fetch_cube_tosses,
+    fetch_pendulum,
     make_hidden_puck,
+    pendulum_simulator,
     split_episodes,
 )
 from skat.datasets.ball_drops import BALLS
@@ -198,6 +200,43 @@ def study_cube_tosses(*, n_fit=5, n_test=50, data_home=None, random_state=0, pro
         progress,
         evaluation={"horizon": "episode", "outputs": [f"qpos.cube.{axis}" for axis in "xyz"]},
         error_name="trajectory error of the centre, m",
+        **parameters,
+    )
+
+
+def study_pendulum(
+    *, seconds=0.5, test_size=0.4, data_home=None, random_state=0, progress=None, **parameters
+):
+    """Diagnose a motor-driven pendulum on some pieces of its swing-up, and measure the gain on the others.
+
+    Parameters
+    ----------
+    seconds : float, default=0.5
+        Length of the pieces.
+
+    test_size : float, default=0.4
+        Share of the pieces that measure the gain.
+
+    data_home, random_state, progress, **parameters
+        See `fetch_pendulum` and `SimulationDiagnosis`.
+
+    Returns
+    -------
+    Study
+        The gain is on the angle in rad in open loop, start angle and speed fitted for both models.
+    """
+    fit, test = split_episodes(
+        fetch_pendulum(seconds=seconds, data_home=data_home), test_size=test_size, random_state=random_state
+    )
+    return _study(
+        "Pendulum",
+        pendulum_simulator(),
+        fit,
+        test,
+        random_state,
+        progress,
+        evaluation={"horizon": "episode", "initial_state": "fitted"},
+        error_name="error of the angle in open loop, rad",
         **parameters,
     )
 

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from skat.datasets import make_hidden_puck
-from skat.experiments.studies import ball_drop_table, study_ball_drops, study_cube_tosses, study_hidden_puck
+from skat.experiments.studies import (
+    ball_drop_table,
+    study_ball_drops,
+    study_cube_tosses,
+    study_hidden_puck,
+    study_pendulum,
+)
 
 NO_DATA = pytest.mark.skipif(not os.environ.get("SKAT_DATA_HOME"), reason="SKAT_DATA_HOME is not set")
 
@@ -39,6 +45,23 @@ def test_friction_of_the_cube_is_named_and_tilt_is_not():
     assert set(causes) <= {"contact_friction", "restitution"}
     assert 0.15 < causes["contact_friction"].value < 0.25  # a factor on the default coefficient, which is 1
     assert study.gain.ratio > 3.5
+
+
+@NO_DATA
+def test_dry_friction_of_the_pendulums_motor_is_named_and_gains_on_other_pieces():
+    effects = [
+        "dry_friction[hinge]",
+        "damping[hinge]",
+        "gain[motor]",
+        "mass[weight]",
+        "delay[action]",
+        "bias[qpos.hinge]",
+    ]
+    study = study_pendulum(effects=effects)
+    causes = {cause.name: cause for cause in study.diagnosis.causes_}
+    assert 0.15 < causes["dry_friction[hinge]"].value < 0.3
+    assert not {"delay[action]", "bias[qpos.hinge]"} & set(causes)
+    assert study.gain.ratio > 3
 
 
 def test_demo_finds_what_the_world_hides_or_an_alias_of_it_and_compares_every_method():
