@@ -23,10 +23,11 @@ from numbers import Integral
 
 import numpy as np
 from joblib import Parallel, delayed
-from sklearn.utils import check_array, check_random_state, check_scalar
+from sklearn.utils import check_random_state, check_scalar
 
 from skat.gaussian import AffineMap, optimal_map, root_of_moments, row_moments
 from skat.marginals import halves, marginal_squares, orders
+from skat.samples import twice_the_spread, two_samples, two_weights
 from skat.wasserstein import affinity, wasserstein_distance
 
 __all__ = [
@@ -132,7 +133,7 @@ class AffinityTest:
         -------
         float
         """
-        return float(np.quantile(self.null_scores, level))
+        return float(np.quantile(self.null_scores, level, method="weibull"))
 
 
 def affinity_test(
@@ -294,7 +295,7 @@ def debiased_affinity_score(
     squares = Parallel(n_jobs=n_jobs, prefer="threads")(
         delayed(_debiased_square)(X_transported[source], y[target], in_sample) for source, target in splits
     )
-    return _signed_score(np.mean(squares), _twice_the_spread(y))
+    return _signed_score(np.mean(squares), twice_the_spread(y))
 
 
 def affinity_upper_bound(X_transported, y, *, random_state=None):
@@ -357,7 +358,7 @@ def affinity_upper_bound(X_transported, y, *, random_state=None):
     """
     X_transported, y = two_samples(X_transported, y)
     squares = marginal_squares(X_transported, y, check_random_state(random_state))
-    return _score(np.mean(squares), _twice_the_spread(y))
+    return _score(np.mean(squares), twice_the_spread(y))
 
 
 @dataclass(frozen=True)
@@ -481,7 +482,7 @@ def affinity_estimate(
         )
     check_scalar(n_block_rows, "n_block_rows", Integral, min_val=2)
     check_scalar(n_blocks, "n_blocks", Integral, min_val=2)  # The standard error is theirs.
-    spread = _twice_the_spread(y)
+    spread = twice_the_spread(y)
     rng = check_random_state(random_state)
     n_block_rows = min(n_block_rows, n_rows // 4)
     n_blocks = min(n_blocks, n_rows // (2 * n_block_rows))
@@ -588,53 +589,3 @@ def _score(square, spread):
 
 def _signed_score(square, spread):
     return 1.0 - float(np.sign(square) * np.sqrt(abs(square) / spread))
-
-
-def _twice_the_spread(y):
-    spread = 2.0 * float(np.square(y - y.mean(axis=0)).sum(axis=1).mean())
-    if spread == 0.0:
-        raise ValueError(
-            f"the affinity divides by the spread of the target, but all {len(y)} target rows are equal. "
-            "Give target rows that vary."
-        )
-    return spread
-
-
-def two_samples(X, y, name="X_transported"):
-    X, y = one_sample(X, name), one_sample(y, "y")
-    if X.shape[1] != y.shape[1]:
-        raise ValueError(
-            f"{name} and y must have the same columns; {name} has {X.shape[1]}, y has {y.shape[1]}. "
-            "Give both the same features."
-        )
-    return X, y
-
-
-def one_sample(rows, name):
-    return check_array(rows, dtype=np.float64, input_name=name)
-
-
-def two_weights(sample_weight, n_source, n_target):
-    if not isinstance(sample_weight, tuple):
-        if sample_weight is not None and n_source != n_target:
-            raise ValueError(
-                f"{n_source} source and {n_target} target rows need a weight each: sample_weight must be "
-                "a tuple (source, target)."
-            )
-        sample_weight = (sample_weight, sample_weight)
-    return row_weight(sample_weight[0], n_source), row_weight(sample_weight[1], n_target)
-
-
-def row_weight(weight, n_rows):
-    if weight is None:
-        return None
-    weight = np.asarray(weight, dtype=np.float64)
-    if weight.shape != (n_rows,):
-        raise ValueError(
-            f"sample_weight must have one weight per row, shape ({n_rows},); its shape is {weight.shape}."
-        )
-    if not np.isfinite(weight).all() or weight.min() < 0 or weight.sum() <= 0:
-        raise ValueError(
-            f"sample_weight must be finite, non-negative and not all zero; its minimum is {weight.min()}."
-        )
-    return weight

@@ -12,7 +12,11 @@ from skat.gaussian import (
     spectrum,
 )
 
-__all__ = ["Alignment", "correlation_score", "raw_alignment", "whitened_alignment"]
+__all__ = ["Alignment", "look_shuffled", "raw_alignment", "whitened_alignment"]
+
+# Pillai's trace of shuffled pairs is this many standard deviations above its mean about once in a thousand of many
+# columns, and once in a hundred of one or two.
+LEAST_CORRELATION = 3.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,32 +122,32 @@ def raw_alignment(source_factor, target_factor, *, source_root=None, target_root
     return Alignment(coef, inverse, rotation, target_root.shape[1])
 
 
-def correlation_score(source_factor, target_factor, n_rows):
-    r"""Return by how many standard deviations pairs are more correlated than shuffled ones.
+def look_shuffled(source_factor, target_factor, n_rows):
+    r"""Whether pairs are no more correlated than shuffled ones.
 
     The statistic is Pillai's trace, the sum of the squared canonical correlations. For orthogonal projections
     of ranks p and q, one of them turned at random in N = n - 1 dimensions, it has mean p q / N and variance
-    2 p q (N - p) (N - q) / (N^2 (N - 1) (N + 2)).
+    2 p q (N - p) (N - q) / (N^2 (N - 1) (N + 2)); at most it is the smaller rank.
 
     Parameters
     ----------
     source_factor, target_factor : ndarray of shape (n_factor_rows, n_features)
         As for `whitened_alignment`.
     n_rows : float
-        Number of pairs.
+        Number of pairs, of equal weight.
 
     Returns
     -------
-    float
-        Infinite where there are too few rows to tell.
+    bool
+        False where pairs are so few that even those which agree exactly would not show it.
     """
     source_scores, target_scores = _principal(source_factor)[0], _principal(target_factor)[0]
     p, q, size = source_scores.shape[1], target_scores.shape[1], n_rows - 1
-    variance = 2 * p * q * (size - p) * (size - q) / (size**2 * (size - 1) * (size + 2)) if size > 1 else 0.0
-    if variance <= 0:
-        return np.inf
-    trace = np.square(target_scores.T @ source_scores).sum()
-    return float((trace - p * q / size) / np.sqrt(variance))
+    if size <= max(p, q, 1):
+        return False
+    variance = 2 * p * q * (size - p) * (size - q) / (size**2 * (size - 1) * (size + 2))
+    least = p * q / size + LEAST_CORRELATION * np.sqrt(variance)
+    return bool(np.square(target_scores.T @ source_scores).sum() < least <= min(p, q))
 
 
 def _principal(factor, root=None):

@@ -119,22 +119,22 @@ def _widest(xp, device):
 
 def _device_moments(rows, weight, xp, device):
     """Return moments computed on the rows' own device, with a factor by QR there."""
-    dtype = _widest(xp, device)
+    dtype, eps = _widest(xp, device), float(xp.finfo(rows.dtype).eps)
     rows = xp.astype(rows, dtype)
-    n_rows = rows.shape[0]
-    shift = rows[0, :]
-    shifted = rows - shift
+    n_rows, heaviest = rows.shape[0], 0
     if weight is None:
         total = squared = float(n_rows)
-        offset = xp.sum(shifted, axis=0) / n_rows
     else:
         host_weight = np.asarray(
             convert_to_numpy(weight, get_namespace_and_device(weight)[0]), dtype=np.float64
         )
-        n_rows = int(np.count_nonzero(host_weight))
+        n_rows, heaviest = int(np.count_nonzero(host_weight)), int(np.argmax(host_weight))
         total, squared = float(host_weight.sum()), float(host_weight @ host_weight)
         weight = xp.asarray(weight, dtype=dtype, device=device)
-        offset = (weight @ shifted) / total
+    # A row without weight may be anywhere, and would take the digits of the others.
+    shift = rows[heaviest, :]
+    shifted = rows - shift
+    offset = xp.sum(shifted, axis=0) / n_rows if weight is None else (weight @ shifted) / total
     shifted = shifted - offset
     if weight is not None:
         shifted = xp.sqrt(weight)[:, None] * shifted
@@ -143,7 +143,7 @@ def _device_moments(rows, weight, xp, device):
     factor = np.asarray(convert_to_numpy(shifted, xp), dtype=np.float64)
     shift, offset = (np.asarray(convert_to_numpy(part, xp), dtype=np.float64) for part in (shift, offset))
     mean = shift + offset
-    return Moments(n_rows, total, squared, mean, offset - (mean - shift), factor=factor)
+    return Moments(n_rows, total, squared, mean, offset - (mean - shift), factor=factor, eps=eps)
 
 
 def _apply_on_device(affine, X, keep, check, xp, device):

@@ -20,6 +20,7 @@ from skat._compat import (
     supported_float_dtypes,
 )
 from skat.backends import is_dask
+from skat.samples import weight_of_each_side
 from skat.wasserstein import affinity
 
 __all__ = ["BaseTransport", "Samples", "on_host", "same_length"]
@@ -204,7 +205,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         return tags
 
     def _check_is_fitted(self):
-        check_is_fitted(self)
+        check_is_fitted(self, "wasserstein_distance_")
 
     def _see_columns(self, X, rows):
         """Look at the container as given, while its column names are at hand."""
@@ -247,7 +248,9 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
                     "target_weight)."
                 )
             sample_weight = (sample_weight, sample_weight)
-        source_weight, target_weight = (None, None) if sample_weight is None else sample_weight
+        source_weight, target_weight = (
+            (None, None) if sample_weight is None else weight_of_each_side(sample_weight)
+        )
         return Samples(
             source, target, _checked_weight(source_weight, source), _checked_weight(target_weight, target)
         )

@@ -1,11 +1,12 @@
 """What a transport has to beat, with the interface of the transports."""
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from skat.base import BaseTransport, on_host
 from skat.gaussian import AffineMap, coral_map, root_of_moments
 from skat.moment_transport import MomentTransport
-from skat.wasserstein import refuse_large_cost, wasserstein_distance
+from skat.wasserstein import optimal_plan
 
 __all__ = ["CORAL", "ExactTransport", "IdentityTransport"]
 
@@ -80,7 +81,10 @@ class CORAL(MomentTransport):
         return AffineMap.between(coral_map(source_root, target_root), source, target), rank
 
     def _solve_back(self, source, target, scale):
-        return self._solve(target, source, scale)[0]
+        affine, rank = self._solve(target, source, scale)
+        if root_of_moments(source).shape[1] > rank:
+            raise np.linalg.LinAlgError("the target has the lower rank.")
+        return affine
 
 
 class ExactTransport(BaseTransport):
@@ -115,26 +119,13 @@ class ExactTransport(BaseTransport):
         pass
 
     def _fit(self, samples):
-        from ot.da import EMDTransport
-
         source = self._finite(on_host(samples.source), "X")
         target = self._finite(on_host(samples.target), "X" if samples.stacked else "y")
-        refuse_large_cost(len(source), len(target))
-        weights = iter((samples.source_weight, samples.target_weight))
-
-        def weight_of(rows):
-            weight = next(weights)
-            return np.full(len(rows), 1 / len(rows)) if weight is None else weight / weight.sum()
-
-        self._solver = EMDTransport(
-            distribution_estimation=weight_of, max_iter=100 * len(source) * len(target) + 100_000
-        )
-        self._solver.fit(Xs=source, Xt=target)
-        self._solver.distribution_estimation = None
-        self.coupling_ = self._solver.coupling_
-        self.wasserstein_distance_ = wasserstein_distance(
+        self.coupling_, self.wasserstein_distance_ = optimal_plan(
             source, target, x_weight=samples.source_weight, y_weight=samples.target_weight
         )
+        self._there = _images(source, target, self.coupling_)
+        self._back = _images(target, source, self.coupling_.T)
 
     def _finite(self, rows, name="X"):
         if not np.isfinite(rows).all():
@@ -142,13 +133,28 @@ class ExactTransport(BaseTransport):
         return np.asarray(rows, dtype=np.float64)
 
     def _carry(self, X, keep=None):
-        rows = self._finite(on_host(X))
-        carried = np.array(rows)
-        moves = np.ones(len(rows), dtype=bool) if keep is None else ~np.asarray(keep)
-        if moves.any():
-            carried[moves] = self._solver.transform(Xs=rows[moves])
-        return carried.astype(np.float32 if X.dtype == np.float32 else np.float64)
+        return self._moved(X, *self._there, keep=keep)
 
     def _carry_back(self, X):
-        carried = self._solver.inverse_transform(Xt=self._finite(on_host(X)))
-        return carried.astype(np.float32 if X.dtype == np.float32 else np.float64)
+        return self._moved(X, *self._back)
+
+    def _moved(self, X, fitted, images, *, keep=None):
+        """Return rows moved as the nearest fitted row is."""
+        X = on_host(X)
+        rows = self._finite(X)
+        nearest = KDTree(fitted).query(rows)[1]
+        moved = images[nearest] + (rows - fitted[nearest])
+        if keep is not None:
+            moved[np.asarray(keep)] = rows[np.asarray(keep)]
+        return moved.astype(np.float32 if X.dtype == np.float32 else np.float64)
+
+
+def _images(source, target, plan):
+    """Return the distinct source rows that have weight, and the mean of the target rows each is sent to."""
+    rows, place = np.unique(source, axis=0, return_inverse=True)
+    origin = target[0]
+    mass, moment = np.zeros(len(rows)), np.zeros(rows.shape)
+    np.add.at(mass, place, plan.sum(axis=1))
+    np.add.at(moment, place, plan @ (target - origin))
+    sent = mass > 0
+    return rows[sent], origin + moment[sent] / mass[sent, np.newaxis]

@@ -134,7 +134,7 @@ def transport_map(source_covariance, target_covariance):
         A ValueError: if :math:`C_t^{1/2} C_s C_t^{1/2}` has a lower rank than :math:`C_t`, for then no linear
         map carries one to the other.
     ValueError
-        If a covariance is not square, not symmetric or not positive semi-definite.
+        If a covariance is not square, not symmetric or not positive semi-definite, or the two differ in size.
 
     References
     ----------
@@ -146,7 +146,9 @@ def transport_map(source_covariance, target_covariance):
     array([[2., 0.],
            [0., 2.]])
     """
-    return optimal_map(covariance_root(source_covariance), covariance_root(target_covariance))
+    source_root, target_root = covariance_root(source_covariance), covariance_root(target_covariance)
+    _check_same_features(source_covariance=source_root, target_covariance=target_root)
+    return optimal_map(source_root, target_root)
 
 
 def gaussian_wasserstein_distance(source_mean, source_covariance, target_mean, target_covariance):
@@ -173,7 +175,8 @@ def gaussian_wasserstein_distance(source_mean, source_covariance, target_mean, t
     Raises
     ------
     ValueError
-        If a covariance is not square, not symmetric or not positive semi-definite.
+        If a covariance is not square, not symmetric or not positive semi-definite, if a mean is not finite, or if the
+        four differ in size.
 
     References
     ----------
@@ -184,11 +187,25 @@ def gaussian_wasserstein_distance(source_mean, source_covariance, target_mean, t
     >>> gaussian_wasserstein_distance([0.0], [[1.0]], [3.0], [[25.0]])
     5.0
     """
-    return distance_of_roots(
-        np.subtract(source_mean, target_mean),
-        covariance_root(source_covariance),
-        covariance_root(target_covariance),
+    source_root, target_root = covariance_root(source_covariance), covariance_root(target_covariance)
+    source_mean, target_mean = (np.asarray(mean, dtype=np.float64) for mean in (source_mean, target_mean))
+    for name, mean in (("source_mean", source_mean), ("target_mean", target_mean)):
+        if mean.ndim != 1 or not np.isfinite(mean).all():
+            raise ValueError(f"{name} must be a finite vector of one entry per feature; it is {mean!r}.")
+    _check_same_features(
+        source_mean=source_mean,
+        source_covariance=source_root,
+        target_mean=target_mean,
+        target_covariance=target_root,
     )
+    return distance_of_roots(source_mean - target_mean, source_root, target_root)
+
+
+def _check_same_features(**parts):
+    sizes = {name: len(part) for name, part in parts.items()}
+    if len(set(sizes.values())) > 1:
+        found = ", ".join(f"{name} has {size}" for name, size in sizes.items())
+        raise ValueError(f"means and covariances must be of the same features; {found}.")
 
 
 def covariance_root(covariance):
@@ -217,7 +234,7 @@ def covariance_root(covariance):
            [0.]])
     """
     covariance = np.asarray(covariance, dtype=np.float64)
-    if covariance.ndim != 2 or covariance.shape[0] != covariance.shape[1]:
+    if covariance.ndim != 2 or covariance.shape[0] != covariance.shape[1] or not covariance.size:
         raise ValueError(f"a covariance must be a square matrix; its shape is {covariance.shape}.")
     if not np.isfinite(covariance).all():
         raise ValueError("a covariance must be finite; this one contains NaN or infinity.")
@@ -273,13 +290,13 @@ def root_of_factor(factor, scale=None):
     if len(factor) >= n_features and _is_of_full_rank(factor / scale):
         return (triangle(factor) if len(factor) > n_features else factor).T
     _, values, directions = np.linalg.svd(factor / scale, full_matrices=False)
-    kept = values > 10 * EPS * n_features * max(values.max(initial=0.0), SMALLEST_COSINE)
+    kept = values > 10 * EPS * n_features * max(values.max(initial=0.0), 1.0)
     return directions[kept].T * values[kept] * scale[:, np.newaxis]
 
 
 def _is_of_full_rank(equilibrated):
     values = np.linalg.svd(equilibrated, compute_uv=False)
-    return bool(values[-1] > 10 * EPS * len(values) * max(values[0], SMALLEST_COSINE))
+    return bool(values[-1] > 10 * EPS * len(values) * max(values[0], 1.0))
 
 
 def optimal_map(source_root, target_root):

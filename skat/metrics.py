@@ -5,7 +5,7 @@ of them to ask.
 """
 
 import numpy as np
-from sklearn.utils.metadata_routing import MetadataRequest
+from sklearn.utils.metadata_routing import UNCHANGED, MetadataRequest
 
 from skat.affinity import (
     AffinityEstimate,
@@ -15,12 +15,9 @@ from skat.affinity import (
     affinity_test,
     affinity_upper_bound,
     debiased_affinity_score,
-    one_sample,
-    row_weight,
-    two_samples,
-    two_weights,
 )
 from skat.gaussian import distance_of_roots, root_of_moments, row_moments
+from skat.samples import one_sample, row_weight, two_samples, two_weights
 from skat.wasserstein import wasserstein_distance
 
 __all__ = [
@@ -396,9 +393,10 @@ class _AffinityScorer:
                 options["sample_weight"] = (weight[is_source], weight[is_target])
         return float(self._score(carried, y, **options))
 
-    def set_score_request(self, **requests):
+    def set_score_request(self, *, sample_weight=UNCHANGED, sample_domain=UNCHANGED):
         """Ask for `sample_weight`, or not for `sample_domain`, in metadata routing."""
-        self._requested |= requests
+        requests = {"sample_weight": sample_weight, "sample_domain": sample_domain}
+        self._requested |= {name: wanted for name, wanted in requests.items() if wanted is not UNCHANGED}
         return self
 
     def get_metadata_routing(self):

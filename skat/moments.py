@@ -1,6 +1,6 @@
 """Mean and covariance of weighted rows: accurate, mergeable, and computed without a centred copy."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -47,6 +47,8 @@ class Moments:
         The matrix above; None where `factor` holds it.
     factor : ndarray of shape (n_factor_rows, n_features) or None
         :math:`F`; None where `scatter` holds it.
+    eps : float
+        Relative rounding of the rows' numbers, that of their type.
 
     Examples
     --------
@@ -62,6 +64,7 @@ class Moments:
     mean_remainder: np.ndarray
     scatter: Any = None
     factor: Any = None
+    eps: float = float(np.finfo(np.float64).eps)
 
     @property
     def n_features(self):
@@ -82,15 +85,22 @@ class Moments:
         return np.diagonal(self.scatter) / self.weight
 
     @property
+    def rounding(self):
+        """Standard deviation, in each column, of what rounding to their type has changed in the rows."""
+        return self.eps * np.hypot(self.mean, np.sqrt(self.variance)) / np.sqrt(12)
+
+    @property
     def effective_n_rows(self):
         """Number of rows of equal weight that would give means of the same variance (Kish)."""
         return self.weight**2 / self.squared_weight
 
     @property
     def is_finite(self):
-        """Whether every number is finite."""
+        """Whether every number is finite, and every variance."""
         held = self.factor if self.scatter is None else self.scatter
-        return bool(np.isfinite(self.mean).all() and np.isfinite(held).all())
+        with np.errstate(over="ignore", invalid="ignore"):
+            parts = (self.mean, held, self.variance)
+            return all(bool(np.isfinite(part).all()) for part in parts)
 
     def covariance_factor(self):
         r"""Return :math:`F` with :math:`F^T F` the covariance, of at most as many rows as columns."""
@@ -109,14 +119,12 @@ class Moments:
         -------
         Moments
         """
-        return Moments(
-            self.n_rows,
-            self.weight,
-            self.squared_weight,
-            self.mean * factors,
-            self.mean_remainder * factors,
-            None if self.scatter is None else self.scatter * factors * factors[:, np.newaxis],
-            None if self.factor is None else self.factor * factors,
+        return replace(
+            self,
+            mean=self.mean * factors,
+            mean_remainder=self.mean_remainder * factors,
+            scatter=None if self.scatter is None else self.scatter * factors * factors[:, np.newaxis],
+            factor=None if self.factor is None else self.factor * factors,
         )
 
     def columns(self, indices):
@@ -131,14 +139,12 @@ class Moments:
         -------
         Moments
         """
-        return Moments(
-            self.n_rows,
-            self.weight,
-            self.squared_weight,
-            self.mean[indices],
-            self.mean_remainder[indices],
-            None if self.scatter is None else self.scatter[indices][:, indices],
-            None if self.factor is None else self.factor[:, indices],
+        return replace(
+            self,
+            mean=self.mean[indices],
+            mean_remainder=self.mean_remainder[indices],
+            scatter=None if self.scatter is None else self.scatter[indices][:, indices],
+            factor=None if self.factor is None else self.factor[:, indices],
         )
 
     def __add__(self, other):
@@ -169,6 +175,7 @@ class Moments:
             remainder,
             scatter,
             factor,
+            max(self.eps, other.eps),
         )
 
 
@@ -198,12 +205,13 @@ def row_moments(rows, weight=None):
             n_rows = len(rows)
     total = float(n_rows) if weight is None else float(weight.sum())
     squared = float(n_rows) if weight is None else float(weight @ weight)
+    eps = float(np.finfo(rows.dtype if rows.dtype.kind == "f" else np.float64).eps)
     with np.errstate(over="ignore", invalid="ignore"):
         shift = _near_mean(rows, weight)
         if n_rows * n_features**2 <= CHEAP_QR or n_rows <= n_features:
             mean, remainder = _sum_with_remainder(shift, _mean_about(rows, weight, shift))
             factor = _row_factor(rows, weight, mean)
-            return Moments(n_rows, total, squared, mean, remainder, factor=factor)
+            return Moments(n_rows, total, squared, mean, remainder, factor=factor, eps=eps)
         scatter, offset = _scatter_about(rows, weight, shift)
         if np.isfinite(offset).all() and _is_far(offset, scatter, total):
             shift = shift + offset
@@ -211,8 +219,8 @@ def row_moments(rows, weight=None):
         mean, remainder = _sum_with_remainder(shift, offset)
         if np.isfinite(scatter).all() and not _is_well_conditioned(scatter):
             factor = _row_factor(rows, weight, mean)
-            return Moments(n_rows, total, squared, mean, remainder, factor=factor)
-    return Moments(n_rows, total, squared, mean, remainder, scatter=scatter)
+            return Moments(n_rows, total, squared, mean, remainder, factor=factor, eps=eps)
+    return Moments(n_rows, total, squared, mean, remainder, scatter=scatter, eps=eps)
 
 
 def triangle(factor):

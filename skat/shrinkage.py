@@ -64,6 +64,7 @@ def shrunk_towards(target, source, pairs=None):
         target.mean,
         target.mean_remainder,
         factor=factor * np.sqrt(target.weight),
+        eps=target.eps,
     )
     return moments, intensity
 

@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 
 from skat._compat import column_indices
-from skat.alignment import correlation_score, raw_alignment, whitened_alignment
+from skat.alignment import look_shuffled, raw_alignment, whitened_alignment
 from skat.backends import beside
 from skat.base import same_length
 from skat.conditional import conditional_map
@@ -13,9 +13,6 @@ from skat.gaussian import AffineMap, coefficient_distance, optimal_map, root_of_
 from skat.moment_transport import MomentTransport
 
 __all__ = ["AffineTransport", "ConditionalAffineTransport", "ProcrustesAffineTransport"]
-
-# Pillai's trace of shuffled pairs is this many standard deviations above its mean about once in a thousand.
-LEAST_CORRELATION_SCORE = 3.3
 
 
 class AffineTransport(MomentTransport):
@@ -181,10 +178,7 @@ class ProcrustesAffineTransport(MomentTransport):
         n_features = source.n_features
         factor = pairs.covariance_factor() / np.concatenate([scale, scale])
         source_part, target_part = factor[:, :n_features], factor[:, n_features:]
-        if (
-            self._warns
-            and correlation_score(source_part, target_part, pairs.n_rows) < LEAST_CORRELATION_SCORE
-        ):
+        if self._warns and look_shuffled(source_part, target_part, pairs.effective_n_rows):
             warnings.warn(
                 "the pairs carry no correlation that shuffled rows would not show as well, so the rotation "
                 "is "
@@ -272,7 +266,18 @@ class ConditionalAffineTransport(MomentTransport):
             chosen[:context] = True
         else:
             columns = X._meta if hasattr(X, "_meta") and hasattr(X, "columns") else X
-            chosen[column_indices(columns if hasattr(columns, "columns") else rows, context)] = True
+            try:
+                chosen[column_indices(columns if hasattr(columns, "columns") else rows, context)] = True
+            except (TypeError, ValueError) as error:
+                there = (
+                    f" There are: {', '.join(map(str, columns.columns))}."
+                    if hasattr(columns, "columns")
+                    else ""
+                )
+                raise ValueError(
+                    "context must be a number of leading columns, or columns by number, name or mask; it is "
+                    f"{context!r}: {error}{there}"
+                ) from error
         if not 0 < chosen.sum() < n_features:
             raise ValueError(
                 f"context must leave some columns to transport and name some that are not; {context!r} names "

@@ -4,7 +4,9 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-__all__ = ["affinity", "refuse_large_cost", "wasserstein_distance"]
+from skat.samples import one_sample, row_weight, twice_the_spread, two_samples
+
+__all__ = ["affinity", "optimal_plan", "refuse_large_cost", "wasserstein_distance"]
 
 LARGEST_COST_MATRIX_BYTES = 8e9
 
@@ -47,18 +49,37 @@ def wasserstein_distance(X, y, *, x_weight=None, y_weight=None):
     >>> wasserstein_distance([[0.0], [1.0]], [[1.0]], x_weight=[1, 3])
     0.5
     """
-    X, y = _sample(X, "X"), _sample(y, "y")
-    if X.shape[1] != y.shape[1]:
-        raise ValueError(
-            f"X and y must have the same columns; X has {X.shape[1]}, y has {y.shape[1]}. "
-            "Give both the same features."
-        )
-    refuse_large_cost(len(X), len(y))
+    X, y, size, weights = _problem(X, y, x_weight, y_weight)
     cost = cdist(X, y, "sqeuclidean")
-    x_weight, y_weight = _weights(x_weight, len(X), "x_weight"), _weights(y_weight, len(y), "y_weight")
-    if len(X) == len(y) and _is_uniform(x_weight) and _is_uniform(y_weight):
-        return float(np.sqrt(np.square(X - y[_assignment(cost)]).sum(axis=1).mean()))
-    return float(np.sqrt(_network_simplex(cost, x_weight, y_weight)))
+    if len(X) == len(y) and all(weight is None or _is_uniform(weight) for weight in weights):
+        return size * float(np.sqrt(np.square(X - y[_assignment(cost)]).sum(axis=1).mean()))
+    return size * float(np.sqrt(max(_network_simplex(cost, *weights, plan=False), 0.0)))
+
+
+def optimal_plan(X, y, *, x_weight=None, y_weight=None):
+    r"""Return the coupling of two weighted samples of least mean squared distance, and the distance.
+
+    Parameters
+    ----------
+    X, y, x_weight, y_weight
+        As for `wasserstein_distance`.
+
+    Returns
+    -------
+    ndarray of shape (n_x, n_y)
+        Not negative, of sum one.
+    float
+        The 2-Wasserstein distance.
+
+    Raises
+    ------
+    ValueError, RuntimeError
+        As for `wasserstein_distance`.
+    """
+    X, y, size, weights = _problem(X, y, x_weight, y_weight)
+    cost = cdist(X, y, "sqeuclidean")
+    plan = _network_simplex(cost, *weights, plan=True)
+    return plan, size * float(np.sqrt((plan * cost).sum()))
 
 
 def affinity(X_transported, y, *, x_weight=None, y_weight=None):
@@ -100,18 +121,10 @@ def affinity(X_transported, y, *, x_weight=None, y_weight=None):
     1.0
     """
     distance = wasserstein_distance(X_transported, y, x_weight=x_weight, y_weight=y_weight)
-    y = _sample(y, "y")
-    weight = _weights(y_weight, len(y), "y_weight")
-    centred = y - weight @ y
-    spread = np.sqrt(2.0 * (weight @ np.square(centred).sum(axis=1)))
     if distance == 0.0:
         return 1.0
-    if spread == 0.0:
-        raise ValueError(
-            f"the affinity divides by the spread of the target, but all {len(y)} target rows are equal. "
-            "Give target rows that vary."
-        )
-    return float(1.0 - distance / spread)
+    y = one_sample(y, "y")
+    return float(1.0 - distance / np.sqrt(twice_the_spread(y, row_weight(y_weight, len(y), "y_weight"))))
 
 
 def refuse_large_cost(n_x, n_y):
@@ -137,30 +150,23 @@ def refuse_large_cost(n_x, n_y):
         )
 
 
-def _sample(rows, name):
-    rows = np.asarray(rows, dtype=np.float64)
-    if rows.ndim != 2 or 0 in rows.shape:
-        raise ValueError(
-            f"{name} must be a 2-D array of at least one row and column; its shape is {rows.shape}."
-        )
-    if not np.isfinite(rows).all():
-        raise ValueError(f"{name} must be finite; it contains NaN or infinity. Drop or fill those rows.")
-    return rows
+def _problem(X, y, x_weight, y_weight):
+    """Return rows about one of them in units of the largest entry, that unit, and their weights; all checked.
 
-
-def _weights(weight, n_samples, name):
-    if weight is None:
-        return np.full(n_samples, 1.0 / n_samples)
-    weight = np.asarray(weight, dtype=np.float64)
-    if weight.shape != (n_samples,):
+    The solvers stop at absolute tolerances, and squares have half the range of the numbers.
+    """
+    X, y = two_samples(X, y, "X")
+    refuse_large_cost(len(X), len(y))
+    centre = y[0].copy()
+    with np.errstate(over="ignore"):
+        X, y = X - centre, y - centre
+    size = float(max(np.abs(X).max(), np.abs(y).max())) or 1.0
+    if not np.isfinite(size):
         raise ValueError(
-            f"{name} must have one weight per row, shape ({n_samples},); its shape is {weight.shape}."
+            "the differences between rows of X and y exceed the range of float64. Choose larger units."
         )
-    if not np.isfinite(weight).all() or weight.min() < 0 or weight.sum() <= 0:
-        raise ValueError(
-            f"{name} must be finite, non-negative and not all zero; its minimum is {weight.min()}."
-        )
-    return weight / weight.sum()
+    weights = row_weight(x_weight, len(X), "x_weight"), row_weight(y_weight, len(y), "y_weight")
+    return X / size, y / size, size, weights
 
 
 def _is_uniform(weight):
@@ -175,14 +181,19 @@ def _assignment(cost):
     return linear_sum_assignment(cost)[1]
 
 
-def _network_simplex(cost, x_weight, y_weight):
-    """Return the least mean cost of a coupling, by POT."""
+def _network_simplex(cost, x_weight, y_weight, *, plan):
+    """Return the coupling of least mean cost, or that cost, by POT."""
     import ot
 
-    value, log = ot.emd2(x_weight, y_weight, cost, numItermax=100 * cost.size + 100_000, log=True)
+    weights = (
+        np.full(n_rows, 1.0 / n_rows) if weight is None else weight / weight.sum()
+        for n_rows, weight in zip(cost.shape, (x_weight, y_weight))
+    )
+    solve = ot.emd if plan else ot.emd2
+    found, log = solve(*weights, cost, numItermax=100 * cost.size + 100_000, log=True)
     if log["warning"] is not None:
         raise RuntimeError(
             f"POT did not solve the exact transport between {cost.shape[0]} and {cost.shape[1]} rows: "
             f"{log['warning']}. Use fewer rows."
         )
-    return max(float(value), 0.0)
+    return found

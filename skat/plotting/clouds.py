@@ -1,9 +1,13 @@
 """Clouds of rows before and after a transport, in two coordinates."""
 
+from numbers import Integral
+
 import numpy as np
+from sklearn.utils import check_scalar
 
 from skat.gaussian import row_moments
 from skat.plotting.style import AFTER, BEFORE, MEASURED, column_of, new_axes, trim
+from skat.samples import one_sample
 
 
 class TransportDisplay:
@@ -118,21 +122,28 @@ class TransportDisplay:
         ValueError
             If shapes do not fit or a feature is unknown.
         """
+        check_scalar(n_points, "n_points", Integral, min_val=1)
         names = _feature_names(X, feature_names)
-        X, X_transported, y = _rows(X, "X"), _rows(X_transported, "X_transported"), _rows(y, "y")
+        X, X_transported, y = (
+            one_sample(rows, name) for rows, name in ((X, "X"), (X_transported, "X_transported"), (y, "y"))
+        )
         if X.shape != X_transported.shape or X.shape[1] != y.shape[1]:
             raise ValueError(
                 "X and X_transported must have one shape and y the same columns; "
                 f"their shapes are {X.shape}, {X_transported.shape} and {y.shape}."
             )
+        if len(names) != X.shape[1]:
+            raise ValueError(
+                f"feature_names must hold one name per column, {X.shape[1]}; it holds {len(names)}."
+            )
         if isinstance(features, str) and features == "principal":
             axes, labels = _principal_axes(y)
         else:
-            columns = [column_of(feature, names, X.shape[1]) for feature in features]
-            if len(columns) != 2:
+            if not isinstance(features, tuple | list) or len(features) != 2:
                 raise ValueError(
-                    f"features must be two columns, or 'principal'; {features!r} names {len(columns)}."
+                    f"features must be two columns, by number or name, or 'principal'; it is {features!r}."
                 )
+            columns = [column_of(feature, names, X.shape[1]) for feature in features]
             axes, labels = np.eye(X.shape[1])[columns], tuple(names[k] for k in columns)
         drawn, target = _evenly(len(X), n_points), _evenly(len(y), n_points)
         display = cls(
@@ -178,13 +189,6 @@ class TransportDisplay:
             handle.set_sizes([30])
         trim(self.ax_)
         return self
-
-
-def _rows(rows, name):
-    rows = np.asarray(rows, dtype=float)
-    if rows.ndim != 2 or len(rows) == 0:
-        raise ValueError(f"{name} must be a 2-D array of at least one row; its shape is {rows.shape}.")
-    return rows
 
 
 def _feature_names(X, feature_names):

@@ -1,5 +1,7 @@
 """What all figures share: colours, markers, axes, and how a column is named."""
 
+import numpy as np
+
 MEASURED, BEFORE, AFTER = "#555555", "#E69F00", "#0072B2"
 METHODS = (AFTER, "#D55E00", "#009E73", "#CC79A7", BEFORE, "#56B4E9", "#000000")
 MARKERS = "osD^vPX"
@@ -25,6 +27,8 @@ def column_of(feature, names, n_columns):
         if feature not in names:
             raise ValueError(f"there is no column {feature!r}; there are {names}.")
         return names.index(feature)
+    if not isinstance(feature, int | np.integer) or isinstance(feature, bool):
+        raise ValueError(f"a column is given by number or by name; {feature!r} is neither.")
     if not -n_columns <= feature < n_columns:
         raise ValueError(f"there is no column {feature}; there are {n_columns}.")
     return int(feature) % n_columns

@@ -12,15 +12,6 @@ from skat import (
     ProcrustesAffineTransport,
 )
 
-EXPECTED_FAILURES = {
-    "ExactWithTarget": {
-        "check_sample_weight_equivalence_on_dense_data": (
-            "the optimal plan may send the copies of a repeated row to different target rows, and one row "
-            "of twice the weight to their mean"
-        )
-    }
-}
-
 
 class WithTarget:
     """Take the source rows for the target where a check gives labels."""
@@ -75,8 +66,7 @@ class ExactWithTarget(WithTarget, ExactTransport):
         CORALWithTarget(),
         ExactWithTarget(),
         IdentityWithTarget(),
-    ],
-    expected_failed_checks=lambda transport: EXPECTED_FAILURES.get(type(transport).__name__, {}),
+    ]
 )
 def test_estimator_checks(estimator, check):
     check(estimator)

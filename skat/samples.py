@@ -1,0 +1,81 @@
+"""Checks of the samples that scores and distances compare, and how far a target spreads."""
+
+import numpy as np
+from sklearn.utils import check_array
+
+from skat.moments import row_moments
+
+__all__ = [
+    "one_sample",
+    "row_weight",
+    "twice_the_spread",
+    "two_samples",
+    "two_weights",
+    "weight_of_each_side",
+]
+
+
+def one_sample(rows, name):
+    """Return rows as a finite array (n_rows, n_features) of float64."""
+    return check_array(rows, dtype=np.float64, input_name=name)
+
+
+def two_samples(X, y, name="X_transported"):
+    """Return two sets of rows, checked to have the same number of columns."""
+    X, y = one_sample(X, name), one_sample(y, "y")
+    if X.shape[1] != y.shape[1]:
+        raise ValueError(
+            f"{name} and y must have the same columns; {name} has {X.shape[1]}, y has {y.shape[1]}. "
+            "Give both the same features."
+        )
+    return X, y
+
+
+def row_weight(weight, n_rows, name="sample_weight"):
+    """Return weights as an array (n_rows,), not negative and of positive sum; None as it is."""
+    if weight is None:
+        return None
+    weight = np.asarray(weight, dtype=np.float64)
+    if weight.shape != (n_rows,):
+        raise ValueError(
+            f"{name} must have one weight per row, shape ({n_rows},); its shape is {weight.shape}."
+        )
+    if not np.isfinite(weight).all() or weight.min() < 0 or weight.sum() <= 0:
+        raise ValueError(
+            f"{name} must be finite, non-negative and not all zero; its minimum is {weight.min()}."
+        )
+    return weight
+
+
+def two_weights(sample_weight, n_source, n_target):
+    """Return the weights of both sides, given for pairs of rows or as a tuple (source, target)."""
+    if not isinstance(sample_weight, tuple):
+        if sample_weight is not None and n_source != n_target:
+            raise ValueError(
+                f"{n_source} source and {n_target} target rows need a weight each: sample_weight must be "
+                "a tuple (source, target)."
+            )
+        sample_weight = (sample_weight, sample_weight)
+    source_weight, target_weight = weight_of_each_side(sample_weight)
+    return row_weight(source_weight, n_source), row_weight(target_weight, n_target)
+
+
+def weight_of_each_side(sample_weight):
+    """Return a tuple of weights, checked to be one of two sides."""
+    if len(sample_weight) != 2:
+        raise ValueError(
+            "a tuple of weights is one for two sides, (source_weight, target_weight); it has "
+            f"{len(sample_weight)} entries. Give weights of rows as a list or an array."
+        )
+    return sample_weight
+
+
+def twice_the_spread(y, weight=None):
+    """Return twice the trace of the target's covariance, by which affinities divide; exactly zero is refused."""
+    spread = 2.0 * float(row_moments(y, weight).variance.sum())
+    if spread == 0.0:
+        raise ValueError(
+            f"the affinity divides by the spread of the target, but all {len(y)} target rows are equal. "
+            "Give target rows that vary."
+        )
+    return spread
