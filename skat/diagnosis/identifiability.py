@@ -1,5 +1,7 @@
 """What a log can show: the smallest size of each effect that would be named, and what it could be taken for."""
 
+import warnings
+
 import numpy as np
 import pandas as pd
 from scipy import stats
@@ -13,6 +15,10 @@ COMMON_NOISE = 0.01
 NEARLY_ALIKE = 0.95
 # At the end of its range an effect differs from its nearest alias by more than this much noise, or by rounding only.
 LEAST_APART = 2.0
+# An excitation separates two effects if with twice of it the angle's share grows by this factor; so many are tried.
+LEAST_GAINED = 1.2
+MOST_TRIED = 3
+NO_INPUT_SEPARATES = "no single input"
 NOTHING_SEPARATES = "nothing in these rows"
 # An effect of which the causes found leave a smaller share is not seen beside them.
 LEAST_SHARE = 1e-9
@@ -77,7 +83,10 @@ def preflight(diagnosis, X, groups):
     simulator = diagnosis.simulator
     groups = None if groups is None else np.asarray(groups)
     y = simulator.predict(X, groups=groups)
-    log = check_log(simulator, X, y, None)
+    with warnings.catch_warnings():
+        if groups is not None:
+            warnings.simplefilter("ignore", UserWarning)  # of rows that follow each other without groups
+        log = check_log(simulator, X, y, None)
     consecutive = bool(simulator.state_names)
     if groups is not None and (consecutive or len(np.unique(groups)) > 1):
         # Rows that are planned need not follow each other, so they are not checked as a log's are.
@@ -112,20 +121,37 @@ def _excitation(line, residuals, table):
         if np.sqrt(apart.sum()) * np.max(np.abs(np.subtract(effect.bounds, effect.neutral))) < LEAST_APART:
             hints.append(NOTHING_SEPARATES)
             continue
-        inputs = residuals.points
-        spread = inputs.std(axis=0)
-        standard = (inputs - inputs.mean(axis=0)) / np.where(spread > 0, spread, 1.0)
-        features = np.concatenate([np.abs(standard), standard], axis=1)
-        centred = features - features.mean(axis=0)
-        scale = np.linalg.norm(centred, axis=0) * np.linalg.norm(apart - apart.mean())
-        strength = np.where(
-            scale > 0, centred.T @ (apart - apart.mean()) / np.where(scale > 0, scale, 1.0), 0.0
-        )
-        signs = np.concatenate([strength[: inputs.shape[1]], np.abs(strength[inputs.shape[1] :])])
-        best = int(np.argmax(signs))
-        column = best % inputs.shape[1]
-        where = "large |{}|" if best < inputs.shape[1] else ("large {}" if strength[best] > 0 else "small {}")
-        hints.append(
-            where.format(residuals.simulator.input_names[column]) if signs[best] > 0 else NOTHING_SEPARATES
-        )
+        hints.append(_excitation_that_separates(residuals, name, alias, table.loc[name, "similarity"], apart))
     return hints
+
+
+def _excitation_that_separates(residuals, name, alias, similarity, apart):
+    """Return the input whose large or small values go with what is apart, if more of it makes the two less alike."""
+    inputs = residuals.points
+    spread = inputs.std(axis=0)
+    standard = (inputs - inputs.mean(axis=0)) / np.where(spread > 0, spread, 1.0)
+    features = np.concatenate([np.abs(standard), standard, -standard], axis=1)
+    centred = features - features.mean(axis=0)
+    scale = np.linalg.norm(centred, axis=0) * np.linalg.norm(apart - apart.mean())
+    strength = np.where(scale > 0, centred.T @ (apart - apart.mean()) / np.where(scale > 0, scale, 1.0), 0.0)
+    for best in np.argsort(-strength)[:MOST_TRIED]:
+        kind, column = divmod(best, inputs.shape[1])
+        if strength[best] <= 0:
+            break
+        moved = inputs.copy()
+        moved[:, column] += spread[column] * (standard[:, column], 1.0, -1.0)[kind]
+        if 1 - _similarity_at(residuals, moved, name, alias) > LEAST_GAINED * (1 - similarity):
+            return ("large |{}|", "large {}", "small {}")[kind].format(
+                residuals.simulator.input_names[column]
+            )
+    return NO_INPUT_SEPARATES
+
+
+def _similarity_at(residuals, points, name, alias):
+    """Return the cosine between the derivatives by two effects in other rows."""
+    state = residuals.state()
+    residuals.points = points
+    one, other = np.moveaxis(residuals.derivatives({}, [name, alias]), -1, 0)
+    residuals.restore(state)
+    size = np.sqrt(np.sum(one**2) * np.sum(other**2))
+    return abs(np.sum(one * other)) / size if size > 0 else 1.0
