@@ -13,13 +13,14 @@ from skat.diagnosis.gains import episode_gain, one_step_gain
 from skat.diagnosis.identifiability import identifiability, preflight
 from skat.diagnosis.log import check_log, check_matrix, measured_channels
 from skat.diagnosis.omnibus import find_remainder, is_structured
-from skat.diagnosis.plausibility import warn_of_doubts
+from skat.diagnosis.plausibility import warn_of_doubts, warn_of_lasting_noise
 from skat.diagnosis.report import Report
 from skat.diagnosis.residuals import Residuals
 from skat.diagnosis.selection import Selection
 from skat.diagnosis.trajectories import TrajectoryResiduals
 from skat.diagnosis.transitions import TransitionResiduals
 from skat.effects import Effect, unknown_name_message
+from skat.simulators import Simulator
 
 # Squared one-step errors in noise units up to which heavy tails and rounding of the noise are taken to be the cause.
 CLEAN_EXCESS = 1.3
@@ -162,8 +163,12 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         free = [cause.name for cause in self.causes_ if not cause.at_bound]
         self.remainder_ = find_remainder(residuals, selected.linearisation, free)
         self.n_simulated_rows_ = residuals.n_simulated_rows
+        refused = selected.refused
+        self.refused_ = None if refused is None else (refused.name, float(refused.value))
         n_diverged = residuals.diverged.sum()
         self.noise_ = residuals.deviations
+        if hidden and isinstance(self.noise, str):
+            warn_of_lasting_noise(self.simulator, fitted, hidden, self.noise_)
         self.extended_simulator_ = self.simulator.extended(selected.values)
         self.identifiability_ = identifiability(selected, residuals, self.alpha / 2)
         self.gain_ = None
@@ -286,7 +291,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         DataFrame
             As `identifiability_`, with the noise taken as 1 % of each channel's spread unless `noise` gives it, and
             for each effect the further excitation that would separate it from its nearest alias: more rows in which an
-            input is large or small; "nothing in these rows" where none of those given tells the two apart.
+            input is large or small; "no single input" where that does not do, and "nothing in these rows" where
+            none of those given tells the two apart.
         """
         self._check_parameters()
         if self._checked_hidden():
@@ -308,6 +314,11 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
     # -- parts of fit ------------------------------------------------------------------------------------------------
 
     def _check_parameters(self):
+        if not isinstance(self.simulator, Simulator):
+            raise TypeError(
+                "simulator must be a Simulator, such as MujocoSimulator(path_of_the_model, frame_skip=...) or a "
+                f"FunctionSimulator; it is {self.simulator!r}."
+            )
         if not 0 < self.alpha < 1:
             raise ValueError(f"alpha must lie between 0 and 1; it is {self.alpha!r}.")
         if not 0 <= self.test_size < 1:
@@ -338,6 +349,11 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             raise ValueError(
                 f"hidden names {', '.join(unknown)}; state channels are {', '.join(self.simulator.state_names)}."
             )
+        if hidden and set(hidden) == set(self.simulator.state_names):
+            raise ValueError(
+                "hidden names every channel of the state, so that nothing was measured. Name only those that hold no "
+                "measurement."
+            )
         for joint in {name.rpartition(".")[0] for name in hidden if name.rpartition(".")[2] in QUATERNION}:
             missing = [part for part in QUATERNION if f"{joint}.{part}" not in hidden]
             if missing:
@@ -356,7 +372,10 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             return None
         measured = measured_channels(self.simulator, self._checked_hidden())
         names = np.array(self.simulator.residual_names)[measured]
-        deviations = np.asarray(self.noise, dtype=float)
+        try:
+            deviations = np.asarray(self.noise, dtype=float)
+        except (TypeError, ValueError):
+            deviations = np.array(np.nan)
         if deviations.shape != (len(names),) or not ((deviations > 0) & (deviations < np.inf)).all():
             raise ValueError(
                 f"noise must hold a finite positive standard deviation for each of {', '.join(names)}; it is "

@@ -4,6 +4,8 @@ import warnings
 
 import numpy as np
 
+from skat.diagnosis.log import measured_channels
+
 # Share of an actuator's commands beyond its range that is worth a warning.
 CLIPPED_SHARE = 0.01
 # The log in degrees is tried where an angle leaves a full turn; it must fit so many times better in radians, and is
@@ -30,6 +32,9 @@ MOST_ROWS = 0.9
 # of that.
 QUIET_SHARE = 0.15
 
+# Noise found along whole episodes, so many times that of neighbouring rows, holds more than noise.
+MORE_THAN_NOISE = 2.0
+
 
 def warn_of_doubts(simulator, log, hidden=()):
     """Warn of what in a log is well-formed but hardly meant.
@@ -55,6 +60,40 @@ def warn_of_doubts(simulator, log, hidden=()):
         *_differenced(simulator, log, hidden),
     ):
         warnings.warn(doubt, UserWarning, stacklevel=3)
+
+
+def warn_of_lasting_noise(simulator, log, hidden, deviations):
+    """Warn where noise, found along whole episodes, is larger than neighbouring rows show.
+
+    Third differences of a smooth motion leave the noise of the sensor, whose variance they have twentyfold.
+
+    Parameters
+    ----------
+    simulator : Simulator
+    log : Log
+    hidden : sequence of str
+        State channels that were not measured.
+    deviations : ndarray of shape (n_measured_channels,)
+        The noise found.
+    """
+    measured = measured_channels(simulator, hidden)
+    together = (log.episodes[3:] == log.episodes[:-3])[:, None]
+    steps = simulator.residual(log.y[1:], log.y[:-1])[:, measured]
+    thirds = np.where(together, steps[2:] - 2 * steps[1:-1] + steps[:-2], 0.0)
+    seen = np.sqrt(np.sum(thirds**2, axis=0) / (20 * max(together.sum(), 1)))
+    # Of a slow motion most differences are zero where the sensor has steps.
+    step = np.min(np.where(steps != 0, np.abs(steps), np.inf), axis=0)
+    seen = np.maximum(seen, np.where(np.isfinite(step), step, 0.0) / np.sqrt(12))
+    for name, found, least in zip(np.array(simulator.residual_names)[measured], deviations, seen):
+        if found > MORE_THAN_NOISE * least > 0:
+            unit = f" {simulator.units[name]}" if name in simulator.units else ""
+            warnings.warn(
+                f"The noise found in {name} is {found:.2g}{unit}, but neighbouring rows differ as if it were at most "
+                f"{least:.2g}{unit}: something that lasts passes for noise, and the verdict may be too good. If you "
+                "know the sensors' noise, give it by noise=.",
+                UserWarning,
+                stacklevel=3,
+            )
 
 
 def _constant(simulator, log, hidden):

@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+import warnings
 
 import numpy as np
 import pytest
@@ -406,3 +407,28 @@ def test_one_shot_simulation_needs_no_episodes(throw):
 def test_one_shot_simulation_without_an_error_is_left_alone(throw):
     verdicts = [SimulationDiagnosis(throw, random_state=0).fit(*throws(10 + k)).verdict_ for k in range(20)]
     assert sum(verdict != "nothing detected" for verdict in verdicts) <= 2
+
+
+def test_what_is_no_simulator_and_noise_that_is_no_list_are_refused(simulator):
+    X, y, groups, _ = measure(3)
+    with pytest.raises(
+        TypeError, match=r"simulator must be a Simulator, such as MujocoSimulator.*robot\.xml"
+    ):
+        SimulationDiagnosis("robot.xml").fit(X, y, groups=groups)
+    with pytest.raises(ValueError, match="noise must hold a finite positive standard deviation for each of"):
+        SimulationDiagnosis(simulator, noise={"x": 0.1}).fit(X, y, groups=groups)
+    with pytest.raises(ValueError, match="hidden names every channel of the state"):
+        SimulationDiagnosis(simulator, hidden=simulator.state_names).fit(X, y, groups=groups)
+
+
+def test_preflight_asks_for_groups_only_where_none_were_given(simulator):
+    forces = np.random.default_rng(0).normal(size=(2, 40, 1))
+    states = simulator.rollout(np.array([[0.0, 1.0, 0.0, 0.0], [0.0, 2.0, 0.0, 0.0]]), forces, n_steps=40)
+    X = np.concatenate([states[:, :-1], forces], axis=2).reshape(80, -1)
+    groups = np.repeat([0, 1], 40)
+    diagnosis = SimulationDiagnosis(simulator, effects=["drag", "gain"])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        diagnosis.preflight(X, groups=groups)
+    with pytest.warns(UserWarning, match="Pass groups="):
+        diagnosis.preflight(X)

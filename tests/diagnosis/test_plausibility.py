@@ -7,7 +7,7 @@ import pytest
 
 from skat.diagnosis import plausibility
 from skat.diagnosis.log import check_log
-from skat.diagnosis.plausibility import warn_of_doubts
+from skat.diagnosis.plausibility import warn_of_doubts, warn_of_lasting_noise
 from skat.simulators import FunctionSimulator, MujocoSimulator
 
 ARM = """
@@ -228,3 +228,32 @@ def test_rows_in_which_a_free_body_diverges_are_no_doubt_about_its_velocities(mo
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warn_of_doubts(simulator, check_log(simulator, states[:-1], states[1:], np.zeros(40)))
+
+
+@pytest.mark.parametrize("step", [0.0, 0.02])
+def test_noise_that_lasts_is_told_from_that_of_the_sensor(simulator, log, step):
+    X, y, groups = log
+    rng = np.random.default_rng(0)
+    y = y + [[0.01, 0.0]] * rng.normal(size=y.shape)
+    if step:
+        y[:, 0] = step * np.round(y[:, 0] / step)
+    follows = np.flatnonzero(groups[1:] == groups[:-1]) + 1
+    X[follows, :2] = y[follows - 1]
+    noisy, sensor = (
+        check_log(simulator, X, y, groups, hidden=("qvel.shoulder",)),
+        np.hypot(0.01, step / 12**0.5),
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warn_of_lasting_noise(simulator, noisy, ("qvel.shoulder",), np.array([1.3 * sensor]))
+    with pytest.warns(UserWarning, match=r"qpos\.shoulder is 0\.0\d+ rad, but neighbouring rows .* noise="):
+        warn_of_lasting_noise(simulator, noisy, ("qvel.shoulder",), np.array([3 * sensor]))
+
+
+def test_a_sensor_with_coarse_steps_is_not_taken_for_a_quiet_one(simulator, log):
+    X, y, groups = log
+    X[:, 0], y[:, 0] = np.round(X[:, 0]), np.round(y[:, 0])
+    coarse = check_log(simulator, X, y, groups, hidden=("qvel.shoulder",))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warn_of_lasting_noise(simulator, coarse, ("qvel.shoulder",), np.array([0.29]))
