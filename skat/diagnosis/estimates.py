@@ -21,6 +21,11 @@ MOST_SETTLINGS = 6
 NEAR = 1.5
 SETTLED = 0.2
 LONGEST_STEP = 10.0
+# Where a fit has not settled it starts again from these shares of its distance from neutral. Another value is taken if
+# it is likelier by so much of twice the log likelihood, which changes by less from one settling to the next.
+SHARES_FROM_AFAR = (0.5, 1.5)
+ROUNDS_FROM_AFAR = 2
+WORTH_ANOTHER_PLACE = 300.0
 # Secants reach so many standard errors to both sides, or over this share of the effect's range.
 SECANT_IN_ERRORS = 5.0
 WIDEST_SECANT = 0.1
@@ -60,12 +65,16 @@ class Estimates:
         self.refits = Refits(residuals)
         # Standard error of each effect when it was last fitted.
         self.errors: dict[str, float] = {}
+        # Noise and smoothed states of the model without effects.
+        self.neutral_state: dict = {}
 
     def linearised(self, values, *, settled=False):
         """Return the linearisation by all effects at a model that noise and smoothed states are adapted to."""
         if not settled:
             self.residuals.settle(values)
         line = self.residuals.linearise(values, self.names)
+        if not values:
+            self.neutral_state = self.residuals.state()
         line = self._without_jags(line)
         self.refits.set_scale(line.residuals)
         return line
@@ -102,7 +111,39 @@ class Estimates:
     def polished(self, values):
         """Return a model at the optimum of its own smoothed states and noise, and its linearisation."""
         values, settled = self.fitted(values)
+        if not settled:
+            values, settled = self._from_afar(values)
         return values, self.linearised(values, settled=settled)
+
+    def _from_afar(self, values):
+        """Return the likeliest of a model's fits that start nearer to neutral and further from it, or the model itself.
+
+        At contacts, where fits do not settle, a wrong value may keep itself up: states are smoothed to it, and what it
+        misses passes for noise. So these start from the noise and the states of the model without effects.
+        """
+        best, settled, state = values, False, self.residuals.state()
+        misfit = self.refits.misfit(self.refits.whitened([values])[0])
+        for _ in range(ROUNDS_FROM_AFAR):
+            origin = best
+            for share in SHARES_FROM_AFAR:
+                self.residuals.restore(self.neutral_state)
+                found, is_settled = self.fitted(self._at_share(origin, share))
+                residuals = self.refits.whitened([found])[0]
+                if self.refits.is_likelier(residuals, misfit, WORTH_ANOTHER_PLACE):
+                    best, settled = found, is_settled
+                    misfit, state = self.refits.misfit(residuals), self.residuals.state()
+            if settled or best is origin:
+                break
+        self.residuals.restore(state)
+        return best, settled
+
+    def _at_share(self, values, share):
+        """Return values at a share of their distance from neutral, within their bounds."""
+        scaled = {}
+        for name, value in values.items():
+            neutral, bounds = self.effects[name].neutral, self.effects[name].bounds
+            scaled[name] = float(np.clip(neutral + share * (value - neutral), *bounds))
+        return scaled
 
     def fitted(self, values):
         """Return a model at the optimum of its own smoothed states and noise, and whether these are settled there."""

@@ -39,6 +39,23 @@ MOST_JUMPS = 3
 
 
 @dataclass(frozen=True)
+class Refused:
+    """An effect that is significant beside a model, but does not improve it throughout the log, or predicts no better.
+
+    Attributes
+    ----------
+    name : str
+    value : float
+    loss : float
+        In noise units.
+    """
+
+    name: str
+    value: float
+    loss: float
+
+
+@dataclass(frozen=True)
 class Selected:
     """The effects named, with what the decision rests on.
 
@@ -55,6 +72,8 @@ class Selected:
         At the final model.
     gram : Grams
         Of the same, by block.
+    refused : Refused or None
+        What explains most of what the others leave, and was not named all the same.
     """
 
     values: dict
@@ -63,6 +82,7 @@ class Selected:
     aliases: dict
     linearisation: object
     gram: object
+    refused: Refused | None = None
 
 
 @dataclass(frozen=True)
@@ -109,6 +129,8 @@ class Selection:
         self.refits = self.estimates.refits
         self.proposals = Proposals(self.estimates)
         self.judgement = Judgement(self.estimates, self.proposals)
+        # What was last significant beside a model, and refused.
+        self.refused: Refused | None = None
         # Sets of effects that were exchanged for better ones.
         self.left: set[frozenset] = set()
         # Of each set that was exchanged, the one that it was left for.
@@ -141,13 +163,30 @@ class Selection:
             if len(values) < self.max_effects:
                 added = self._add(values, line, far_off=far_off and not values) or self._apart(values, line)
             if added is None and jumps < MOST_JUMPS:
-                loss = self.refits.losses(line.residuals).sum()
-                added, jumps = self._elsewhere(values, loss, list(values)), jumps + 1
+                jumps += 1
+                jumped = self._jumped(values, line)
+                if jumped is not None:
+                    history.append(jumped[0])
+                    values, line = self._simplified(*jumped)
+                    continue
             if added is None:
                 break
             history.append(added)
             values, line = self._simplified(*self.estimates.polished(added))
         return values, line, history
+
+    def _jumped(self, values, line):
+        """Return the model with one of its values far off, and its linearisation, None if that is no likelier."""
+        found = self._elsewhere(values, self.refits.losses(line.residuals).sum(), list(values))
+        if found is None:
+            return None
+        misfit, state = self.refits.misfit(line.residuals), self.residuals.state()
+        found, found_line = self.estimates.polished(found)
+        if self.refits.is_likelier(found_line.residuals, misfit, WORTH_A_JUMP):
+            return found, found_line
+        self.residuals.restore(state)
+        self.refits.set_scale(line.residuals)
+        return None
 
     def _simplified(self, values, line):
         """Return a model that no exchange of effects makes better, or smaller and as good.
@@ -199,6 +238,7 @@ class Selection:
         added is judged again at states smoothed by its own model, in the end. So is at once what explains much, where
         nothing stands: a sensor's scale may pass for noise of its channel, in which it shows little.
         """
+        self.refused = None
         gram = grams(line.residuals, line.derivatives, self.estimates.clusters(len(line.names)))
         first = screen(gram, line.names, values, self.effects, list(values))
         misfit = np.median(np.sum(line.residuals**2, axis=-1)) / line.residuals.shape[1]
@@ -218,21 +258,26 @@ class Selection:
                     family_p_value(screened, len(self.names)),
                     self.judgement.p_values(fit.values)[new],
                 )
-                significant = p_value < self.alpha
-                matters = present.sum() - fit.loss > least_explained
+                if p_value >= self.alpha:
+                    continue
                 if (
-                    significant
-                    and matters
+                    present.sum() - fit.loss > least_explained
                     and self.judgement.improves(fit, present)
                     and self.judgement.predicts(fit.values, values)
                 ):
+                    self.refused = None
                     better = self._elsewhere(fit.values, fit.loss, [new])
                     return better if better and self.judgement.predicts(better, values) else fit.values
+                if self.refused is None or fit.loss < self.refused.loss:
+                    self.refused = Refused(new, fit.values[new], fit.loss)
             doubtful += fits
         best = min(doubtful, key=lambda fit: fit.loss, default=None)
         if best is None or present.sum() - best.loss < max(least_explained, WORTH_ITS_OWN_NOISE):
             return None
-        return self._at_its_own_noise(best, values, line)
+        found = self._at_its_own_noise(best, values, line)
+        if found is not None:
+            self.refused = None
+        return found
 
     def _at_its_own_noise(self, fit, values, line):
         """Return the values of a model with a further effect that stands at the noise which it leaves, else None."""
@@ -353,7 +398,7 @@ class Selection:
         values, line = pruned.values, pruned.line
         gram = grams(line.residuals, line.derivatives, self.estimates.clusters(len(line.names)))
         if not values:
-            return Selected({}, {}, {}, {}, line, gram)
+            return Selected({}, {}, {}, {}, line, gram, self.refused)
         names, covariance, freedom = self.estimates.covariance(values)
         errors = np.hypot(np.sqrt(np.diag(covariance)), [spread[name] for name in names])
         distances = [abs(values[name] - self.effects[name].neutral) for name in names]
@@ -376,7 +421,10 @@ class Selection:
         )
         for cause, rival in self._better(values):
             aliases[cause] = tuple(dict.fromkeys((*aliases[cause], rival)))
-        return Selected({name: values[name] for name in order}, p_values, intervals, aliases, line, gram)
+        refused = None if self.refused is None or self.refused.name in values else self.refused
+        return Selected(
+            {name: values[name] for name in order}, p_values, intervals, aliases, line, gram, refused
+        )
 
     def _better(self, values):
         """Return (cause, effect) where the effect explained the log better in the cause's place, but did not stand.

@@ -33,6 +33,39 @@ def test_values_of_a_smooth_simulation_have_no_spread_from_settling(estimates):
     assert spread == {"pole": 0.0}
 
 
+def stuck_once(estimates, monkeypatch, times, misled=0.93):
+    """Let so many fits end, without settling, at a wrong value with the noise that it leaves."""
+    fitted, calls = estimates.fitted, iter(range(100))
+
+    def sometimes_stuck(values):
+        if next(calls) >= times:
+            return fitted(values)
+        estimates.residuals.settle({"pole": misled})
+        estimates.residuals.linearise({"pole": misled}, ["drag"])
+        return {"pole": misled}, False
+
+    monkeypatch.setattr(estimates, "fitted", sometimes_stuck)
+
+
+def test_a_fit_that_does_not_settle_starts_again_from_the_noise_of_the_model_without_effects(
+    estimates, monkeypatch
+):
+    right, line = estimates.polished({"pole": 0.9})
+    stuck_once(estimates, monkeypatch, times=1)
+    values, again = estimates.polished({"pole": 0.93})
+    assert abs(values["pole"] - right["pole"]) < 1e-3
+    np.testing.assert_allclose(
+        estimates.refits.misfit(again.residuals), estimates.refits.misfit(line.residuals), rtol=1e-3
+    )
+
+
+def test_a_fit_that_never_settles_stays_where_it_was_with_its_noise(estimates, monkeypatch):
+    stuck_once(estimates, monkeypatch, times=100)
+    values, line = estimates.polished({"pole": 0.93})
+    assert values == {"pole": 0.93}
+    assert line.values == values
+
+
 def test_profile_interval_agrees_with_the_standard_error_where_nothing_bends(estimates):
     values, line = estimates.polished({"pole": 0.9})
     low, high = estimates.profile_interval("pole", values, line)
