@@ -13,6 +13,7 @@ integral.
 import argparse
 import time
 import tracemalloc
+import warnings
 from functools import cache
 
 import numpy as np
@@ -26,7 +27,7 @@ from skat.metrics import (
     affinity_upper_bound,
     debiased_affinity_score,
 )
-from skat.transport import AffineTransport
+from skat.transport import AffineTransport, ProcrustesAffineTransport
 
 
 def normal(rng, shape):
@@ -86,36 +87,85 @@ def bias_of_rho(dimensions, sizes, n_trials, n_jobs):
     print()
 
 
-def rejections(dimensions, n_rows, n_trials, n_jobs):
-    print(f"Share of tests that reject at 5 %, {n_rows} rows, {n_trials} trials, 19 shuffles each")
+def powers(dimensions, n_rows, n_trials, n_jobs):
     print(
-        f"{'features':>8}{'fresh rows':>12}{'fitted rows':>12}{'pairs':>8}"
-        + "".join(f"{law.__name__:>14}" for law in LAWS[1:])
+        f"Share of tests that reject normal source rows at 5 %, {n_rows} rows, {n_trials} trials, 19 shuffles each"
     )
+    print(f"{'features':>8}" + "".join(f"{law.__name__:>14}" for law in LAWS[1:]))
     for n_features in dimensions:
-
-        def p_value(rng, n_features=n_features, law=exponential, kind="fresh"):
-            seed = int(rng.integers(2**31))
-            if kind == "pairs":
-                common = law(rng, (n_rows, n_features))
-                X, y = common + 0.3 * rng.normal(size=(2, n_rows, n_features))
-                return affinity_test(X, y, paired=True, n_permutations=19, random_state=seed).p_value
-            source = normal if kind == "other" else law
-            X, y = (each(rng, (n_rows, n_features)) for each in (source, law))
-            if kind == "fitted":
-                X = AffineTransport().fit(X, y).transform(X)
-            options = {"in_sample": kind == "fitted", "n_permutations": 19, "random_state": seed}
-            return affinity_test(X, y, **options).p_value
-
         cells = f"{n_features:>8}"
-        for kind, width in (("fresh", 12), ("fitted", 12), ("pairs", 8)):
-            share = (many(lambda rng, kind=kind: p_value(rng, kind=kind), n_trials, n_jobs) <= 0.05).mean()
-            cells += f"{share:>{width}.3f}"
         for law in LAWS[1:]:
-            shares = many(lambda rng, law=law: p_value(rng, law=law, kind="other"), n_trials, n_jobs) <= 0.05
-            cells += f"{shares.mean():>14.3f}"
+
+            def p_value(rng, n_features=n_features, law=law):
+                seed = int(rng.integers(2**31))
+                X, y = (each(rng, (n_rows, n_features)) for each in (normal, law))
+                return affinity_test(X, y, n_permutations=19, random_state=seed).p_value
+
+            cells += f"{(many(p_value, n_trials, n_jobs) <= 0.05).mean():>14.3f}"
         print(cells, flush=True)
-    print("The first three columns ought to be 0.05; the others are the power against normal source rows.\n")
+    print()
+
+
+def levels(in_sample, cases, n_trials, n_jobs):
+    rows = "the rows that it was fitted to, in_sample=True" if in_sample else "rows held out"
+    print(f"Share of tests that reject a right map at 5 %, {rows}: {n_trials} trials, 19 shuffles each")
+    print(f"{'source':>8}{'target':>8}{'features':>10}" + "".join(f"{law.__name__:>14}" for law in LAWS))
+    table = []
+    for n_source, n_target, n_features in cases:
+        shares = []
+        for law in LAWS:
+
+            def p_value(rng, law=law, n_source=n_source, n_target=n_target, n_features=n_features):
+                seed = int(rng.integers(2**31))
+                X, y = law(rng, (n_source, n_features)), law(rng, (n_target, n_features))
+                if in_sample:
+                    X = AffineTransport().fit(X, y).transform(X)
+                options = {"in_sample": in_sample, "n_permutations": 19, "random_state": seed}
+                return affinity_test(X, y, **options).p_value
+
+            shares.append((many(p_value, n_trials, n_jobs) <= 0.05).mean())
+        table.append(shares)
+        cells = "".join(f"{share:>14.3f}" for share in shares)
+        print(f"{n_source:>8}{n_target:>8}{n_features:>10}" + cells, flush=True)
+    print(f"{'mean':<26}" + "".join(f"{share:>14.3f}" for share in np.mean(table, axis=0)))
+    ought_to_be(0.05, n_trials)
+
+
+def levels_of_pairs(noises, n_rows, n_features, n_trials, n_jobs):
+    print(
+        f"Share of tests that reject a right map at 5 %, {n_rows} pairs, {n_features} features, {n_trials} trials, "
+        "19 shuffles each"
+    )
+    print(f"{'map':<28}{'noise':>6}" + "".join(f"{law.__name__:>14}" for law in LAWS))
+    maps = {
+        "held out": None,
+        "AffineTransport, in sample": AffineTransport(),
+        "Procrustes, in sample": ProcrustesAffineTransport(),
+    }
+    for name, transport in maps.items():
+        for noise in noises:
+            cells = ""
+            for law in LAWS:
+
+                def p_value(rng, transport=transport, noise=noise, law=law):
+                    seed = int(rng.integers(2**31))
+                    X, y = law(rng, (n_rows, n_features)) + noise * rng.normal(size=(2, n_rows, n_features))
+                    if transport is not None:
+                        with warnings.catch_warnings():
+                            # With this much noise some right pairs look shuffled.
+                            warnings.filterwarnings("ignore", message="the pairs carry no correlation")
+                            X = transport.fit(X, y).transform(X)
+                    options = {"in_sample": transport is not None, "n_permutations": 19, "random_state": seed}
+                    return affinity_test(X, y, paired=True, **options).p_value
+
+                cells += f"{(many(p_value, n_trials, n_jobs) <= 0.05).mean():>14.3f}"
+            print(f"{name:<28}{noise:>6}{cells}", flush=True)
+    ought_to_be(0.05, n_trials)
+
+
+def ought_to_be(level, n_trials):
+    error = np.sqrt(level * (1 - level) / n_trials)
+    print(f"Each share ought to be {level}, with a standard error of {error:.3f}.\n")
 
 
 def debiased_and_bound(dimensions, n_rows, n_trials, n_jobs):
@@ -178,12 +228,18 @@ def peak_bytes(X, y):
     return peak
 
 
+# Source rows, target rows, features.
+FEW_ROWS = ((40, 40, 2), (60, 60, 2), (60, 60, 5), (40, 40, 10), (200, 40, 5))
+
 # Table -> function, and its arguments in full and in the small cut.
 TABLES = {
     "estimate": (estimates, (100_000, (27,)), (20_000, (27,))),
     "bias": (bias_of_rho, ((2, 5, 10, 27, 62), (100, 1000), 20), ((2, 27), (100, 500), 4)),
-    "level": (rejections, ((2, 10, 27), 100, 100), ((2,), 50, 40)),
+    "power": (powers, ((2, 10, 27), 100, 100), ((2,), 50, 40)),
     "scores": (debiased_and_bound, ((2, 10, 27), 1000, 6), ((2, 27), 300, 4)),
+    "level": (levels, (False, FEW_ROWS, 250), (False, FEW_ROWS[:1], 40)),
+    "fitted": (levels, (True, FEW_ROWS, 250), (True, FEW_ROWS[:1], 40)),
+    "pairs": (levels_of_pairs, ((0.1, 1.0), 40, 2, 150), ((0.1, 1.0), 40, 2, 20)),
 }
 
 
