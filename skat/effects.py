@@ -204,6 +204,7 @@ _PHRASES = {
     "tendon_stiffness": ("the stiffness of tendon {}", ""),
     "force_limit": ("the force limit of {}", "the force limit of every actuator"),
     "kp": ("the position gain of {}", "the position gain of every servo"),
+    "kv": ("the velocity gain (kv) of the servo {}", "the velocity gain (kv) of every servo"),
     "delay": ("the delay of every {}", ""),
     "bias": ("the bias of sensor {}", ""),
 }

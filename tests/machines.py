@@ -1,4 +1,6 @@
-"""Small machines as MJCF, one with a wheel, one with tendons and a servo, and plain MuJoCo to step any."""
+"""Small machines as MJCF, with a wheel, with tendons and a servo, with servos only, and plain MuJoCo to step any."""
+
+import re
 
 import mujoco
 import numpy as np
@@ -43,6 +45,24 @@ FINGER = """
   </actuator>
 </mujoco>
 """
+SERVO_ARM = """
+<mujoco model="servo_arm">
+  <option timestep="0.004" integrator="implicitfast"/>
+  <default><joint damping=".3" armature=".02"/><geom contype="0"/></default>
+  <worldbody>
+    <body name="upper"><joint name="shoulder" axis="0 1 0"/>
+      <geom type="capsule" fromto="0 0 0 .3 0 0" size=".025" mass="1.1"/>
+      <body name="lower" pos=".3 0 0"><joint name="elbow" axis="0 1 0"/>
+        <geom type="capsule" fromto="0 0 0 .25 0 0" size=".02" mass=".7"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <position name="lift" joint="shoulder" kp="120" kv="8" ctrlrange="-2 2" forcerange="-40 40"/>
+    <position name="bend" joint="elbow" kp="80" kv="4" ctrlrange="-2 2" forcerange="-30 30"/>
+  </actuator>
+</mujoco>
+"""
 
 
 def changed(text, *changes):
@@ -51,6 +71,11 @@ def changed(text, *changes):
         assert text.count(old) >= 1, old
         text = text.replace(old, new)
     return text
+
+
+def without_limits(text):
+    """Return a text without the limits of its actuators' forces."""
+    return re.sub(r' forcerange="[^"]*"', "", text)
 
 
 def plain(text, rows, n_steps, force=None, joint_forces=0.0, inertia=None):

@@ -64,6 +64,8 @@ def test_effect_is_frozen_and_pickles_with_its_sentence():
             -0.25,
             "viscous damping of knee is 0.25 N m s/rad less than the model's",
         ),
+        ("kv[knee]", "1", 1.0, 1.5, "the velocity gain (kv) of the servo knee is 1.5 times the model's"),
+        ("kv[all]", "1", 1.0, 1.5, "the velocity gain (kv) of every servo is 1.5 times the model's"),
         ("stickiness[floor]", "N", 0.0, 2.0, "stickiness[floor] is 2 N"),
         ("friction", "1", 0.4, 0.62, "friction is 0.62 (the model has 0.4)"),
         ("hinge", "N m", 0.4, 0.62, "hinge is 0.62 N m (the model has 0.4 N m)"),

@@ -14,6 +14,7 @@ SPHERE = int(mujoco.mjtGeom.mjGEOM_SPHERE)
 JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 TENDON_TRANSMISSION = int(mujoco.mjtTrn.mjTRN_TENDON)
 EXPLICIT_INTEGRATOR = int(mujoco.mjtIntegrator.mjINT_RK4)
+EULER = int(mujoco.mjtIntegrator.mjINT_EULER)
 
 # Of a degree of freedom, in m or rad, over which tendons are differentiated.
 SMALL_MOTION = 1e-5
@@ -248,6 +249,21 @@ class Anatomy:
         pulled = (model.actuator_trntype == TENDON_TRANSMISSION) & (model.actuator_trnid[:, 0] == tendon)
         weight = 10 / float(self.tendon_ranges[0][tendon])
         return max([weight, *(self._capacity(int(actuator)) for actuator in np.flatnonzero(pulled))])
+
+    @cached_property
+    def actuator_mobility(self) -> Array:
+        """Of each actuator, over the poses: the largest inverse of the mass that its force moves, its gear included."""
+        model, data = self.model, mujoco.MjData(self.model)
+        moments = np.zeros((len(data.moment_rownnz), model.nv))
+        accelerations, mobility = np.zeros_like(moments), np.zeros(len(moments))
+        for pose in self.poses:
+            data.qpos[:] = pose
+            mujoco.mj_forward(model, data)
+            sparse = data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
+            mujoco.mju_sparse2dense(moments, *sparse)
+            mujoco.mj_solveM(model, data, accelerations, moments)
+            mobility = np.maximum(mobility, np.sum(moments * accelerations, axis=1))
+        return mobility[model.actuator_outadr]
 
     def _capacity(self, actuator: int) -> float:
         """Return the largest force of an actuator, of those that are not limited at a control of 1."""

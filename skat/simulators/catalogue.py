@@ -15,7 +15,15 @@ import numpy as np
 
 from skat.effects import Effect
 from skat.simulators import contacts, edits
-from skat.simulators.anatomy import Anatomy, actuator_name, drag_joint, tendon_name
+from skat.simulators.anatomy import (
+    EULER,
+    EXPLICIT_INTEGRATOR,
+    TENDON_TRANSMISSION,
+    Anatomy,
+    actuator_name,
+    drag_joint,
+    tendon_name,
+)
 from skat.simulators.channels import BALL, FREE, HINGE, SLIDE, joint_name
 
 AXES = "xyz"
@@ -24,6 +32,8 @@ LINEAR_BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFI
 MAX_DELAY_IN_TRANSITIONS = 5
 # Of a servo's control, where the model does not limit it.
 LARGEST_OFFSET = 1.0
+# Of factors on what a servo feeds back.
+GAIN_BOUNDS = (0.02, 20.0)
 # Simulating takes longer by the inverse of it.
 FINEST_TIMESTEP = 0.25
 JOINT_EDITS: dict[str, Callable[..., Any] | None] = {
@@ -376,7 +386,10 @@ def _actuator_effects(anatomy: Anatomy) -> Found:
     damped = [
         index for index in simple if _is_servo(model, index) and model.actuator_biasprm[index, 1:3].all()
     ]
-    yield from _each_and_all("kp", damped, name, (0.02, 20.0), edits.scale_stiffness_of_servo)
+    yield from _each_and_all("kp", damped, name, GAIN_BOUNDS, edits.scale_stiffness_of_servo)
+    yield from _velocity_gain_effects(
+        anatomy, [index for index in simple if _has_velocity_gain(model, index)]
+    )
     for index in simple:
         if _is_servo(model, index):
             low, high = model.actuator_ctrlrange[index]
@@ -391,6 +404,66 @@ def _actuator_effects(anatomy: Anatomy) -> Found:
                 ),
                 True,
             )
+
+
+def _velocity_gain_effects(anatomy: Anatomy, actuators: Sequence[int]) -> Found:
+    """Yield the factor on the velocity feedback of each actuator, and on that of all.
+
+    Where damping does the same, a factor is listed only if damping cannot fall as low, and then up to 1.
+    """
+    model, low = anatomy.model, GAIN_BOUNDS[0]
+    highs, any_listed = [], False
+    for index in actuators:
+        high, damping = _highest_velocity_gain(anatomy, index), _replaceable_damping(anatomy, index)
+        own = -float(model.actuator_biasprm[index, 2] * model.actuator_gear[index, 0] ** 2)
+        listed = damping is None or (1 - low) * own > damping
+        if damping is not None and listed:
+            high = 1.0
+        highs.append(high)
+        any_listed |= listed
+        edit = partial(edits.scale_velocity_gain_of_servo, (index,))
+        yield _factor(f"kv[{actuator_name(model, index)}]", low, high, edit), listed
+    if actuators:
+        edit = partial(edits.scale_velocity_gain_of_servo, tuple(actuators))
+        yield _factor("kv[all]", low, min(highs), edit), any_listed and len(actuators) > 1
+
+
+def _has_velocity_gain(model: mujoco.MjModel, actuator: int) -> bool:
+    """Whether an actuator feeds its velocity back, beside other forces, and not against a velocity to follow."""
+    gain, bias = model.actuator_gainprm[actuator], model.actuator_biasprm[actuator]
+    is_affine = int(model.actuator_biastype[actuator]) == int(mujoco.mjtBias.mjBIAS_AFFINE)
+    has_other = gain[:3].any() or bias[:2].any()
+    follows_velocity = _is_servo(model, actuator) and bias[1] == 0
+    return bool(is_affine and bias[2] != 0 and has_other and not follows_velocity)
+
+
+def _replaceable_damping(anatomy: Anatomy, actuator: int) -> float | None:
+    """Return the damping of an actuator's joint or tendon, None if velocity feedback is not the same as more of it.
+
+    It is not where a limit cuts the force off. Euler's integrator treats the damping of joints implicitly, but not
+    what actuators do, so that these differ by its time step.
+    """
+    model, target = anatomy.model, int(anatomy.model.actuator_trnid[actuator, 0])
+    if model.actuator_forcelimited[actuator]:
+        return None
+    if actuator in anatomy.joint_driven and anatomy.joint_kind(target) in (HINGE, SLIDE):
+        differs = model.jnt_actfrclimited[target] or int(model.opt.integrator) == EULER
+        return None if differs else float(model.dof_damping[model.jnt_dofadr[target]])
+    if int(model.actuator_trntype[actuator]) == TENDON_TRANSMISSION:
+        limited = model.tendon_actfrclimited[target] or model.jnt_actfrclimited.any()
+        return None if limited else float(model.tendon_damping[target])
+    return None
+
+
+def _highest_velocity_gain(anatomy: Anatomy, actuator: int) -> float:
+    """Return the factor up to which an integrator that treats actuators explicitly stays stable."""
+    model = anatomy.model
+    if int(model.opt.integrator) not in (EULER, EXPLICIT_INTEGRATOR):
+        return GAIN_BOUNDS[1]
+    share = model.opt.timestep * float(
+        anatomy.actuator_mobility[actuator] * abs(model.actuator_biasprm[actuator, 2])
+    )
+    return min(GAIN_BOUNDS[1], 1 + max(1 - share, 0.1) / max(share, 1e-9))
 
 
 def _is_servo(model: mujoco.MjModel, actuator: int) -> bool:

@@ -176,9 +176,7 @@ def scale_gain(actuators: Sequence[int], spec: mujoco.MjSpec, factor: float) -> 
         actuator = elements[index]
         actuator.gainprm = np.asarray(actuator.gainprm) * factor
         actuator.biasprm = np.asarray(actuator.biasprm) * factor
-        if actuator.biasprm[2] > 0 and actuator.gainprm[0] == -actuator.biasprm[1]:
-            # To the compiler this is a damping ratio, unless the first two differ, if by no more than rounding.
-            actuator.gainprm[0] = np.nextafter(actuator.gainprm[0], np.inf)
+        _keep_velocity_gain(actuator)
 
 
 def scale_stiffness_of_servo(actuators: Sequence[int], spec: mujoco.MjSpec, factor: float) -> None:
@@ -188,6 +186,14 @@ def scale_stiffness_of_servo(actuators: Sequence[int], spec: mujoco.MjSpec, fact
         actuator = elements[index]
         actuator.gainprm[0] = actuator.gainprm[0] * factor
         actuator.biasprm[1] = actuator.biasprm[1] * factor
+        _keep_velocity_gain(actuator)
+
+
+def scale_velocity_gain_of_servo(actuators: Sequence[int], spec: mujoco.MjSpec, factor: float) -> None:
+    """Multiply the velocity feedback of servos, and leave their position gain as it is."""
+    elements = spec.actuators
+    for index in actuators:
+        elements[index].biasprm[2] = elements[index].biasprm[2] * factor
 
 
 def scale_force_limit(actuators: Sequence[int], spec: mujoco.MjSpec, factor: float) -> None:
@@ -214,6 +220,15 @@ def delay_actuators(spec: mujoco.MjSpec, delay: float) -> None:
 def scale_timestep(spec: mujoco.MjSpec, factor: float) -> None:
     """Multiply the time step."""
     spec.option.timestep = spec.option.timestep * factor
+
+
+def _keep_velocity_gain(actuator: mujoco.MjsActuator) -> None:
+    """Keep the compiler from taking a positive velocity feedback for a damping ratio.
+
+    It does not where the first two parameters differ, if by no more than rounding.
+    """
+    if actuator.biasprm[2] > 0 and actuator.gainprm[0] == -actuator.biasprm[1]:
+        actuator.gainprm[0] = np.nextafter(actuator.gainprm[0], np.inf)
 
 
 def _carrier(body: mujoco.MjsBody, spec: mujoco.MjSpec) -> np.ndarray:

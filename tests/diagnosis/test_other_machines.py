@@ -6,7 +6,7 @@ import pytest
 
 from skat.diagnosis import SimulationDiagnosis
 from skat.simulators import MujocoSimulator
-from tests.machines import FINGER, ROLLER
+from tests.machines import FINGER, ROLLER, SERVO_ARM, without_limits
 
 FRAME_SKIP = 10
 
@@ -35,6 +35,14 @@ def stiffer(model):
 
 def weaker(model):
     model.actuator("servo").forcerange *= 0.1
+
+
+def more_damped(model):
+    model.actuator("bend").biasprm[2] *= 1.5
+
+
+def less_damped(model):
+    model.actuator("bend").biasprm[2] *= 0.6
 
 
 def measured(text, edit, seed, n_episodes=8, n_rows=40):
@@ -80,3 +88,20 @@ def test_effect_of_a_wheel_a_tendon_or_a_servo_is_named_and_measured(text, edit,
     assert cause.name == name
     assert abs(cause.value - value) < 0.1 * abs(value - neutral)
     assert diagnosis.verdict_ in ("named", "ambiguous")
+
+
+@pytest.mark.parametrize(
+    ("text", "edit", "name", "value"),
+    [
+        (SERVO_ARM, more_damped, "kv[bend]", 1.5),
+        (SERVO_ARM, less_damped, "kv[bend]", 0.6),
+        (without_limits(SERVO_ARM), less_damped, "kv[bend]", 0.6),
+        (without_limits(SERVO_ARM), more_damped, "damping[elbow]", 2.0),
+    ],
+)
+def test_velocity_gain_of_a_servo_is_named_alone_and_not_as_kp_and_gain(text, edit, name, value):
+    X, y, groups = measured(text, edit, seed=1)
+    diagnosis = SimulationDiagnosis(MujocoSimulator(text, frame_skip=FRAME_SKIP), random_state=0)
+    (cause,) = diagnosis.fit(X, y, groups=groups).causes_
+    assert (cause.name, cause.aliases, diagnosis.verdict_) == (name, (), "named")
+    assert cause.interval[0] <= value <= cause.interval[1] or abs(cause.value / value - 1) < 0.03

@@ -93,6 +93,7 @@ ARM_CASES = {
         {"force_limit[servo]": 0.25}, [('forcerange="-1.2 0.8"', 'forcerange="-0.3 0.2"')],
     ),
     "kp[servo]": ({"kp[servo]": 1.5}, [('kp="4" kv="0.1"', 'kp="6" kv="0.1"')]),
+    "kv[servo]": ({"kv[servo]": 1.5}, [('kp="4" kv="0.1"', 'kp="4" kv="0.15"')]),
     "contact_friction[all]": (
         {"contact_friction[all]": 0.25},
         [('friction="0.8"', 'friction="0.2"'), ('friction="0.5"', 'friction="0.1"'),
