@@ -1,5 +1,6 @@
 """The command line: what it prints, what it writes, and how it ends when the input is wrong."""
 
+import re
 import subprocess
 import sys
 
@@ -10,6 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from skat.cli import app
+from skat.simulators import MujocoSimulator
 
 MODEL = """
 <mujoco>
@@ -29,18 +31,23 @@ def measured_cart(n_episodes=6, n_rows=40, damping=0.6, noise=1e-4, seed=0):
     """A log of the cart in a world with viscous friction, which the model has not."""
     model = mujoco.MjModel.from_xml_string(MODEL)
     model.dof_damping[:] = damping
-    rng = np.random.default_rng(seed)
+    rows = measured_states(model, np.random.default_rng(seed), n_episodes, n_rows, noise)
+    return rows.set_axis(["time", "episode", "qpos.rail", "qvel.rail", "ctrl.push"], axis=1)
+
+
+def measured_states(model, rng, n_episodes=6, n_rows=40, noise=1e-4):
     rows = []
     for episode in range(n_episodes):
         data = mujoco.MjData(model)
-        data.qvel[:] = rng.normal()
+        data.qvel[0] = rng.normal()
         for row in range(n_rows):
             data.ctrl[:] = round(rng.uniform(-3, 3), 3)
-            state = np.array([data.qpos[0], data.qvel[0]]) + noise * rng.normal(size=2)
+            state = np.concatenate([data.qpos, data.qvel])
+            state += noise * rng.normal(size=len(state))
             rows.append([round(0.02 * row, 2), episode, *state, data.ctrl[0]])
             for _ in range(4):
                 mujoco.mj_step(model, data)
-    return pd.DataFrame(rows, columns=["time", "episode", "qpos.rail", "qvel.rail", "ctrl.push"])
+    return pd.DataFrame(rows)
 
 
 @pytest.fixture
@@ -81,7 +88,7 @@ def edited(here, **columns):
 def test_help_names_the_commands():
     result = skat("--help")
     assert result.exit_code == 0
-    for command in ("demo", "diagnose", "preflight", "transport", "experiment"):
+    for command in ("demo", "diagnose", "effects", "preflight", "transport", "experiment"):
         assert command in result.stdout
 
 
@@ -112,7 +119,8 @@ def test_a_column_that_was_guessed_is_hidden_from_the_diagnosis(here):
     assert result.exit_code == 0, result.output
     assert "Log: named" in result.stdout
     assert "Error of whole episodes on data not used" in result.stdout
-    assert "trajectory error" in result.stdout
+    assert "trajectory error, all measured channels, m, on data not used: " in result.stdout
+    assert "qpos.rail:" not in result.stdout
     assert (here / "edited-report.html").exists()
 
 
@@ -132,6 +140,42 @@ def test_preflight_says_what_a_log_would_show_and_what_nothing_in_it_tells_apart
     assert "table.csv exists" in refused("preflight", "model.xml", "log.csv", "-o", "table.csv")
     assert "nonsense" in refused("preflight", "model.xml", "log.csv", "--effect", "nonsense")
     assert not list(here.glob("*.html"))
+
+
+def test_channels_of_different_units_are_told_one_by_one(here):
+    pole = '<body name="pole"><joint name="hinge" axis="0 1 0"/><geom size="0.05" pos="0 0 -0.5" mass="0.2"/></body>'
+    (here / "model.xml").write_text(MODEL.replace("</body>", f"{pole}</body>"))
+    model = mujoco.MjModel.from_xml_path("model.xml")
+    model.dof_damping[:] = 0.6, 0.0
+    rng = np.random.default_rng(0)
+    names = ["time", "episode", "qpos.rail", "qpos.hinge", "qvel.rail", "qvel.hinge", "ctrl.push"]
+    measured_states(model, rng, n_rows=15).set_axis(names, axis=1).to_csv(here / "log.csv", index=False)
+    hidden = ("--hidden", "qvel.rail", "--hidden", "qvel.hinge")
+    result = skat("diagnose", "model.xml", "log.csv", *hidden, "--effect", "damping[rail]")
+    assert result.exit_code == 0, result.output
+    assert (
+        "trajectory error, all measured channels together, whose units differ, on data not used: "
+        in result.stdout
+    )
+    assert re.search(r"^  qpos.rail: \S+ m before, \S+ m after$", result.stdout, re.MULTILINE)
+    assert re.search(r"^  qpos.hinge: \S+ rad before, \S+ rad after$", result.stdout, re.MULTILINE)
+
+
+def test_effects_are_listed_with_unit_and_range(here):
+    result = skat("effects", "model.xml")
+    assert result.exit_code == 0, result.output
+    rows = {
+        row[1]: row[2:6]
+        for row in (re.split(r" *[│┃] *", line) for line in result.stdout.splitlines())
+        if row[3:]
+    }
+    assert rows.pop("effect") == ["unit", "neutral", "lowest", "highest"]
+    effects = MujocoSimulator(here / "model.xml").effects()
+    assert list(rows) == [effect.name for effect in effects]
+    assert rows["mass[cart]"] == ["1", "1", "0.05", "20"]
+    longer = skat("effects", "model.xml", "--frame-skip", 4).stdout
+    assert longer != result.stdout
+    assert "There is no file none.xml" in refused("effects", "none.xml")
 
 
 def test_extended_model_is_one_that_mujoco_loads(here):
@@ -305,6 +349,11 @@ def test_findings_are_shown_where_the_gain_cannot_be_measured(here, monkeypatch)
     assert "% of the excess" not in result.stdout
     assert (here / "log-report.html").exists()
     assert (here / "better.xml").exists()
+
+
+def test_a_share_beyond_one_is_refused_before_anything_is_drawn(here):
+    message = refused("diagnose", "model.xml", "log.csv", "--test-size", "3")
+    assert message == "Error: test_size must lie between 0 and 1, such as 0.3; it is 3.0."
 
 
 def test_nothing_is_set_aside_if_the_user_says_so(here):

@@ -101,7 +101,7 @@ def test_transport_says_what_is_wrong():
         )
     with pytest.raises(ValueError, match="no column 3; there are 3"):
         TransportDisplay.from_predictions(rows, rows, rows, features=[0, 3])
-    with pytest.raises(ValueError, match="names 1"):
+    with pytest.raises(ValueError, match=r"must be two columns, .* it is \[0\]"):
         TransportDisplay.from_predictions(rows, rows, rows, features=[0])
     with pytest.raises(ValueError, match="there is 1"):
         TransportDisplay.from_predictions(rows[:, :1], rows[:, :1], rows[:, :1])

@@ -1,4 +1,4 @@
-"""The command line: ``skat demo``, ``skat diagnose``, ``skat transport``, ``skat experiment``."""
+"""The command line: ``skat demo``, ``diagnose``, ``effects``, ``preflight``, ``transport``, ``experiment``."""
 
 from skat.cli.commands import app
 

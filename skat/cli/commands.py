@@ -172,6 +172,28 @@ def diagnose(
 
 
 @app.command()
+def effects(
+    model: Model,
+    frame_skip: Annotated[
+        int,
+        typer.Option(
+            min=1, help="Steps of the model in a transition; the ranges of delay and timestep depend on it."
+        ),
+    ] = 1,
+):
+    """List the effects that MODEL.xml may be diagnosed for."""
+    with clear_errors():
+        import pandas as pd
+
+        from skat.simulators import MujocoSimulator
+
+        listed = MujocoSimulator(existing_file(model, "a MuJoCo model"), frame_skip=frame_skip).effects()
+        rows = [(effect.name, effect.unit, effect.neutral, *effect.bounds) for effect in listed]
+        columns = ["effect", "unit", "neutral", "lowest", "highest"]
+        output_console().print(table_of(pd.DataFrame(rows, columns=columns)))
+
+
+@app.command()
 def preflight(
     model: Model,
     log: Annotated[
@@ -357,7 +379,12 @@ def _show(study):
             f"{study.error_name}, on data not used: {gain.nominal:.3g} before, {gain.extended:.3g} after, "
             f"{gain.ratio:.3g} times smaller"
         )
-        print_line(capital(share_sentence(gain)))
+        units = {name: diagnosis.simulator.units.get(name, "") for name in gain.channels}
+        if gain.horizon == "episode" and len(set(units.values())) > 1:
+            for name, errors in gain.channels.items():
+                before, after = (f"{error:.3g} {units[name]}".rstrip() for error in errors)
+                print_line(f"  {name}: {before} before, {after} after")
+        print_line(capital(share_sentence(diagnosis, gain)))
     if study.truth is not None:
         print_line(f"Now the answer: {study.truth}")
 

@@ -36,7 +36,7 @@ def load_log(path, simulator, *, frame_skip=None):
 
     frame_skip : int, default=None
         Number of steps of the model from a row to the next. None means: from the times in the log. With a
-        number, the log needs no column ``time``, and one that it has is not read.
+        number, the log needs no column ``time``; one that says something else, by more than 1 %, raises a warning.
 
     Returns
     -------
@@ -115,6 +115,8 @@ def load_log(path, simulator, *, frame_skip=None):
     if frame_skip is None:
         frame_skip = _steps_per_row(_numbers(table, ["time"], path)[:, 0], arrivals, timestep, path)
         _doubt_clock(values, arrivals, simulator, frame_skip * timestep, path)
+    elif "time" in table:
+        _doubt_steps(table, arrivals, frame_skip, timestep, path)
     if not steps_itself and frame_skip != 1:
         raise ValueError(
             f"{path}: {frame_skip * timestep:g} s from row to row, while a transition of the simulator takes "
@@ -168,7 +170,9 @@ def read_table(path):
                 path, skipinitialspace=True, index_col=False, dtype=str, keep_default_na=False
             )
     except (ValueError, pd.errors.ParserWarning) as error:
-        raise ValueError(f"{path} is not a CSV table: {str(error).strip()}") from error
+        with path.open(errors="replace") as file:
+            advice = _other_mark(file.readline())
+        raise ValueError(f"{path} is not a CSV table: {(advice or str(error)).strip()}") from error
     table.columns = table.columns.str.strip()
     table = table.fillna("").apply(lambda column: column.str.strip())
     if len(table) == 0:
@@ -222,14 +226,25 @@ def _check_columns(table, simulator, path, *, needs_time):
 
 def _advice(missing, table):
     """Return what to do about columns that are missing."""
-    if len(table.columns) == 1 and any(mark in table.columns[0] for mark in ";\t|"):
-        return "The file seems to be separated by another mark than commas: write it with commas. "
+    if len(table.columns) == 1 and (advice := _other_mark(table.columns[0])):
+        return advice
     if missing and all(name.startswith("qvel.") for name in missing):
+        options = " ".join(f"--hidden {name}" for name in missing)
         return (
-            "Velocities that were not measured may be differences of the positions, if they are named in hidden= "
-            "(--hidden). "
+            "Velocities that were not measured: add a column of zeros for each, and name it in hidden= (on the command "
+            f"line {options}). "
         )
     return ""
+
+
+def _other_mark(line):
+    """Return what to do about the first line of a file that is separated by another mark; "" where it is not."""
+    if "," in line or not any(mark in line for mark in ";\t|"):
+        return ""
+    return (
+        "The file seems to be separated by another mark than commas: write it with commas between columns, and "
+        "points in numbers. "
+    )
 
 
 def _numbers(table, names, path):
@@ -280,9 +295,9 @@ def _steps_per_row(time, arrivals, timestep, path):
     if abs(intervals[worst] - dt) > CLOCK_TOLERANCE * dt:
         raise ValueError(
             f"{path}, line {_line(path, arrivals[worst])}: {intervals[worst]:g} s after the row before, while the "
-            f"usual step is {dt:g} s; more than 1 % apart. Resample the log evenly, start a new episode after each "
-            "gap, or pass the number of steps per row (frame_skip, on the command line --frame-skip) if the clock "
-            "is wrong."
+            f"usual step is {dt:g} s; more than 1 % apart. Resample the log evenly, start a new episode, in a column "
+            "'episode', after each gap, or pass the number of steps per row (frame_skip, on the command line "
+            "--frame-skip) if the clock is wrong."
         )
     dt = float(np.mean(intervals))
     steps = round(dt / timestep)
@@ -294,6 +309,20 @@ def _steps_per_row(time, arrivals, timestep, path):
             "number of steps per row (frame_skip, on the command line --frame-skip) if the clock is wrong."
         )
     return steps
+
+
+def _doubt_steps(table, arrivals, frame_skip, timestep, path):
+    """Warn where the times, if they are numbers, contradict the number of steps that was given."""
+    time = pd.to_numeric(table["time"], errors="coerce").to_numpy(dtype=float)
+    told, dt = float(np.median(time[arrivals] - time[arrivals - 1])), frame_skip * timestep
+    if abs(told - dt) > CLOCK_TOLERANCE * dt:
+        warnings.warn(
+            f"{path}: frame_skip={frame_skip} takes {dt:g} s from row to row, while its column 'time' says {told:g} s "
+            f"({told / timestep:.4g} steps). The clock is left aside; leave frame_skip out (--frame-skip) if it is "
+            "right, and the column 'time' if it is wrong.",
+            UserWarning,
+            stacklevel=3,
+        )
 
 
 def _doubt_clock(values, arrivals, simulator, dt, path):
@@ -358,6 +387,8 @@ def split_episodes(log, *, test_size, random_state=None):
     ValueError
         If `test_size` is not between 0 and 1, or leaves one of them empty.
     """
+    if not 0 < test_size < 1:
+        raise ValueError(f"test_size must lie between 0 and 1, such as 0.3; it is {test_size}.")
     n_rows = len(log.data)
     groups = np.arange(n_rows) if log.get("groups") is None else np.asarray(log.groups)
     names, sizes = np.unique(groups, return_counts=True)
@@ -367,11 +398,11 @@ def split_episodes(log, *, test_size, random_state=None):
     else:
         drawn = drawn_episodes(sizes, test_size, check_random_state(random_state), stacklevel=3)
         chosen = np.isin(groups, names[drawn])
-    if not 0 < test_size < 1 or chosen.all() or not chosen.any():
+    if chosen.all() or not chosen.any():
         raise ValueError(
             f"test_size={test_size} of {len(names)} episodes and {n_rows} rows leaves one side empty: whole episodes "
-            f"are set aside, and at least {FEWEST_ROWS} rows stay to be fitted. Choose a value between 0 and 1, such "
-            "as 0.3, or measure longer."
+            f"are set aside, and at least {FEWEST_ROWS} rows stay to be fitted. Choose another value, such as 0.3, or "
+            "measure longer."
         )
     return tuple(
         Bunch(

@@ -19,6 +19,7 @@ from skat.datasets import (
 )
 from skat.datasets.ball_drops import BALLS
 from skat.diagnosis import Gain, SimulationDiagnosis, compare_transports
+from skat.diagnosis.log import measured_channels
 from skat.simulators import make_simulator
 
 # What differs from ball to ball. Gravity, the scale of the camera and the wind were the same for all of
@@ -264,10 +265,17 @@ def study_log(log, *, test_size=0.3, random_state=0, progress=None, **parameters
     fit, test = (
         (log, None) if test_size == 0 else split_episodes(log, test_size=test_size, random_state=random_state)
     )
-    if parameters.get("hidden"):
+    if hidden := parameters.get("hidden"):
+        names = np.array(log.simulator.residual_names)[measured_channels(log.simulator, hidden)]
+        units = {log.simulator.units.get(name, "") for name in names}
+        ending = (
+            " together, whose units differ"
+            if len(units) > 1
+            else "".join(f", {unit}" for unit in units if unit)
+        )
         parameters |= {
             "evaluation": {"horizon": "episode", "initial_state": "fitted"},
-            "error_name": "trajectory error, all measured channels",
+            "error_name": f"trajectory error, all measured channels{ending}",
         }
     return _study("Log", log.simulator, fit, test, random_state, progress, **parameters)
 

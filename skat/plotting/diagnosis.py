@@ -50,6 +50,9 @@ class TrajectoryDisplay:
     def from_estimator(cls, diagnosis, X, y, *, channels=None, ax=None):
         """Draw one episode, simulated open loop from its first measured state.
 
+        X and y do not say where an episode ends: rows of several are drawn as if they were one, wrongly. Pass those
+        of one, such as ``X[groups == 3]``.
+
         Parameters
         ----------
         diagnosis : fitted SimulationDiagnosis
@@ -184,8 +187,7 @@ class TrajectoryDisplay:
             axes.plot(self.time, self.before[:, k], color=BEFORE, linestyle="--", label="simulated, before")
             if self.after is not None:
                 axes.plot(self.time, self.after[:, k], color=AFTER, linewidth=1.2, label="simulated, after")
-            unit = (self.units or {}).get(name)
-            axes.set_ylabel(f"{name}\n({unit})" if unit else name)
+            axes.set_ylabel(with_unit(name, (self.units or {}).get(name), gap="\n"))
             trim(axes)
         self.figure_.align_ylabels(list(self.ax_))
         self.ax_[-1].set_xlabel("time (s)")
@@ -325,6 +327,11 @@ class CauseDisplay:
         self.ax_.spines["bottom"].set_visible(False)
         self.ax_.spines["left"].set_visible(False)
         return self
+
+
+def with_unit(text, unit, gap=" "):
+    """Return the text of an axis with the unit, if it is known and not 1, in brackets."""
+    return text if unit in (None, "", "1") else f"{text}{gap}({unit})"
 
 
 def _in_order(rows, names):

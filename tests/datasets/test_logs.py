@@ -72,7 +72,18 @@ def test_a_transition_is_as_many_steps_as_fit_between_two_rows(tmp_path, table, 
 
 def test_a_given_number_of_steps_replaces_the_clock(tmp_path, table, cart):
     assert load_log(written(tmp_path, table.drop(columns="time")), cart, frame_skip=3).frame_skip == 3
-    assert load_log(written(tmp_path, table.assign(time=0.0)), cart, frame_skip=3).dt == pytest.approx(0.015)
+    clock = table.assign(time=[f"12:00:{row:02d}" for row in range(50)])
+    assert load_log(written(tmp_path, clock), cart, frame_skip=3).dt == pytest.approx(0.015)
+
+
+def test_a_given_number_of_steps_that_the_clock_contradicts_raises_a_warning(tmp_path, table, cart):
+    assert load_log(written(tmp_path, table), cart, frame_skip=4).frame_skip == 4
+    with pytest.warns(
+        UserWarning, match=r"0.015 s .* while its column 'time' says 0.02 s \(4 steps\)"
+    ) as caught:
+        log = load_log(written(tmp_path, table), cart, frame_skip=3)
+    assert log.frame_skip == 3
+    assert caught[0].filename == __file__
 
 
 def test_a_jittering_clock_within_one_percent_is_accepted(tmp_path, table, cart):
@@ -84,6 +95,13 @@ def test_without_episodes_there_is_one(tmp_path, table, cart):
     log = load_log(written(tmp_path, table.head(30).drop(columns="episode")), cart)
     assert set(log.groups) == {0}
     assert len(log.data) == 29
+
+
+def test_runs_without_a_column_episode_are_told_to_get_one(tmp_path, table, cart):
+    table["time"] %= 5
+    message = refusal(tmp_path, table.drop(columns="episode"), cart)
+    assert "line 32: -0.58 s after the row before" in message
+    assert "start a new episode, in a column 'episode', after each gap" in message
 
 
 def test_a_lost_row_is_named(tmp_path, table, cart):
@@ -181,11 +199,18 @@ def test_columns_must_be_those_of_the_model(tmp_path, table, cart):
     assert "Missing: ctrl.push." in message
     assert "Not in the model: ctrl.pull; take such columns out." in message
     assert "has no column 'time'" in refusal(tmp_path, table.drop(columns="time"), cart)
-    assert "named in hidden= (--hidden)" in refusal(tmp_path, table.drop(columns="qvel.rail"), cart)
-    path = tmp_path / "log.csv"
-    table.to_csv(path, index=False, sep=";")
+    assert (
+        "add a column of zeros for each, and name it in hidden= (on the command line --hidden qvel.rail)"
+        in refusal(tmp_path, table.drop(columns="qvel.rail"), cart)
+    )
+
+
+@pytest.mark.parametrize("separator", [";", "\t", "|"])
+@pytest.mark.parametrize("decimal", [".", ","])
+def test_a_table_separated_by_another_mark_is_told_so(tmp_path, table, cart, separator, decimal):
+    table.to_csv(tmp_path / "log.csv", index=False, sep=separator, decimal=decimal)
     with pytest.raises(ValueError, match="separated by another mark than commas"):
-        load_log(path, cart)
+        load_log(tmp_path / "log.csv", cart)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, "fast"])
@@ -243,10 +268,16 @@ def test_a_split_counts_rows_and_leaves_enough_to_fit():
         assert len(fit.data) == 20
 
 
-@pytest.mark.parametrize("test_size", [-0.3, 0.0, 0.01, 1.0])
-def test_a_split_that_leaves_a_side_empty_is_refused(test_size):
+def test_a_split_that_leaves_a_side_empty_is_refused():
     log = Bunch(data=np.zeros((40, 1)), target=np.zeros((40, 1)), groups=np.repeat([0, 1], 20))
     with pytest.raises(ValueError, match="leaves one side empty"):
+        split_episodes(log, test_size=0.01)
+
+
+@pytest.mark.parametrize("test_size", [-0.3, 0.0, 1.0, 3.0, np.nan])
+def test_a_split_needs_a_share(test_size):
+    log = Bunch(data=np.zeros((40, 1)), target=np.zeros((40, 1)), groups=np.repeat([0, 1], 20))
+    with pytest.raises(ValueError, match="test_size must lie between 0 and 1"):
         split_episodes(log, test_size=test_size)
 
 

@@ -22,7 +22,7 @@ from skat.diagnosis.omnibus import Remainder
 from skat.diagnosis.report import Report
 from skat.diagnosis.report.page import _rows
 from skat.diagnosis.report.pictures import typical_and_worst
-from skat.diagnosis.report.sentences import capital, cause_sentence, gain_sentence
+from skat.diagnosis.report.sentences import capital, cause_sentence, gain_sentence, verdict_sentences
 from skat.effects import Effect
 from skat.simulators import FunctionSimulator
 
@@ -46,9 +46,10 @@ def throw(Z, drag):
     return np.stack([reach / (1 + drag * reach), reach - drag], axis=1)
 
 
-def pendulum(function=swing, angle="angle", effect="damping[hinge]"):
+def pendulum(function=swing, angle="angle", effect="damping[hinge]", units=None):
     return FunctionSimulator(
         function,
+        units=units,
         input_names=(angle, "rate", "push"),
         output_names=(angle, "rate"),
         state_names=(angle, "rate"),
@@ -279,6 +280,14 @@ def test_an_unexplained_verdict_says_what_is_left_and_how_far_a_transport_comes(
         ),
         (Gain(1.1, 1.0, 1.0, 0.9, (-1.0, 3.0)), "too close to the noise to say which share"),
         (Gain(1.1, 1.0, 1.0, 0.9, (-np.inf, np.inf)), "too close to the noise to say which share"),
+        (
+            Gain(2.8, 2.5, 1.0, 0.2, (-np.inf, np.inf)),
+            "20 % of the excess is explained, in too few rows to bound",
+        ),
+        (
+            Gain(0.024, 0.0065, 0.0073, 1.05, (0.92, 2.7), "episode"),
+            "from 0.024 to 0.0065; 105 % of the excess is explained, in too few episodes to bound the share.",
+        ),
         (Gain(0.9, 0.88, 1.0, 0.0, (-np.inf, np.inf)), "so that there is no excess to explain"),
         (
             Gain(2.6, 0.1, 0.05, 0.98, (0.9, 0.99), "episode"),
@@ -291,7 +300,38 @@ def test_an_unexplained_verdict_says_what_is_left_and_how_far_a_transport_comes(
     ],
 )
 def test_a_gain_is_said_in_its_own_terms(gain, expected):
-    assert expected in gain_sentence(gain)
+    assert expected in gain_sentence(diagnosed(pendulum()), gain)
+
+
+@pytest.mark.parametrize(("nominal", "explained"), [(0.963, 0.0), (1.172, 3.9)])
+def test_no_share_is_said_where_the_noise_estimate_contains_what_is_unexplained(nominal, explained):
+    gain = Gain(nominal, 0.452, 1.0, explained, (-np.inf, np.inf))
+    diagnosis = diagnosed(pendulum(), verdict="unexplained")
+    sentence = gain_sentence(diagnosis, gain)
+    assert f"from {nominal:.3g} to 0.452" in sentence
+    assert "the noise estimate itself contains what is unexplained" in sentence
+    assert "%" not in sentence
+    diagnosis.noise = [0.01, 0.01]
+    assert "the noise estimate" not in gain_sentence(diagnosis, gain)
+    diagnosis.noise, diagnosis.remainder_, diagnosis.excess_p_value_ = (
+        "estimate",
+        None,
+        1.0,
+    )  # it only diverges
+    assert "the noise estimate" not in gain_sentence(diagnosis, gain)
+
+
+@pytest.mark.parametrize("n_causes", [3, 4])
+def test_a_caution_is_said_where_so_many_causes_stand_together(n_causes):
+    report = reported()
+    report.diagnosis.causes_ = report.diagnosis.causes_ * n_causes
+    caution = "So many causes together may stand for one that is not in the list."
+    for text in (
+        " ".join(verdict_sentences(report.diagnosis, [])),
+        report.text(),
+        Page(report.html(figures=False)).text,
+    ):
+        assert text.count(caution) == (n_causes > 3)
 
 
 def test_repr_is_the_text_and_a_notebook_shows_the_page_without_pictures():
@@ -367,6 +407,16 @@ def test_what_an_error_depends_on_is_shown_only_where_it_does():
     assert title in Page(reported().html()).text
     right = reported(log=pendulum_log(damping=0.0), value=None, verdict="nothing detected")
     assert title not in Page(right.html()).text
+
+
+def test_axes_bear_the_units_that_the_simulator_knows():
+    simulator = pendulum(units={"angle": "rad", "rate": "rad/s"})
+    X, y, _ = pendulum_log()
+    _, episodes, structure, residuals = map(texts_of, pictures_of(reported(simulator).html()))
+    assert {"(rad)", "(rad/s)"} <= set(episodes) & set(residuals)
+    assert {"rate (rad/s)", "error of rate", "(rad/s)"} <= set(structure)
+    independent = pictures_of(reported(simulator, log=(X[::2], y[::2], None)).html())
+    assert any("simulated change of rate (rad/s)" in texts_of(svg) for svg in independent)
 
 
 def test_a_simulation_that_diverges_is_shown_as_far_as_it_goes():

@@ -14,6 +14,7 @@ from skat.diagnosis.report.pictures import cause_picture, log_pictures
 from skat.diagnosis.report.sentences import (
     capital,
     cause_sentence,
+    cautions,
     counted,
     gain_sentence,
     remainder_sentence,
@@ -106,10 +107,13 @@ class Report:
             lines.append(f"  {cause_sentence(cause)}")
             if cause.aliases:
                 lines.append(f"    cannot be told from: {', '.join(cause.aliases)}")
+        lines += [f"  {sentence}" for sentence in cautions(diagnosis.causes_)]
         if diagnosis.verdict_ == "unexplained":
             lines.append(f"  {capital(remainder_sentence(diagnosis))}.")
         if diagnosis.causes_:
-            lines += [f"  {test.title}: {gain_sentence(test.gain)}" for test in self._tests if test.gain]
+            lines += [
+                f"  {test.title}: {gain_sentence(diagnosis, test.gain)}" for test in self._tests if test.gain
+            ]
         return "\n".join(lines)
 
     def html(self, figures=True):
@@ -265,7 +269,7 @@ class Report:
                     "title": test.title,
                     "fitted": not self._tests,
                     "gains": [
-                        gain_sentence(gain)
+                        gain_sentence(diagnosis, gain)
                         for gain in (test.gain, test.open_loop)
                         if gain and diagnosis.causes_
                     ],

@@ -9,6 +9,7 @@ import numpy as np
 
 from skat.diagnosis.open_loop import Episodes
 from skat.plotting import CauseDisplay, TrajectoryDisplay
+from skat.plotting.diagnosis import with_unit
 from skat.plotting.style import AFTER, BEFORE, MEASURED
 
 MOST_CHANNELS = 3
@@ -183,7 +184,7 @@ def _residuals_over_time(diagnosis, log, rows):
     shown = rows.rows[rows.rows < min(len(log), MOST_STEPS)]
     time, label = _time(diagnosis.simulator, shown)
     channels = rows.worst(MOST_CHANNELS)
-    names = diagnosis.simulator.residual_names
+    names, units = diagnosis.simulator.residual_names, diagnosis.simulator.units
 
     def draw(figure):
         panels = figure.subplots(len(channels), sharex=True, squeeze=False)[:, 0]
@@ -203,7 +204,7 @@ def _residuals_over_time(diagnosis, log, rows):
                 )
             for start in shown[(log.steps[shown] == 0) & (shown > 0)]:
                 axes.axvline(_time(diagnosis.simulator, start)[0], color=GRID, linewidth=1)
-            axes.set_ylabel(names[channel])
+            axes.set_ylabel(with_unit(names[channel], units.get(names[channel]), gap="\n"))
         panels[-1].set_xlabel(label)
         _legend(figure, panels[0])
         figure.align_ylabels()
@@ -232,7 +233,7 @@ def _structure(diagnosis, rows):
             pairs.setdefault(channel, coordinate)
     if not pairs:
         return None
-    names = diagnosis.simulator.residual_names
+    names, units = diagnosis.simulator.residual_names, diagnosis.simulator.units
 
     def draw(figure):
         panels = figure.subplots(1, len(pairs), squeeze=False)[0]
@@ -253,7 +254,9 @@ def _structure(diagnosis, rows):
                     elinewidth=1,
                     label=name,
                 )
-            axes.set(xlabel=diagnosis.simulator.input_names[coordinate], ylabel=f"error of {names[channel]}")
+            across, up = diagnosis.simulator.input_names[coordinate], names[channel]
+            axes.set_xlabel(with_unit(across, units.get(across)))
+            axes.set_ylabel(with_unit(f"error of {up}", units.get(up), gap="\n"))
         _legend(figure, panels[0])
 
     return _picture(
@@ -313,9 +316,8 @@ def _scatter(diagnosis, rows):
                 simulated = (predicted - reference[:, : len(outputs)])[picked, channel]
                 axes.plot(simulated, across, ".", color=colour, markersize=size, alpha=0.65, label=name)
             axes.axline((across[0], across[0]), slope=1, color=MEASURED, linewidth=1)
-            axes.set(
-                xlabel=f"simulated {word}{outputs[channel]}", ylabel=f"measured {word}{outputs[channel]}"
-            )
+            shown = with_unit(word + outputs[channel], simulator.units.get(outputs[channel]))
+            axes.set(xlabel=f"simulated {shown}", ylabel=f"measured {shown}")
         _legend(figure, panels[0])
 
     return _picture(

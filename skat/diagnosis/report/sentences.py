@@ -6,6 +6,10 @@ from skat.diagnosis.comparison import ceiling_sentence, is_beaten
 from skat.diagnosis.omnibus import is_structured
 from skat.rounding import interval_text, size_text
 
+# An error of less than so many times the floor says little of a share of its excess.
+NEAR_FLOOR = 2.0
+MANY_CAUSES = 4
+
 
 def verdict_sentences(diagnosis, comparisons):
     """Return the verdict of a diagnosis in sentences.
@@ -26,6 +30,7 @@ def verdict_sentences(diagnosis, comparisons):
                 f"These data cannot tell {cause.name} from {others}: put in its place, {each} explains "
                 "the log as well."
             )
+    sentences += cautions(diagnosis.causes_)
     if diagnosis.verdict_ == "nothing detected":
         sentences.append(
             "No effect is seen in the log."
@@ -47,8 +52,15 @@ def verdict_sentences(diagnosis, comparisons):
     ]
 
 
-def gain_sentence(gain):
-    """Return a Gain in a sentence."""
+def cautions(causes):
+    """Return the sentences of caution about causes, a list."""
+    if len(causes) < MANY_CAUSES:
+        return []
+    return ["So many causes together may stand for one that is not in the list."]
+
+
+def gain_sentence(diagnosis, gain):
+    """Return a Gain of a fitted diagnosis in a sentence."""
     if gain.horizon == 1:
         text = (
             f"the squared one-step error goes from {gain.nominal:.3g} to {gain.extended:.3g} times what "
@@ -56,18 +68,25 @@ def gain_sentence(gain):
         )
     else:
         text = f"the open-loop error of whole episodes goes from {gain.nominal:.3g} to {gain.extended:.3g}"
-    return f"{text}; {share_sentence(gain)}"
+    return f"{text}; {share_sentence(diagnosis, gain)}"
 
 
-def share_sentence(gain):
-    """Return in a sentence which share of the excess a Gain explains."""
+def share_sentence(diagnosis, gain):
+    """Return in a sentence which share of the excess a Gain of a fitted diagnosis explains."""
     share, low, high = (f"{100 * one:.0f}" for one in (gain.explained, *gain.interval))
+    pieces = "rows" if gain.horizon == 1 else "episodes"
+    is_wide = gain.interval[1] - gain.interval[0] > 1
+    is_near = gain.nominal <= gain.floor or (is_wide and gain.nominal < NEAR_FLOOR * gain.floor)
+    if is_near and _hides_in_the_noise(diagnosis):
+        return "the noise estimate itself contains what is unexplained, so that no share of it can be given."
     if gain.nominal <= gain.floor:
         return "the simulation's error was no larger than noise alone makes it, so that there is no excess to explain."
-    if gain.interval[1] - gain.interval[0] > 1:
+    if is_near:
         return "that is too close to the noise to say which share of the excess is explained."
+    if is_wide:
+        return f"{share} % of the excess is explained, in too few {pieces} to bound the share."
     if np.isnan(gain.interval[0]):
-        return f"{share} % of the excess is explained, in too few episodes for an interval."
+        return f"{share} % of the excess is explained, in too few {pieces} for an interval."
     return f"{share} % of the excess is explained (95 %: {low} to {high} %)."
 
 
@@ -75,9 +94,21 @@ def remainder_sentence(diagnosis):
     """Return in words what is left: its shape, or that it has none."""
     if is_structured(diagnosis.remainder_, diagnosis.alpha):
         return diagnosis.remainder_.sentence
-    if diagnosis.excess_p_value_ >= diagnosis.alpha / 4:
+    if _only_diverges(diagnosis):
         return f"the simulation diverges in {100 * diagnosis.diverged_share_:.0f} % of the rows, which tell nothing"
     return "errors are larger than the noise explains, and depend on no single input in a way that would say where"
+
+
+def _only_diverges(diagnosis):
+    """Whether rows in which the simulation diverges are all that is unexplained."""
+    is_left = is_structured(diagnosis.remainder_, diagnosis.alpha)
+    return not is_left and diagnosis.excess_p_value_ >= diagnosis.alpha / 4
+
+
+def _hides_in_the_noise(diagnosis):
+    """Whether what is unexplained counted as noise where that was estimated."""
+    is_estimated = isinstance(diagnosis.noise, str)
+    return diagnosis.verdict_ == "unexplained" and is_estimated and not _only_diverges(diagnosis)
 
 
 def cause_sentence(cause):
