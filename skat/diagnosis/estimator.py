@@ -73,6 +73,9 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         Standard deviation of the measurement noise of each channel.
     remainder_ : Remainder or None
         What is left beside the causes.
+    refused_ : tuple of (str, float) or None
+        Effect, and its value, that explains most of what is left of all those that are significant but were not named,
+        since they do not explain it throughout the log, or predict single steps no better.
     excess_p_value_ : float
         Chance of one-step errors so far above the noise if nothing were left.
     diverged_share_ : float

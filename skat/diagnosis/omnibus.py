@@ -57,8 +57,8 @@ class Remainder:
     def sentence(self):
         """What is left, in words."""
         if self.coordinate == TIME:
-            return f"something acts on {self.direction} for longer than single rows and is none of the effects known"
-        return f"something acts on {self.direction} that depends on {self.coordinate} and is none of the effects known"
+            return f"something acts on {self.direction} for longer than single rows, and no effect known explains it"
+        return f"something acts on {self.direction} that depends on {self.coordinate}, and no effect known explains it"
 
 
 def is_structured(remainder, alpha):

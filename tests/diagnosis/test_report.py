@@ -98,6 +98,7 @@ def diagnosed(simulator, *, value=0.6, verdict="named", aliases=(), hidden=()):
     diagnosis.extended_simulator_ = simulator.extended(diagnosis._values)
     diagnosis.noise_ = np.full(len(simulator.residual_names) - len(hidden), 0.01)
     diagnosis.remainder_ = Remainder(1e-6, "rate", "angle", (("rate", "angle", 1e-7), ("angle", "rate", 0.2)))
+    diagnosis.refused_ = None
     diagnosis.gain_ = None
     if value is not None:
         diagnosis.gain_ = Gain(5.91, 1.02, 1.0, 0.996, (0.98, 1.01), 1, {"rate": (0.05, 0.01)})
@@ -264,11 +265,19 @@ def test_errors_without_a_shape_are_said_to_have_none():
 
 def test_an_unexplained_verdict_says_what_is_left_and_how_far_a_transport_comes():
     report = reported(value=None, verdict="unexplained")
-    assert "Something acts on rate that depends on angle and is none of the effects known." in report.text()
+    assert "Something acts on rate that depends on angle, and no effect known explains it." in report.text()
     text = Page(report.html()).text
     assert "Something acts on rate that depends on angle" in text
     assert text.count("on data not used") >= 2  # in the verdict, and under the table of errors
     assert "What is left" in text
+
+
+def test_what_was_significant_but_refused_is_told_beside_what_is_left():
+    diagnosis = diagnosed(pendulum(), value=None, verdict="unexplained")
+    diagnosis.refused_ = ("friction", 0.2718)
+    assert verdict_sentences(diagnosis, [])[1].startswith(
+        "friction = 0.272 would explain a part of it, but not"
+    )
 
 
 @pytest.mark.parametrize(

@@ -47,6 +47,13 @@ def verdict_sentences(diagnosis, comparisons):
         sentences.insert(
             0, f"Beside what is named below, {rest}." if diagnosis.causes_ else f"{capital(rest)}."
         )
+        if diagnosis.refused_ is not None:
+            name, value = diagnosis.refused_
+            sentences.insert(
+                1,
+                f"{name} = {value:.3g} would explain a part of it, but not throughout the log, or predict single steps "
+                "no better, so it is not named.",
+            )
     return sentences + [
         ceiling_sentence(errors) for errors in comparisons if unexplained or is_beaten(errors)
     ]
