@@ -41,7 +41,15 @@ class Alignment:
     rank: int
 
 
-def whitened_alignment(source_factor, target_factor, *, source_root=None, target_root=None):
+def whitened_alignment(
+    source_factor,
+    target_factor,
+    *,
+    source_root=None,
+    target_root=None,
+    source_rounding=None,
+    target_rounding=None,
+):
     r"""Return the map of least squared error over the pairs that carries one covariance exactly to the other.
 
     .. math:: T = C_t^{1/2} Q C_s^{-1/2}, \quad
@@ -58,6 +66,8 @@ def whitened_alignment(source_factor, target_factor, *, source_root=None, target
         those.
     source_root, target_root : ndarray of shape (n_features, rank), default=None
         Roots of covariances that are estimated otherwise; None takes those of the factors.
+    source_rounding, target_rounding : ndarray of shape (n_features,), default=None
+        As in `root_of_factor`.
 
     Returns
     -------
@@ -68,8 +78,8 @@ def whitened_alignment(source_factor, target_factor, *, source_root=None, target
     numpy.linalg.LinAlgError
         If the target has the higher rank.
     """
-    source_scores, source_spread, source_directions = _principal(source_factor, source_root)
-    target_scores, target_spread, target_directions = _principal(target_factor, target_root)
+    source_scores, source_spread, source_directions = _principal(source_factor, source_root, source_rounding)
+    target_scores, target_spread, target_directions = _principal(target_factor, target_root, target_rounding)
     source_rank, target_rank = len(source_spread), len(target_spread)
     if source_rank < target_rank:
         check_that_source_reaches_target(np.eye(target_rank, source_rank))
@@ -83,7 +93,16 @@ def whitened_alignment(source_factor, target_factor, *, source_root=None, target
     return Alignment(coef, inverse, target_directions @ turn @ source_directions.T, target_rank)
 
 
-def raw_alignment(source_factor, target_factor, *, source_root=None, target_root=None, mean_product=0.0):
+def raw_alignment(
+    source_factor,
+    target_factor,
+    *,
+    source_root=None,
+    target_root=None,
+    source_rounding=None,
+    target_rounding=None,
+    mean_product=0.0,
+):
     r"""Return the map of Algorithm 1: rotate by the polar factor of the cross-covariance, then transport.
 
     .. math:: T = A(R C_s R^T, C_t) R, \quad C_{ts} = U w V^T, \quad R = U V^T
@@ -93,6 +112,8 @@ def raw_alignment(source_factor, target_factor, *, source_root=None, target_root
     source_factor, target_factor : ndarray of shape (n_rows, n_features)
         As for `whitened_alignment`.
     source_root, target_root : ndarray of shape (n_features, rank), default=None
+        As for `whitened_alignment`.
+    source_rounding, target_rounding : ndarray of shape (n_features,), default=None
         As for `whitened_alignment`.
     mean_product : ndarray of shape (n_features, n_features) or 0.0
         Outer product of target and source mean, to be added to the cross-covariance as the algorithm's letter
@@ -113,8 +134,12 @@ def raw_alignment(source_factor, target_factor, *, source_root=None, target_root
     """
     left, _, right = accurate_svd(target_factor.T @ source_factor + mean_product)
     rotation = left @ right
-    source_root = rotation @ (root_of_factor(source_factor) if source_root is None else source_root)
-    target_root = root_of_factor(target_factor) if target_root is None else target_root
+    source_root = rotation @ (
+        root_of_factor(source_factor, rounding=source_rounding) if source_root is None else source_root
+    )
+    target_root = (
+        root_of_factor(target_factor, rounding=target_rounding) if target_root is None else target_root
+    )
     coef = optimal_map(source_root, target_root) @ rotation
     inverse = None
     if source_root.shape[1] == target_root.shape[1]:
@@ -150,12 +175,12 @@ def look_shuffled(source_factor, target_factor, n_rows):
     return bool(np.square(target_scores.T @ source_scores).sum() < least <= min(p, q))
 
 
-def _principal(factor, root=None):
+def _principal(factor, root=None, rounding=None):
     """Return scores, standard deviations and principal directions of a factor, or of another root of it."""
     if root is not None:
         directions, spread = spectrum(root)
         return factor @ directions / spread, spread, directions
-    root = root_of_factor(factor)
+    root = root_of_factor(factor, rounding=rounding)
     if root.shape[1] == factor.shape[1]:
         scores, spread, directions = accurate_svd(factor)
         return scores, spread, directions.T

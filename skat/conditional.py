@@ -79,5 +79,8 @@ def regression(moments, context):
     standardised = right[kept].T @ ((left[:, kept].T @ response) / values[kept, np.newaxis])
     residual = response - (predictors / scale) @ standardised
     # Judged against the columns themselves: what a deterministic simulation leaves is rounding, not variance.
-    root = root_of_factor(residual, np.sqrt(np.square(response).sum(axis=0)))
-    return (standardised / scale[:, np.newaxis]).T, root
+    slope = (standardised / scale[:, np.newaxis]).T
+    rounding = np.hypot(
+        moments.rounding[~context], np.sqrt(np.square(slope) @ np.square(moments.rounding[context]))
+    )
+    return slope, root_of_factor(residual, np.sqrt(np.square(response).sum(axis=0)), rounding)

@@ -35,6 +35,10 @@ __all__ = [
 EPS = float(np.finfo(np.float64).eps)
 # Angles between subspaces are known to about EPS times the condition of the roots that span them.
 SMALLEST_COSINE = np.sqrt(EPS)
+# A number has gone through several roundings when it is stored.
+MUCH_ROUNDING = 10.0
+# Standard deviation of the least direction, in those of the columns, where moments are held as a product.
+LEAST_OF_A_PRODUCT = 1e-3
 LARGEST_JACOBI = 512
 BLOCK_ELEMENTS = 2**17
 
@@ -275,28 +279,45 @@ def root_of_moments(moments, scale=None):
     ndarray of shape (n_features, rank)
         A matrix of full column rank whose product with its transpose is the covariance.
     """
-    factor = moments.covariance_factor()
+    factor, rounding = moments.covariance_factor(), moments.rounding
     if moments.scatter is not None:
-        return factor.T
-    return root_of_factor(factor, scale)
+        deviation = np.sqrt(moments.variance)
+        varies = deviation > 0
+        # Its correlations are well conditioned, so that only much rounding could hide a direction.
+        if (MUCH_ROUNDING * rounding[varies] < LEAST_OF_A_PRODUCT * deviation[varies]).all():
+            return factor.T
+    return root_of_factor(factor, scale, rounding)
 
 
-def root_of_factor(factor, scale=None):
-    """Return a root of the covariance ``factor.T @ factor``; `scale` as in `root_of_moments`."""
+def root_of_factor(factor, scale=None, rounding=None):
+    """Return a root of the covariance ``factor.T @ factor``.
+
+    Parameters
+    ----------
+    factor : ndarray of shape (n_rows, n_features)
+    scale : ndarray of shape (n_features,), default=None
+        As in `root_of_moments`.
+    rounding : ndarray of shape (n_features,), default=None
+        Standard deviation of what rounding has changed in each column: what varies by little more does not vary.
+
+    Returns
+    -------
+    ndarray of shape (n_features, rank)
+    """
     n_features = factor.shape[1]
     if scale is None:
         scale = np.sqrt(np.square(factor).sum(axis=0))
     scale = np.where(scale > 0, scale, 1.0)
-    if len(factor) >= n_features and _is_of_full_rank(factor / scale):
+    noise = np.zeros(n_features) if rounding is None else MUCH_ROUNDING * rounding / scale
+    values = np.linalg.svd(factor / scale, compute_uv=False)
+    least = 10 * EPS * n_features * max(values.max(initial=0.0), 1.0)
+    if len(factor) >= n_features and values[-1] > max(least, noise.max(initial=0.0)):
         return (triangle(factor) if len(factor) > n_features else factor).T
     _, values, directions = np.linalg.svd(factor / scale, full_matrices=False)
-    kept = values > 10 * EPS * n_features * max(values.max(initial=0.0), 1.0)
+    kept = values > np.maximum(least, np.sqrt(np.square(directions) @ np.square(noise)))
+    if len(factor) >= n_features and kept.all():
+        return (triangle(factor) if len(factor) > n_features else factor).T
     return directions[kept].T * values[kept] * scale[:, np.newaxis]
-
-
-def _is_of_full_rank(equilibrated):
-    values = np.linalg.svd(equilibrated, compute_uv=False)
-    return bool(values[-1] > 10 * EPS * len(values) * max(values[0], 1.0))
 
 
 def optimal_map(source_root, target_root):

@@ -16,10 +16,6 @@ from skat.shrinkage import shrunk_towards
 
 __all__ = ["MomentTransport"]
 
-# A map may carry the source's rounding to this share of a target column's spread, or so many times the column's own.
-LARGEST_ROUNDING = 0.01
-SEVERAL = 10.0
-
 
 class MomentTransport(BaseTransport):
     """A transport by an affine map that is a function of moments.
@@ -204,7 +200,6 @@ class MomentTransport(BaseTransport):
         self._learned, self._back = (source, target, scale), None
         scaled = self._scaled()
         affine, self.rank_ = self._solve(*scaled, scale)
-        _refuse_rounding(affine.coef, *scaled)
         self._map = affine if self.metric_scale is None else affine.scaled(scale)
         for name, value in {
             "coef_": self._map.coef,
@@ -281,21 +276,6 @@ class MomentTransport(BaseTransport):
 
     def _refuse_rows(self, rows):
         self._refuse_infinite((rows, "X"))
-
-
-def _refuse_rounding(coef, source, target):
-    """Raise where a map would carry the source's rounding to a part of the target's spread that shows."""
-    carried = np.sqrt(np.square(coef) @ np.square(source.rounding))
-    spread = np.sqrt(target.variance)
-    shows = (spread > 0) & (carried > np.maximum(LARGEST_ROUNDING * spread, SEVERAL * target.rounding))
-    if shows.any():
-        worst = np.flatnonzero(shows)[np.argmax(carried[shows] / spread[shows])]
-        raise np.linalg.LinAlgError(
-            "the source varies in some direction by no more than its numbers are rounded, and the target varies "
-            f"there: in column {worst} rounding alone would be {carried[worst] / spread[worst]:.0%} of the spread. "
-            "Leave out columns that are linear functions of others, give numbers of more digits (float64), or take "
-            "large offsets out of them."
-        )
 
 
 def _merged(first, second):

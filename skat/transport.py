@@ -187,9 +187,9 @@ class ProcrustesAffineTransport(MomentTransport):
                 UserWarning,
                 stacklevel=4,
             )
-        roots = {}
+        roots = {"source_rounding": source.rounding, "target_rounding": target.rounding}
         if not (isinstance(self.covariance, str) and self.covariance == "empirical"):
-            roots = {"source_root": root_of_moments(source), "target_root": root_of_moments(target)}
+            roots |= {"source_root": root_of_moments(source), "target_root": root_of_moments(target)}
         if self.alignment == "raw":
             if not self.center:
                 roots["mean_product"] = np.outer(target.mean, source.mean)

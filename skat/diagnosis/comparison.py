@@ -325,15 +325,23 @@ def _rank(rows):
 
 def _spread(rows):
     """Return standard deviations of columns, 1 where a column is constant up to rounding."""
-    spread = rows.std(axis=0)
-    return np.where(spread > 1e-12 * np.abs(rows).max(axis=0, initial=0.0), spread, 1.0)
+    return np.where(_varies(rows), rows.std(axis=0), 1.0)
+
+
+def _without_rounding(rows):
+    """Return rows with columns that are constant up to rounding made constant."""
+    return np.where(_varies(rows), rows, rows[:1])
+
+
+def _varies(rows):
+    return rows.std(axis=0) > 1e-12 * np.abs(rows).max(axis=0, initial=0.0)
 
 
 def _transported(name, transport, fitted, outputs, test, note, random_state):
     n_context = fitted.inputs.shape[1]
-    target = np.column_stack([fitted.inputs, fitted.measured])
+    target = _without_rounding(np.column_stack([fitted.inputs, fitted.measured]))
     mean, spread = target.mean(axis=0), _spread(target)
-    source = (np.column_stack([fitted.inputs, outputs]) - mean) / spread
+    source = (_without_rounding(np.column_stack([fitted.inputs, outputs])) - mean) / spread
     target = (target - mean) / spread
     notes = [note] if note else []
     if name == "ExactTransport" and len(source) > MOST_EXACT_ROWS:

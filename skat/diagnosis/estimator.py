@@ -170,8 +170,6 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         self.refused_ = None if refused is None else (refused.name, float(refused.value))
         n_diverged = residuals.diverged.sum()
         self.noise_ = residuals.deviations
-        if hidden and isinstance(self.noise, str):
-            warn_of_lasting_noise(self.simulator, fitted, hidden, self.noise_)
         self.extended_simulator_ = self.simulator.extended(selected.values)
         self.identifiability_ = identifiability(selected, residuals, self.alpha / 2)
         self.gain_ = None
@@ -193,6 +191,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         self.diverged_share_ = float(n_diverged / len(log))
         self.excess_p_value_ = self._excess(residuals, len(fitted))
         self.verdict_ = self._verdict()
+        if hidden and isinstance(self.noise, str) and self.verdict_ != "unexplained":
+            warn_of_lasting_noise(self.simulator, fitted, hidden, self.noise_)
         self.report_ = Report(self, fitted, held_out)
         progress("done", 1, 1)
         return self

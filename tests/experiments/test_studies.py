@@ -27,6 +27,7 @@ def test_drag_of_a_light_ball_is_named_and_makes_the_error_many_times_smaller(ba
 
 
 @NO_DATA
+@pytest.mark.filterwarnings("ignore:The noise found in qpos.z:UserWarning")
 def test_nothing_is_named_that_does_not_gain_on_the_other_drop():
     ball = "Bowling Ball"
     study = study_ball_drops([ball])[ball]

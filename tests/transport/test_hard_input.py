@@ -44,7 +44,7 @@ def test_rounding_of_a_deterministic_simulation_is_no_variance(n_context, offset
         ProcrustesAffineTransport(),
         ConditionalAffineTransport(context=n_context),
     ):
-        with pytest.raises(np.linalg.LinAlgError, match=r"rank|no more than its numbers are rounded"):
+        with pytest.raises(np.linalg.LinAlgError, match="rank"):
             transport.fit(X, y)
 
 
@@ -69,6 +69,23 @@ def test_what_varies_little_but_more_than_rounding_is_carried(dtype):
     y = X * [1, 2, 1, 1] + [0, 0, 5, 0]
     carried = AffineTransport().fit(X.astype(dtype), y.astype(dtype)).transform(X.astype(dtype))
     np.testing.assert_allclose(np.cov(carried.T), np.cov(y.T), rtol=0.02, atol=1e-3)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("offset", [0.0, 100.0])
+def test_columns_that_are_linear_functions_of_others_on_both_sides_do_no_harm(dtype, offset):
+    rng = np.random.default_rng(0)
+    place, speed = rng.normal(size=(2, 400)) + offset
+    sides = {}
+    for side, gain in (("source", 1.0), ("target", 1.5)):
+        after = gain * speed + 0.1 * rng.normal(size=400)
+        rows = np.column_stack([place, speed, place + 0.01 * after, after]).astype(dtype)
+        sides[side] = rows
+    X, y = sides["source"], sides["target"]
+    for transport in (AffineTransport(), ProcrustesAffineTransport(), CORAL()):
+        carried = transport.fit(X, y).transform(X)
+        np.testing.assert_allclose(carried.mean(axis=0), y.mean(axis=0), rtol=1e-4, atol=1e-4)
+        np.testing.assert_allclose(np.cov(carried.T), np.cov(y.T), atol=2e-3)
 
 
 def test_a_constant_column_far_away_is_left_where_it_is():
