@@ -397,8 +397,8 @@ def check_that_source_reaches_target(angles):
         raise np.linalg.LinAlgError(
             f"no linear map carries the source's covariance to the target's: rank(S_t) is {target_rank}, but "
             f"rank(S_t^(1/2) S_s S_t^(1/2)) only {reached}, so the target varies where the source does not. "
-            "Give more source rows, drop the columns that do not vary in the source, "
-            "or use a covariance estimator of full rank."
+            "Give more source rows, drop columns that do not vary there or, up to rounding, are linear functions of "
+            "others, or use a covariance estimator of full rank."
         )
 
 
