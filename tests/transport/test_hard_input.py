@@ -5,6 +5,7 @@ import warnings
 import numpy as np
 import pandas as pd
 import pytest
+from sklearn.covariance import ShrunkCovariance
 from sklearn.exceptions import NotFittedError
 
 from skat import (
@@ -46,6 +47,13 @@ def test_rounding_of_a_deterministic_simulation_is_no_variance(n_context, offset
     ):
         with pytest.raises(np.linalg.LinAlgError, match="rank"):
             transport.fit(X, y)
+
+
+@pytest.mark.parametrize(("offset", "dtype"), [(0.3, np.float64), (1e3, np.float32)])
+def test_an_estimator_of_full_rank_has_a_map_where_the_rows_have_none(offset, dtype):
+    X, y = deterministic(2, offset, dtype)
+    shrunk = ShrunkCovariance(shrinkage=1e-8)
+    assert AffineTransport(covariance=shrunk).fit(X, y).rank_ == 4
 
 
 def test_one_exact_column_beside_others_that_vary_is_no_variance():
