@@ -274,9 +274,11 @@ def test_an_unexplained_verdict_says_what_is_left_and_how_far_a_transport_comes(
 
 def test_what_was_significant_but_refused_is_told_beside_what_is_left():
     diagnosis = diagnosed(pendulum(), value=None, verdict="unexplained")
-    diagnosis.refused_ = ("friction", 0.2718)
-    assert verdict_sentences(diagnosis, [])[1].startswith(
-        "friction = 0.272 would explain a part of it, but not"
+    effect = pendulum().effects()[0]
+    diagnosis.refused_ = (effect.name, 0.2718)
+    told = verdict_sentences(diagnosis, [])[1]
+    assert told.startswith(
+        f"{effect.name} = 0.272 {effect.unit} would explain a part of it, but is not named"
     )
 
 

@@ -49,10 +49,12 @@ def verdict_sentences(diagnosis, comparisons):
         )
         if diagnosis.refused_ is not None:
             name, value = diagnosis.refused_
+            unit = {effect.name: effect.unit for effect in diagnosis.simulator.effects()}[name]
+            size = f"{value:.3g} {unit}".removesuffix(" 1")
             sentences.insert(
                 1,
-                f"{name} = {value:.3g} would explain a part of it, but not throughout the log, or predict single steps "
-                "no better, so it is not named.",
+                f"{name} = {size} would explain a part of it, but is not named: it does not do so throughout the log, "
+                "or predicts single steps no better.",
             )
     return sentences + [
         ceiling_sentence(errors) for errors in comparisons if unexplained or is_beaten(errors)
