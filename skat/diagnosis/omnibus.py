@@ -42,22 +42,30 @@ class Remainder:
     direction : str
         Where the error acts that explains most of those that are clear: a joint, which a force acts on, or an output.
     coordinate : str
-        The input it depends on.
+        The input it depends on, if on any.
     table : tuple of (direction, coordinate, p_value)
         The most telling pairs; of those that are clear, the one first that explains most, a joint's or an output's law
         of its own counting a fourth more. p-values are not corrected for the number of pairs.
+    varies : float
+        p-value of the error's varying with any coordinate, beside a constant error.
     """
 
     p_value: float
     direction: str
     coordinate: str
     table: tuple
+    varies: float = 0.0
 
     @property
     def sentence(self):
         """What is left, in words."""
         if self.coordinate == TIME:
             return f"something acts on {self.direction} for longer than single rows, and no effect known explains it"
+        if self.varies >= CLEAR:
+            return (
+                f"something acts on {self.direction}, as far as the log shows always alike, and no effect known "
+                "explains it"
+            )
         return f"something acts on {self.direction} that depends on {self.coordinate}, and no effect known explains it"
 
 
@@ -86,7 +94,8 @@ def find_remainder(residuals, line, fitted):
     fitted : sequence of str
         Effects of the model, which the test projects out.
     """
-    own_laws, others = _shapes(residuals, line, fitted)
+    columns, directions = residuals.directions(line.values)
+    own_laws, others = _shapes(residuals, _ScoreTests(residuals, line, fitted), columns, directions)
     others += _persistence(residuals, line.residuals)
     families = [family for family in (own_laws, others) if family]
     if not families:
@@ -100,17 +109,23 @@ def find_remainder(residuals, line, fitted):
         clear, rest = ([pair for pair in pairs if (pair.p_value < level) is one] for one in (True, False))
         pairs = sorted(clear, key=lambda pair: -pair.explained * (OWN_LAW if pair in own_laws else 1)) + rest
     table = tuple((pair.direction, pair.coordinate, pair.p_value) for pair in pairs)
-    return Remainder(p_value, *table[0][:2], table)
+    varies = 0.0
+    if pairs[0].coordinate != TIME:
+        index = [direction for direction, _ in directions].index(pairs[0].direction)
+        column = columns[..., [index]]
+        beside_constant = _ScoreTests(residuals, line, fitted, residuals.whiten(column))
+        values = residuals.points[:, residuals.simulator.input_names.index(pairs[0].coordinate)]
+        tested = [beside_constant.of(column, basis(values)) for basis in (hat_functions, odd_functions)]
+        # The coordinate is the best of all.
+        n_tried = len(tested) * len(residuals.simulator.input_names)
+        varies = family_p_value(min(p for ((p, _),) in tested), n_tried)
+    return Remainder(p_value, *table[0][:2], table, varies)
 
 
-def _shapes(residuals, line, fitted):
+def _shapes(residuals, tests, columns, directions):
     """Return the pairs of a direction with an input: those of a joint's or an output's own law, and all others."""
     own_laws: list[_Pair] = []
     others: list[_Pair] = []
-    columns, directions = residuals.directions(line.values)
-    if not directions:
-        return own_laws, others
-    tests = _ScoreTests(residuals, line, fitted)
     for index, coordinate in enumerate(residuals.simulator.input_names):
         values = residuals.points[:, index]
         found = tests.of(columns, hat_functions(values))
@@ -124,14 +139,19 @@ def _shapes(residuals, line, fitted):
 
 
 class _ScoreTests:
-    """Score tests of additive errors of the prediction, with the effects of the model projected out."""
+    """Score tests of additive errors of the prediction, with the effects of the model projected out.
 
-    def __init__(self, residuals, line, fitted):
+    So are whitened columns (n_rows, n_channels, n_columns) that are given beside them.
+    """
+
+    def __init__(self, residuals, line, fitted, beside=None):
         self.residuals = residuals
         # Rows without time order that were given in groups may have something in common.
         self.groups = None if residuals.log.consecutive else residuals.blocks
         weights = robust_weights(line.residuals)[:, None]
         derivatives = line.derivatives[..., [line.names.index(name) for name in fitted]]
+        if beside is not None:
+            derivatives = np.concatenate([derivatives, beside], axis=-1)
         self.weighted_residuals = line.residuals * weights
         self.weighted = derivatives * weights[..., None]
         self.information = np.einsum("ndk,ndl->kl", self.weighted, derivatives)

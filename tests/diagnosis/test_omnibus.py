@@ -116,6 +116,14 @@ def test_odd_law_that_is_narrow_is_found():
     assert max(one.p_value for one in found) < 1e-3
 
 
+def test_constant_error_is_not_said_to_depend_on_an_input():
+    constant = [remainder_of(seed, 0.5, OWN, np.ones_like) for seed in range(20)]
+    assert {one.direction for one in constant} == {"qvel.j3"}
+    assert sum("always alike" in one.sentence for one in constant) >= 19
+    lopsided = [remainder_of(seed, 0.5, OWN, lambda speed: 1 + 0.4 * speed) for seed in range(5)]
+    assert all("depends on qvel.j3" in one.sentence for one in lopsided)
+
+
 def test_remainder_of_noise_keeps_to_its_level():
     p_values = np.array([remainder_of(seed, 0.0, OWN).p_value for seed in range(60)])
     # At the level, nine of sixty or more are below 5 % in 0.3 % of runs.

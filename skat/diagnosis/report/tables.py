@@ -148,7 +148,7 @@ def remainder_table(diagnosis):
         return None
     frame = pd.DataFrame(
         [(direction, coordinate, _p_value(p)) for direction, coordinate, p in remainder.table[:6]],
-        columns=["acts on", "depends on", "p of this pair"],
+        columns=["acts on", "as a function of", "p of this pair"],
     )
     return as_table("What is left", frame)
 
