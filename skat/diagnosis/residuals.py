@@ -21,6 +21,8 @@ ROWS_OF_RUN = 3
 FEWEST_ROWS_TO_SHARE = 5000
 # Squared error of a row, in noise units, in which a simulation diverges.
 DIVERGED = 1e6
+# Predictions are kept up to so many bytes.
+MOST_KEPT = 64_000_000
 # Effects regressed out before the noise is estimated: at most one for so many residuals.
 RESIDUALS_PER_REGRESSOR = 10
 
@@ -79,6 +81,8 @@ class Residuals:
         self.forces = simulator.joint_forces()
         self.slopes = Slopes([*effects, *(force for force, _ in self.forces)])
         self.n_simulated_rows = 0
+        # Predictions of models at the points, which a search asks for again and again.
+        self.predicted_at, self.predicted = self.points, {}
 
     @property
     def channels(self):
@@ -205,7 +209,7 @@ class Residuals:
         """Return the raw slopes of secants about a model, as `Slopes.secants`."""
         return self.slopes.secants(self._changes, values, widths)
 
-    def _changes(self, candidates, rows=slice(None)):
+    def _changes(self, candidates, rows=None):
         """Return by how much the predictions of the candidates after the first exceed the first's."""
         base, *moved = self._predict(candidates, rows)
         return np.stack([self.simulator.residual(one, base) for one in moved])
@@ -256,11 +260,23 @@ class Residuals:
         """Return measured minus predicted (n_candidates, n_rows, n_channels), NaN where a simulation diverges."""
         return np.stack([self.simulator.residual(self.log.y, one) for one in self._predict(candidates)])
 
-    def _predict(self, candidates, rows=slice(None)):
-        points = self.points[rows]
+    def _predict(self, candidates, rows=None):
+        """Return predictions (n_candidates, n_rows, n_channels) at the points, of all rows or some of them."""
+        if rows is not None:
+            return self._simulated(self.points[rows], candidates, self.log.groups[rows])
+        if self.predicted_at is not self.points:
+            self.predicted_at, self.predicted = self.points, {}
+        keys = [tuple(sorted(candidate.items())) for candidate in candidates]
+        new = {key: one for key, one in zip(keys, candidates) if key not in self.predicted}
+        found = self._simulated(self.points, list(new.values()), self.log.groups) if new else ()
+        together = self.predicted | dict(zip(new, found))
+        predictions = np.stack([together[key] for key in keys])
+        self.predicted = together if predictions[0].nbytes * len(together) < MOST_KEPT else {}
+        return predictions
+
+    def _simulated(self, points, candidates, groups):
         n_rows = len(points) * len(candidates)
         self.n_simulated_rows += n_rows
-        groups = self.log.groups[rows]
         n_parts = min(joblib.effective_n_jobs(self.n_jobs), len(candidates))
         if n_parts == 1 or n_rows < FEWEST_ROWS_TO_SHARE:
             return self.simulator.predict_many(points, candidates, groups=groups)
