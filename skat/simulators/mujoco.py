@@ -124,8 +124,11 @@ class MujocoSimulator(Simulator):
 
     @property
     def units(self) -> dict[str, str]:
-        """Unit of each column of the state, by name."""
-        return dict(zip(self._layout.names, self._layout.units))
+        """Unit of each column of the state and of a residual, by name."""
+        # What the tangent space has beside the columns of the state are rotation vectors.
+        return dict.fromkeys(self._layout.tangent_names, "rad") | dict(
+            zip(self._layout.names, self._layout.units)
+        )
 
     @property
     def angle_names(self) -> tuple[str, ...]:

@@ -64,6 +64,7 @@ def test_columns_have_the_names_of_mujoco(bot):
     assert bot.state_names == bot.output_names == STATE
     assert bot.input_names == (*STATE, "ctrl.slider", "ctrl.twist")
     assert bot.residual_names[3:6] == ("qpos.root.rx", "qpos.root.ry", "qpos.root.rz")
+    assert [bot.units[f"qpos.root.{axis}"] for axis in ("x", "qx", "rx")] == ["m", "1", "rad"]
     assert len(bot.residual_names) == 2 * 10
     assert bot.dt == pytest.approx(0.02)
 
