@@ -79,13 +79,15 @@ class Effect:
         object.__setattr__(self, "family", match["family"])
         object.__setattr__(self, "target", match["target"])
         given: Callable[[float], str] | None = self.describe
-        sentence = partial(_sentence, self.name, self.unit, self.neutral)
-        object.__setattr__(self, "describe", sentence if given is None else given)
+        # Of an effect that was made from another one, the sentence is made anew.
+        if given is None or getattr(given, "func", None) is _sentence:
+            given = partial(_sentence, self.name, self.unit, self.neutral)
+        object.__setattr__(self, "describe", given)
 
     @property
     def is_factor(self) -> bool:
-        """Whether values multiply (neutral 1) rather than add."""
-        return self.neutral == 1
+        """Whether values multiply (neutral 1, without a unit) rather than add."""
+        return self.neutral == 1 and self.unit == "1"
 
     def combined(self, first: float, second: float) -> float:
         """Return the value that stands for both: the product of factors, otherwise the sum of what each one adds.
@@ -210,24 +212,48 @@ _PHRASES = {
 }
 
 
+# Families whose words hold for these units alone.
+_UNITS = {
+    "wind": ("N",),
+    "force": ("N", "N m"),
+    "tilt": ("rad",),
+    "centre_of_mass": ("m",),
+    "restitution": ("1",),
+    "delay": ("s",),
+}
+_ADDED = ("damping", "dry_friction", "armature", "stiffness")
+
+
 def _sentence(name: str, unit: str, neutral: float, value: float) -> str:
-    family, _, bracket = name.partition("[")
-    target = bracket.removesuffix("]")
-    one, every = _PHRASES.get(family, (name, name))
-    phrase = every if target == "all" and every else one.format(target)
-    if family == "gain":
+    family = name.partition("[")[0]
+    phrase = _phrase(name, unit, neutral)
+    is_factor = neutral == 1 and unit == "1"
+    if family == "gain" and is_factor:
         if abs(value + 1) < 0.05:
             return f"{phrase} is inverted"
         if abs(value) < 0.05:
             return f"{phrase} is disabled"
-    if family == "contact_anisotropy":
+    if family == "contact_anisotropy" and phrase != name:
         return f"{phrase} is {value:.3g} times that along the first"
-    if neutral == 1:
+    if is_factor:
         return f"{phrase} is {value:.3g} times the model's"
-    if family.removeprefix("tendon_") in {"damping", "dry_friction", "armature", "stiffness"}:
-        return f"{phrase} is {abs(value):.3g} {unit} {'more' if value >= 0 else 'less'} than the model's"
-    if family == "centre_of_mass":
-        return f"{phrase} is shifted by {value:.3g} {unit}"
+    if neutral == 0 and phrase != name:
+        if family.removeprefix("tendon_") in _ADDED:
+            return f"{phrase} is {abs(value):.3g} {unit} {'more' if value >= 0 else 'less'} than the model's"
+        if family == "centre_of_mass":
+            return f"{phrase} is shifted by {value:.3g} {unit}"
     named_unit = "" if unit == "1" else f" {unit}"
     beside = f" (the model has {neutral:.3g}{named_unit})" if neutral else ""
     return f"{phrase} is {value:.3g}{named_unit}{beside}"
+
+
+def _phrase(name: str, unit: str, neutral: float) -> str:
+    """Return what an effect is, in words where its family, target and unit are those of the words; else its name."""
+    family, _, bracket = name.partition("[")
+    target = bracket.removesuffix("]")
+    one, every = _PHRASES.get(family, (name, name))
+    words = every if target == "all" else one.format(target)
+    stated_in_full = neutral not in (0, 1) and family in _UNITS
+    if stated_in_full or unit not in _UNITS.get(family, (unit,)) or not (target or "{}" not in one):
+        return name
+    return words or name

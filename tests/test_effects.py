@@ -69,6 +69,13 @@ def test_effect_is_frozen_and_pickles_with_its_sentence():
         ("stickiness[floor]", "N", 0.0, 2.0, "stickiness[floor] is 2 N"),
         ("friction", "1", 0.4, 0.62, "friction is 0.62 (the model has 0.4)"),
         ("hinge", "N m", 0.4, 0.62, "hinge is 0.62 N m (the model has 0.4 N m)"),
+        ("mass", "1", 1.0, 1.2, "mass is 1.2 times the model's"),
+        ("mass", "kg", 1.0, 1.2, "mass is 1.2 kg (the model has 1 kg)"),
+        ("damping[slider]", "1/s", 0.3, 0.5, "viscous damping of slider is 0.5 1/s (the model has 0.3 1/s)"),
+        ("gain[valve]", "V", 0.0, 0.03, "gain[valve] is 0.03 V"),
+        ("wind[x]", "m/s", 0.0, 2.0, "wind[x] is 2 m/s"),
+        ("restitution[floor]", "1", 0.5, 0.7, "restitution[floor] is 0.7 (the model has 0.5)"),
+        ("inertia[all]", "1", 1.0, 1.2, "inertia[all] is 1.2 times the model's"),
     ],
 )
 def test_sentences(name, unit, neutral, value, sentence):

@@ -13,6 +13,10 @@ from sklearn.base import BaseEstimator
 from skat.effects import Effect, checked_values
 from skat.simulators.tables import Array, checked_columns, earlier_rows, episode_starts
 
+# Of the bias of a sensor: half a turn, or nothing that a unit of one's own would say.
+HALF_TURNS = {"rad": math.pi, "deg": 180.0}
+UNBOUNDED = 1e12
+
 
 class Simulator(BaseEstimator, ABC):
     """A simulation with named inputs, outputs and effects.
@@ -297,7 +301,7 @@ class Simulator(BaseEstimator, ABC):
     def _sensor_effects(self) -> tuple[Effect, ...]:
         channels = self.state_names or self.output_names
         units = {name: self.units.get(name, f"unit of {name}") for name in channels}
-        limits = {name: math.pi if unit == "rad" else 1e3 for name, unit in units.items()}
+        limits = {name: HALF_TURNS.get(unit, UNBOUNDED) for name, unit in units.items()}
         return (
             *(
                 Effect(f"bias[{name}]", unit=units[name], neutral=0.0, bounds=(-limits[name], limits[name]))
@@ -359,7 +363,7 @@ class Simulator(BaseEstimator, ABC):
 
     def _true_inputs(self, inputs: Array, totals: Sequence[Mapping[str, float]]) -> Array:
         """Return the true states behind measured ones: (measured - bias) / scale."""
-        if not any(_is_sensor(name) for total in totals for name in total):
+        if not any(is_sensor(name) for total in totals for name in total):
             return inputs
         columns = {name: index for index, name in enumerate(self.state_names)}
         true = np.array(inputs)
@@ -402,28 +406,30 @@ class Simulator(BaseEstimator, ABC):
         return actions
 
 
-def _is_sensor(name: str) -> bool:
+def is_sensor(name: str) -> bool:
+    """Whether an effect of this name acts on what a sensor reads."""
     return name.startswith(("bias[", "scale["))
 
 
 def _physical(total: Mapping[str, float]) -> dict[str, float]:
-    return {name: value for name, value in total.items() if not _is_sensor(name)}
+    return {name: value for name, value in total.items() if not is_sensor(name)}
 
 
 def _sensors(total: Mapping[str, float]) -> dict[str, tuple[float, float]]:
     """Return (scale, bias) of each channel that has one."""
-    channels = {name.partition("[")[2][:-1] for name in total if _is_sensor(name)}
+    channels = {name.partition("[")[2][:-1] for name in total if is_sensor(name)}
     return {name: (total.get(f"scale[{name}]", 1.0), total.get(f"bias[{name}]", 0.0)) for name in channels}
 
 
 def _rebased(effect: Effect, built_in: float | None) -> Effect:
-    """Return the effect with bounds relative to a value that is built in."""
+    """Return the effect relative to a value that is built in; of a quantity stated in full that is the model's own."""
     if built_in is None or built_in == effect.neutral:
         return effect
     low, high = effect.bounds
+    if effect.neutral == 0:
+        return replace(effect, bounds=(low - built_in, high - built_in))
     if not effect.is_factor:
-        added = built_in - effect.neutral
-        return replace(effect, bounds=(low - added, high - added))
+        return replace(effect, neutral=built_in)
     if built_in == 0:
         return effect
     ends = sorted((low / built_in, high / built_in))

@@ -6,7 +6,7 @@ from typing import Any, Self
 import numpy as np
 
 from skat.effects import Effect
-from skat.simulators.base import Simulator
+from skat.simulators.base import Simulator, is_sensor
 from skat.simulators.tables import Array
 
 
@@ -70,6 +70,7 @@ class FunctionSimulator(Simulator):
         self.built_in = built_in
         self._effects = tuple(effects)  # `effects` is a method of every simulator
         _check_names(self.input_names, self.output_names, self.state_names)
+        _check_effects(self._effects)
         _check_units(self.units, (*self.input_names, *self.output_names))
 
     def __repr__(self) -> str:
@@ -112,7 +113,7 @@ class FunctionSimulator(Simulator):
         outputs = np.empty((*inputs.shape[:2], len(self.output_names)))
         for index, values in enumerate(candidates):
             complete = {effect.name: values.get(effect.name, effect.neutral) for effect in self._effects}
-            result = np.asarray(self.function(inputs[index].copy(), **complete), dtype=float)
+            result = self._called(inputs[index].copy(), complete)
             if result.shape != outputs.shape[1:]:
                 raise ValueError(
                     f"the function must return the shape (n_rows, n_outputs) = {outputs.shape[1:]}, "
@@ -122,6 +123,38 @@ class FunctionSimulator(Simulator):
             result = np.where(np.isfinite(result).all(axis=1, keepdims=True), result, np.nan)
             outputs[index] = result
         return outputs
+
+    def _called(self, inputs: Array, values: Mapping[str, float]) -> Array:
+        try:
+            result = np.asarray(self.function(inputs, **values))
+        except Exception as error:
+            effects = ", ".join(f"{name}={value:g}" for name, value in values.items()) or "no effects"
+            error.add_note(
+                f"The simulator's function raised this for {len(inputs)} rows and {effects}. Rows that it cannot "
+                "simulate it may return as NaN: they count as diverged."
+            )
+            raise
+        if np.iscomplexobj(result):
+            raise TypeError(f"the function must return real numbers; it returned an array of {result.dtype}")
+        return result.astype(float)
+
+
+def _check_effects(effects: Sequence[Effect]) -> None:
+    for effect in effects:
+        if not isinstance(effect, Effect):
+            raise TypeError(
+                "effects must be a sequence of skat.effects.Effect, such as "
+                f"Effect('drag', unit='1/s', neutral=0.0, bounds=(0.0, 2.0)); got {effect!r}"
+            )
+        if is_sensor(effect.name):
+            raise ValueError(
+                f"{effect.name} is no name for an effect of one's own: bias[...] and scale[...] of each measured "
+                "channel are there already, and act on what its sensor reads. Choose another family"
+            )
+    names = [effect.name for effect in effects]
+    repeated = sorted({name for name in names if names.count(name) > 1})
+    if repeated:
+        raise ValueError(f"effects must have different names; {', '.join(repeated)} occurs more than once")
 
 
 def _check_units(units: Mapping[str, str], names: Sequence[str]) -> None:

@@ -72,6 +72,51 @@ def test_bounds_are_relative_to_what_is_built_in(pendulum):
     assert bounds["damping[joint]"] == (-1.0, 4.0)
 
 
+def test_quantity_stated_in_full_stays_one_when_it_is_built_in():
+    pull = Effect("pull", unit="N", neutral=2.0, bounds=(0.0, 5.0))
+    simulator = FunctionSimulator(
+        lambda X, pull: X + pull, input_names=("x",), output_names=("x",), effects=[pull]
+    ).extended({"pull": 2.5})
+    (effect,) = (effect for effect in simulator.effects() if effect.name == "pull")
+    assert (effect.neutral, effect.bounds) == (2.5, (0.0, 5.0))
+    assert effect.describe(3.0) == "pull is 3 N (the model has 2.5 N)"
+    assert simulator.extended({"pull": 3.0}).built_in == {"pull": 3.0}
+    assert simulator.extended({"pull": 2.0}).built_in is None
+    np.testing.assert_allclose(simulator.predict([[1.0]], effects={"pull": 3.0}), [[4.0]])
+
+
+@pytest.mark.parametrize(
+    ("effects", "error", "text"),
+    [
+        (
+            [Effect("scale[motor]", unit="1", neutral=1.0, bounds=(0.2, 3.0))],
+            ValueError,
+            "Choose another family",
+        ),
+        ({"gain": 1.0}, TypeError, "sequence of skat.effects.Effect"),
+        ([EFFECTS[0], EFFECTS[0]], ValueError, "gravity occurs more than once"),
+    ],
+)
+def test_effects_that_cannot_be_are_refused(pendulum, effects, error, text):
+    with pytest.raises(error, match=text):
+        pendulum.set_params(effects=effects)
+
+
+def test_error_of_the_function_says_for_which_effects():
+    def root(X, gain):
+        if gain > 1.5:
+            raise ZeroDivisionError("solver failed")
+        return X * gain
+
+    gain = Effect("gain", unit="1", neutral=1.0, bounds=(0.2, 3.0))
+    simulator = FunctionSimulator(root, input_names=("x",), output_names=("y",), effects=[gain])
+    with pytest.raises(ZeroDivisionError) as raised:
+        simulator.predict([[1.0]], effects={"gain": 2.0})
+    assert "1 rows and gain=2" in raised.value.__notes__[0]
+    with pytest.raises(TypeError, match="real numbers"):
+        simulator.set_params(function=lambda X, gain: X + 1j).predict([[1.0]])
+
+
 def test_sensors_read_scale_times_true_plus_bias_in_inputs_and_outputs(pendulum, rows):
     true = pendulum.predict(rows)
     measured = rows * [1.0, 2.0, 1.0] + [0.3, 0.0, 0.0]
