@@ -231,6 +231,8 @@ def check_log(simulator, X, y, groups, *, fewest_rows=FEWEST_ROWS, hidden=()):
 def check_matrix(values, what, names):
     """Return rows as an array, the columns of a data frame in the order of the names.
 
+    A single output may be one-dimensional, as scikit-learn's targets are.
+
     Raises
     ------
     ValueError
@@ -243,6 +245,8 @@ def check_matrix(values, what, names):
             missing = [name for name in names if name not in known]
             raise ValueError(f"{what} lacks the columns {', '.join(missing)}; expected {', '.join(names)}.")
         values = values[list(names)] if known else values
+    if what == "y" and len(names) == 1 and np.ndim(values) == 1:
+        values = np.reshape(values, (-1, 1))
     try:
         values = check_array(values, dtype=np.float64, ensure_min_samples=1, input_name=what)
     except ValueError as error:

@@ -1,6 +1,7 @@
 """Signs that a log is not what it seems: stuck channels, late commands, other units, jumps, made velocities."""
 
 import warnings
+from itertools import permutations
 
 import numpy as np
 
@@ -13,6 +14,8 @@ CLIPPED_SHARE = 0.01
 BETTER_IN_RADIANS = 2.0
 CERTAIN_IN_RADIANS = 10.0
 ROWS_TRIED = 200
+# What a simulation's outputs for the same rows may differ by, as a share of each channel's spread: rounding.
+SAME = 1e-6
 # Commands are late where the simulation misses so many times less with those of the row after, in rows in which they
 # change.
 BETTER_IF_EARLIER = 2.0
@@ -49,8 +52,9 @@ def warn_of_doubts(simulator, log, hidden=()):
     Raises
     ------
     ValueError
-        If angles are in degrees.
+        If angles are in degrees, or the simulation is random.
     """
+    _check_same_again(simulator, log)
     for doubt in (
         *_constant(simulator, log, hidden),
         *_clipped(simulator, log),
@@ -94,6 +98,22 @@ def warn_of_lasting_noise(simulator, log, hidden, deviations):
                 UserWarning,
                 stacklevel=3,
             )
+
+
+def _check_same_again(simulator, log):
+    """Raise if the simulation gives other outputs when it is asked for the same rows again."""
+    some = log.rows(np.arange(min(len(log), ROWS_TRIED)))
+    first, again = (simulator.predict_many(some.X, [{}], groups=some.groups)[0] for _ in range(2))
+    spread = simulator.residual(some.y, np.broadcast_to(some.y[:1], some.y.shape)).std(axis=0)
+    differences = np.abs(np.nan_to_num(simulator.residual(again, first))) / np.where(spread > 0, spread, 1.0)
+    if differences.max() > SAME:
+        row, channel = np.unravel_index(np.argmax(differences), differences.shape)
+        raise ValueError(
+            f"The simulation is not the same when it is asked again: {simulator.residual_names[channel]} in row {row} "
+            f"differs by {differences[row, channel]:.2g} of its spread. Effects are told by how predictions change, so "
+            "these must depend on the rows and the effects alone: seed what is random anew in each call, and keep "
+            "nothing from one call to the next."
+        )
 
 
 def _constant(simulator, log, hidden):
@@ -229,14 +249,10 @@ def _shares_of_spread(simulator, y, predicted):
 
 def _differenced(simulator, log, hidden):
     """Name velocities that were not measured but are differences of the log's positions."""
-    names, half = simulator.residual_names, len(simulator.residual_names) // 2
     pairs = [
         (simulator.state_names.index(position), simulator.state_names.index(velocity))
-        for position, velocity in zip(names[:half], names[half:])
-        if position.startswith("qpos.")
-        and velocity.startswith("qvel.")
-        and {position, velocity} <= set(simulator.state_names)
-        and not {position, velocity} & set(hidden)
+        for position, velocity in _motions(simulator)
+        if not {position, velocity} & set(hidden)
     ]
     some = log.rows(np.arange(min(len(log), ROWS_TRIED)))
     follows = np.flatnonzero(np.diff(some.episodes) == 0)
@@ -267,6 +283,23 @@ def _differenced(simulator, log, hidden):
                 "of these channels, that the robot does not have. Log velocities that were measured, or name these in "
                 "hidden=."
             )
+
+
+def _motions(simulator):
+    """Return the pairs of state channels (position, velocity) of which the second may be the rate of the first.
+
+    MuJoCo's names tell; others pair wherever units do not speak against it.
+    """
+    states, units = simulator.state_names, simulator.units
+    names, half = simulator.residual_names, len(simulator.residual_names) // 2
+    if all(name.startswith(("qpos.", "qvel.")) for name in names):
+        pairs = zip(names[:half], names[half:])
+        return [pair for pair in pairs if set(pair) <= set(states) and pair[1].startswith("qvel.")]
+    return [
+        (one, other)
+        for one, other in permutations(states, 2)
+        if not {one, other} <= set(units) or units[other] == f"{units[one]}/s"
+    ]
 
 
 def _finite(follows, *simulated):

@@ -197,6 +197,47 @@ def test_velocities_that_are_differences_of_noisy_positions_are_noticed(simulato
         )
 
 
+def test_simulation_that_is_random_is_refused():
+    rng = np.random.default_rng(0)
+    names = {"input_names": ("u",), "output_names": ("y",)}
+    X = rng.normal(size=(40, 1))
+    for size, accepted in ((1e-9, True), (1e-3, False)):
+        random = FunctionSimulator(lambda X, size=size: X + size * rng.normal(size=X.shape), **names)
+        log = check_log(random, X, X[:, 0], None)
+        if accepted:
+            warn_of_doubts(random, log)
+        else:
+            with pytest.raises(ValueError, match=r"not the same when it is asked again: y in row \d+"):
+                warn_of_doubts(random, log)
+
+
+@pytest.mark.parametrize(("unit", "noticed"), [("rad/s", True), (None, True), ("m/s", False)])
+def test_velocities_that_are_differences_are_noticed_by_units_or_whatever_they_are_called(unit, noticed):
+    def turn(X):
+        return np.c_[X[:, 0] + 0.1 * X[:, 1] + 0.005 * X[:, 2], X[:, 1] + 0.1 * X[:, 2]]
+
+    rig = FunctionSimulator(
+        turn,
+        input_names=("angle", "speed", "torque"),
+        output_names=("angle", "speed"),
+        state_names=("angle", "speed"),
+        units={"angle": "rad", "speed": unit} if unit else {},
+        dt=0.1,
+    )
+    rng = np.random.default_rng(0)
+    torque = rng.normal(size=(60, 1))
+    states = np.zeros((61, 2))
+    for k in range(60):
+        states[k + 1] = turn(np.c_[states[k : k + 1], torque[k : k + 1]])[0]
+    angle = states[:, 0] + 0.01 * rng.normal(size=61)
+    measured = np.c_[angle, np.gradient(angle, 0.1)]
+    log = check_log(rig, np.c_[measured[:-1], torque], measured[1:], np.zeros(60))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        warn_of_doubts(rig, log)
+    assert any("speed is no measurement of velocity" in str(one.message) for one in caught) == noticed
+
+
 def test_velocity_of_what_rests_higher_than_in_the_simulation_is_one():
     simulator = MujocoSimulator(
         """<mujoco><worldbody><geom type="plane" size="1 1 .1"/><body pos="0 0 .1">
