@@ -409,6 +409,23 @@ def test_one_shot_simulation_without_an_error_is_left_alone(throw):
     assert sum(verdict != "nothing detected" for verdict in verdicts) <= 2
 
 
+@pytest.mark.parametrize("unit", [1.0, 1e3, 1e-6])
+def test_bias_of_a_sensor_is_named_in_any_unit(unit):
+    rng = np.random.default_rng(0)
+    X = rng.uniform(0.2, 1.0, (80, 2))
+    measured = unit * (600 * X[:, 0] ** 1.8 + 200 * X[:, 1] + 5 + 1.5 * rng.normal(size=80))
+    pipe = FunctionSimulator(
+        lambda X, rough, head: unit * (600 * rough * X[:, :1] ** 1.8 + 200 * head * X[:, 1:]),
+        input_names=("flow", "level"),
+        output_names=("dp",),
+        effects=[Effect(name, unit="1", neutral=1.0, bounds=(0.5, 3.0)) for name in ("rough", "head")],
+    )
+    diagnosis = SimulationDiagnosis(pipe, random_state=0).fit(X, measured)
+    assert [cause.name for cause in diagnosis.causes_] == ["bias[dp]"]
+    low, high = diagnosis.causes_[0].interval
+    assert low < 5 * unit < high
+
+
 def test_what_is_no_simulator_and_noise_that_is_no_list_are_refused(simulator):
     X, y, groups, _ = measure(3)
     with pytest.raises(
