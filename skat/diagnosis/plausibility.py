@@ -6,6 +6,7 @@ from itertools import permutations
 import numpy as np
 
 from skat.diagnosis.log import measured_channels
+from skat.simulators.base import HALF_TURNS
 
 # Share of an actuator's commands beyond its range that is worth a warning.
 CLIPPED_SHARE = 0.01
@@ -182,16 +183,17 @@ def _degrees(simulator, log, hidden):
 
 def _wrapped(simulator, log, hidden):
     """Name angles that jump by a full turn where the simulation turns on."""
-    for name in simulator.angle_names:
-        if simulator.units.get(name) != "rad" or name in hidden:
+    for name in simulator.state_names:
+        half = HALF_TURNS.get(simulator.units.get(name, ""))
+        if half is None or name in hidden:
             continue
         before, after = simulator.input_names.index(name), simulator.output_names.index(name)
-        jumps = np.flatnonzero(np.abs(log.y[:, after] - log.X[:, before]) > np.pi)
+        jumps = np.flatnonzero(np.abs(log.y[:, after] - log.X[:, before]) > half)
         if not len(jumps):
             continue
         some = log.rows(jumps)
         predicted = simulator.predict_many(some.X, [{}], groups=some.groups)[0][:, after]
-        count = int(np.sum(np.abs(some.y[:, after] - predicted) > np.pi))
+        count = int(np.sum(np.abs(some.y[:, after] - predicted) > half))
         if count:
             yield (
                 f"{name} jumps by about a full turn in {count} of {len(log)} rows, where the simulation turns on: an "

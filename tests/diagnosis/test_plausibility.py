@@ -138,6 +138,22 @@ def test_angle_that_starts_anew_at_a_full_turn_is_noticed(simulator):
         warn_of_doubts(simulator, check_log(simulator, X, states[1:], np.zeros(60)))
 
 
+def test_heading_in_degrees_that_starts_anew_is_noticed():
+    names = ("heading", "rate")
+    vessel = FunctionSimulator(
+        lambda X: X @ [[1.0, 0.0], [0.1, 1.0]],
+        input_names=names,
+        output_names=names,
+        state_names=names,
+        units={"heading": "deg", "rate": "deg/s"},
+        dt=0.1,
+    )
+    states = vessel.rollout([[0.0, 100.0]], n_steps=60)[0]
+    states[:, 0] = (states[:, 0] + 180) % 360 - 180
+    with pytest.warns(UserWarning, match="heading jumps by about a full turn in 2 of 60 rows"):
+        warn_of_doubts(vessel, check_log(vessel, states[:-1], states[1:], np.zeros(60)))
+
+
 def test_simulation_without_a_time_step_is_not_asked_for_rates():
     names = ("qpos.z", "qvel.z")
     falling = FunctionSimulator(
