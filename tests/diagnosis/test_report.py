@@ -7,6 +7,7 @@ import warnings
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import matplotlib
@@ -22,7 +23,13 @@ from skat.diagnosis.omnibus import Remainder
 from skat.diagnosis.report import Report
 from skat.diagnosis.report.page import _rows
 from skat.diagnosis.report.pictures import typical_and_worst
-from skat.diagnosis.report.sentences import capital, cause_sentence, gain_sentence, verdict_sentences
+from skat.diagnosis.report.sentences import (
+    capital,
+    cause_sentence,
+    cautions,
+    gain_sentence,
+    verdict_sentences,
+)
 from skat.effects import Effect
 from skat.simulators import FunctionSimulator
 
@@ -343,6 +350,22 @@ def test_a_caution_is_said_where_so_many_causes_stand_together(n_causes):
         Page(report.html(figures=False)).text,
     ):
         assert text.count(caution) == (n_causes > 3)
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (["mass[arm]"], []),
+        (["bias[angle]", "scale[rate]"], []),
+        (["mass[arm]", "bias[angle]"], ["bias[angle] beside another cause"]),
+        (["delay[action]"], ["A filter that delays the velocities"]),
+    ],
+)
+def test_what_a_cause_may_stand_for_is_said(names, said):
+    causes = [SimpleNamespace(name=name, family=name.partition("[")[0]) for name in names]
+    found = cautions(causes)
+    assert len(found) == len(said)
+    assert all(text.startswith(start) for text, start in zip(found, said))
 
 
 def test_repr_is_the_text_and_a_notebook_shows_the_page_without_pictures():

@@ -5,6 +5,7 @@ import numpy as np
 from skat.diagnosis.comparison import ceiling_sentence, is_beaten
 from skat.diagnosis.omnibus import is_structured
 from skat.rounding import interval_text, size_text
+from skat.simulators.base import is_sensor
 
 # An error of less than so many times the floor says little of a share of its excess.
 NEAR_FLOOR = 2.0
@@ -54,7 +55,7 @@ def verdict_sentences(diagnosis, comparisons):
             sentences.insert(
                 1,
                 f"{name} = {size} would explain a part of it, but is not named: it does not do so throughout the log, "
-                "or predicts single steps no better.",
+                "or predicts single steps worse.",
             )
     return sentences + [
         ceiling_sentence(errors) for errors in comparisons if unexplained or is_beaten(errors)
@@ -63,9 +64,20 @@ def verdict_sentences(diagnosis, comparisons):
 
 def cautions(causes):
     """Return the sentences of caution about causes, a list."""
-    if len(causes) < MANY_CAUSES:
-        return []
-    return ["So many causes together may stand for one that is not in the list."]
+    sentences = []
+    if len(causes) >= MANY_CAUSES:
+        sentences.append("So many causes together may stand for one that is not in the list.")
+    sensors = [cause.name for cause in causes if is_sensor(cause.name)]
+    if sensors and len(sensors) < len(causes):
+        sentences.append(
+            f"{_listed(sensors)} beside another cause may stand for something that is not in the list: check what the "
+            "sensor reads where the true value is known."
+        )
+    if any(cause.family == "delay" for cause in causes):
+        sentences.append(
+            "A filter that delays the velocities measured looks like a delay of the commands: rule it out."
+        )
+    return sentences
 
 
 def gain_sentence(diagnosis, gain):
