@@ -1,7 +1,6 @@
 """SimulationDiagnosis: what a user meets."""
 
 import warnings
-from dataclasses import replace
 
 import numpy as np
 from scipy import stats
@@ -22,7 +21,6 @@ from skat.diagnosis.trajectories import TrajectoryResiduals
 from skat.diagnosis.transitions import TransitionResiduals
 from skat.effects import Effect, unknown_name_message
 from skat.simulators import Simulator
-from skat.simulators.base import UNBOUNDED
 
 # Squared one-step errors in noise units up to which heavy tails and rounding of the noise are taken to be the cause.
 CLEAN_EXCESS = 1.3
@@ -148,6 +146,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         """
         progress = progress or _silent
         self._check_parameters()
+        effects = self._chosen_effects()
         random_state = check_random_state(self.random_state)
         hidden = self._checked_hidden()
         if hidden and groups is None:
@@ -156,7 +155,6 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         warn_of_doubts(self.simulator, log, hidden)
         self.n_features_in_ = log.X.shape[1]
         fitted, held_out = log.split(self.test_size, random_state)
-        effects = self._chosen_effects(log)
         residuals = self._residuals(fitted, effects, self._given_deviations())
         names = [effect.name for effect in effects]
         selected = Selection(
@@ -331,8 +329,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         if not (isinstance(self.max_effects, int | np.integer) and self.max_effects >= 1):
             raise ValueError(f"max_effects must be a whole number of at least 1; it is {self.max_effects!r}.")
 
-    def _chosen_effects(self, log):
-        known = {effect.name: _bounded(effect, self.simulator, log) for effect in self.simulator.effects()}
+    def _chosen_effects(self):
+        known = {effect.name: effect for effect in self.simulator.effects()}
         if isinstance(self.effects, str) and self.effects == "all":
             return [effect for effect in known.values() if not self._senses_hidden(effect)]
         named = [self.effects] if isinstance(self.effects, str | Effect) else list(self.effects)
@@ -395,7 +393,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         return kind(self.simulator, log, effects, deviations, n_jobs=self.n_jobs)
 
     def _differentiated(self, log):
-        residuals = self._residuals(log, self._chosen_effects(log), self.noise_)
+        residuals = self._residuals(log, self._chosen_effects(), self.noise_)
         residuals.differentiate(self._values)
         return residuals
 
@@ -451,15 +449,6 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
                 np.min(np.abs(np.subtract(effect.bounds, value))) < AT_BOUND * np.ptp(effect.bounds)
             ),
         )
-
-
-def _bounded(effect, simulator, log):
-    """Return an effect; the bias of a sensor that has no bounds gets those of ten times what it read at most."""
-    if effect.family != "bias" or np.ptp(effect.bounds) < UNBOUNDED:
-        return effect
-    read = np.nan_to_num(log.y[:, simulator.output_names.index(effect.target)])
-    reach = 10 * float(np.abs(read).max()) or 1.0
-    return replace(effect, bounds=(-reach, reach))
 
 
 def _warn_of_diverged(count, n_rows):

@@ -95,7 +95,7 @@ def preflight(diagnosis, X, groups):
     if deviations is None:
         spread = simulator.residual(y, np.broadcast_to(y[:1], y.shape)).std(axis=0)
         deviations = COMMON_NOISE * np.where(spread > 0, spread, 1.0)
-    effects = diagnosis._chosen_effects(log)
+    effects = diagnosis._chosen_effects()
     residuals = diagnosis._residuals(log, effects, deviations)
     names = [effect.name for effect in effects]
     residuals.settle({})

@@ -5,7 +5,7 @@ measured (`TransitionResiduals`, in `transitions.py`), and episodes of which onl
 (`TrajectoryResiduals`, in `trajectories.py`). The rest of the diagnosis knows only whitened residuals and derivatives.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import joblib
@@ -14,6 +14,7 @@ from scipy import stats
 
 from skat.diagnosis.slopes import LEAST_CHANGE, Slopes
 from skat.diagnosis.whitening import estimate_variances
+from skat.simulators.base import UNBOUNDED
 
 # Where few rows stand for a log, so many follow each other: an action may act on the row after.
 ROWS_OF_RUN = 3
@@ -66,7 +67,7 @@ class Residuals:
 
     def __init__(self, simulator, log, effects, deviations=None, *, n_jobs=None):
         self.simulator, self.log, self.n_jobs = simulator, log, n_jobs
-        self.effects = {effect.name: effect for effect in effects}
+        self.effects = {effect.name: _bounded(effect, simulator, log) for effect in effects}
         self.blocks = log.blocks()
         self.given_variances = None if deviations is None else np.asarray(deviations, dtype=float) ** 2
         self.points = log.X
@@ -79,7 +80,7 @@ class Residuals:
         self.variances: Any = self.given_variances
         self.regressors = np.zeros((len(log), self.n_channels, 0))
         self.forces = simulator.joint_forces()
-        self.slopes = Slopes([*effects, *(force for force, _ in self.forces)])
+        self.slopes = Slopes([*self.effects.values(), *(force for force, _ in self.forces)])
         self.n_simulated_rows = 0
         # Predictions of models at the points, which a search asks for again and again.
         self.predicted_at, self.predicted = self.points, {}
@@ -432,6 +433,15 @@ class Residuals:
     def residual_variances(self):
         """Return the variance of each raw residual under a right model, to first order: by row, or one row for all."""
         return self.variances
+
+
+def _bounded(effect, simulator, log):
+    """Return an effect; the bias of a sensor that has no bounds gets those of ten times what it read at most."""
+    if effect.family != "bias" or np.ptp(effect.bounds) < UNBOUNDED:
+        return effect
+    read = np.nan_to_num(log.y[:, simulator.output_names.index(effect.target)])
+    reach = 10 * float(np.abs(read).max()) or 1.0
+    return replace(effect, bounds=(-reach, reach))
 
 
 def largest_of_noise(n_channels):
