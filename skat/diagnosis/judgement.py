@@ -11,6 +11,8 @@ FEWEST_EPISODES = 8
 # Or blocks lose at most this share of what others gain, and no block has more than that share of the gain.
 LOST_SHARE = 0.1
 LARGEST_BLOCK_SHARE = 0.7
+# A model predicts worse than another where its errors are larger by so many standard errors.
+WORSE = 2.0
 
 
 class Judgement:
@@ -56,20 +58,29 @@ class Judgement:
         return float(2 * stats.t.sf(abs(statistic[0]), freedom[0]))
 
     def predicts(self, values, less):
-        """Whether a model predicts the next states better than one with less, from the states as they were measured.
+        """Whether a model predicts the next states no worse than one with less, from the states as they were measured.
 
         The loss is of states smoothed by the model with the noise that it leaves. A channel in which something else
-        is missed passes for noisy there, and may then be given any scale.
+        is missed passes for noisy there, and may then be given any scale. Where single steps are mostly noise, the
+        measured states say little, and only what they plainly speak against is refused.
         """
-        present, without = self.residuals.log_errors([values, less]).sum(axis=1)
-        return present < without
+        return self._worsening([values, less])[0] < WORSE
 
     def misleading(self, values):
-        """Return the effect of a model without which it predicts best, and as well as with it; None if none is."""
+        """Return the effect with which a model predicts plainly worse than without it, the most; None if none is."""
         models = {name: {other: values[other] for other in values if other != name} for name in values}
-        present, *without = self.residuals.log_errors([values, *models.values()]).sum(axis=1)
-        best = int(np.argmin(without))
-        return list(models)[best] if without[best] <= present else None
+        worsening = self._worsening([values, *models.values()])
+        worst = int(np.argmax(worsening))
+        return list(models)[worst] if worsening[worst] >= WORSE else None
+
+    def _worsening(self, models):
+        """Return by how much the first of models predicts worse than each of the others, in standard errors."""
+        errors = self.residuals.log_errors(models)
+        blocks = self.residuals.blocks[self.residuals.present]
+        starts = np.flatnonzero(np.r_[True, np.diff(blocks) > 0])
+        worse = np.add.reduceat(errors[:1] - errors[1:], starts, axis=1)
+        spread = np.sqrt(np.sum(worse**2, axis=1))
+        return worse.sum(axis=1) / np.maximum(spread, 1e-150)
 
     def improves(self, fit, losses):
         """Whether the loss falls throughout: in episodes (blocks, where they are few), or wherever it moves at all.

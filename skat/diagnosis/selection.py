@@ -40,7 +40,7 @@ MOST_JUMPS = 3
 
 @dataclass(frozen=True)
 class Refused:
-    """An effect that is significant beside a model, but does not improve it throughout the log, or predicts no better.
+    """An effect that is significant beside a model, but does not improve it throughout the log, or predicts worse.
 
     Attributes
     ----------
@@ -380,6 +380,7 @@ class Selection:
                 worst = self.judgement.misleading(values)
                 if worst is None:
                     break
+                self.refused = Refused(worst, values[worst], float(losses.sum()))
             kept = {name: value for name, value in values.items() if name != worst}
             without = self.refits.fit([kept])[0]
             p_value = family_p_value(fall_p_value(without.losses, losses), len(self.names))
