@@ -35,14 +35,16 @@ class Anatomy:
 
     @cached_property
     def moving(self) -> list[int]:
-        """Bodies that can move."""
-        return [body for body in range(1, self.model.nbody) if self.model.body_weldid[body] != 0]
+        """Bodies that can move. A mocap body is put where it is."""
+        return [body for body in range(1, self.model.nbody) if self._moves(body)]
+
+    def _moves(self, body: int) -> bool:
+        return bool(self.model.body_dofnum[self.model.body_weldid[body]])
 
     @cached_property
     def roots(self) -> list[int]:
-        """Moving bodies that hang on the world."""
-        model = self.model
-        return [body for body in self.moving if model.body_weldid[model.body_parentid[body]] == 0]
+        """Moving bodies that hang on one that does not."""
+        return [body for body in self.moving if not self._moves(int(self.model.body_parentid[body]))]
 
     @cached_property
     def root(self) -> int:
@@ -206,10 +208,21 @@ class Anatomy:
                 force[dof] = max(force[dof], self._capacity(actuator))
         return force
 
+    def is_off(self, flag: str) -> bool:
+        """Whether the model disables a part of MuJoCo's pipeline, by the name of its flag."""
+        return bool(
+            self.model.opt.disableflags & int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag.upper()}"))
+        )
+
+    @property
+    def damps_explicitly(self) -> bool:
+        """Whether Euler's integrator is told to treat the damping of joints as it does what actuators do."""
+        return int(self.model.opt.integrator) == EULER and self.is_off("eulerdamp")
+
     @cached_property
     def stable_rate(self) -> Array:
         """Largest damping that the integrator bears on each degree of freedom, force per velocity."""
-        if int(self.model.opt.integrator) != EXPLICIT_INTEGRATOR:
+        if not self.damps_explicitly and int(self.model.opt.integrator) != EXPLICIT_INTEGRATOR:
             return np.full(self.model.nv, np.inf)
         return 1 / (self.model.opt.timestep * np.maximum(self.model.dof_invweight0, 1e-9))
 

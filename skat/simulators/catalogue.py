@@ -91,7 +91,7 @@ def effect_listing(anatomy: Anatomy, frame_skip: int) -> Listing:
             effects.append(effect)
             if not listed:
                 unlisted.append(effect.name)
-    if model.nu:
+    if _acting(anatomy):
         dt = frame_skip * model.opt.timestep
         bounds = (0.0, MAX_DELAY_IN_TRANSITIONS * dt)
         effects.append(
@@ -218,10 +218,10 @@ def _shift_matters(anatomy: Anatomy, body: int, axis: int) -> bool:
 
 def _gravity_effects(anatomy: Anatomy) -> Found:
     model = anatomy.model
-    off = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
-    if off or not np.any(model.opt.gravity) or not anatomy.moving:
+    if anatomy.is_off("gravity") or not np.any(model.opt.gravity) or not anatomy.moving:
         return
-    yield _factor("gravity", 0.0, 3.0, edits.scale_gravity), True
+    falls = any((anatomy.reach[body] * model.opt.gravity).any() for body in anatomy.moving)
+    yield _factor("gravity", 0.0, 3.0, edits.scale_gravity), falls
     for axis in range(2):
         if any(anatomy.reach[body][axis] for body in anatomy.moving):
             edit = partial(edits.tilt_gravity, axis)
@@ -260,6 +260,8 @@ def _joint_effects(anatomy: Anatomy) -> Found:
                 kind == BALL and family == "position_friction"
             ):
                 continue
+            if _is_off(anatomy, family):
+                continue
             yield (
                 Effect(
                     f"{family}[{joint_name(anatomy.model, joint)}]",
@@ -275,7 +277,7 @@ def _joint_effects(anatomy: Anatomy) -> Found:
         together = [
             joint for joint in inner or joints if family == "damping" or anatomy.joint_kind(joint) != FREE
         ]
-        if together and edit:
+        if together and edit and not _is_off(anatomy, family):
             lows, highs = zip(*(bounds[joint][family] for joint in together))
             effect = Effect(
                 f"{family}[all]",
@@ -313,15 +315,20 @@ def _joint_bounds(anatomy: Anatomy, joint: int) -> dict[str, tuple[float, float]
     most_friction = _most_friction(force, friction)
     return {
         "damping": _damping_bounds(damping, inertia, stable),
-        "dry_friction": (0.0 - friction, most_friction),
+        "dry_friction": (_taken_off(friction), most_friction),
         "position_friction": (0.0, most_friction),
-        "armature": (0.0 - 0.95 * armature, 10 * inertia),  # a light link may not be stable without any
+        "armature": (_taken_off(0.95 * armature), 10 * inertia),  # a light link may not be stable without any
         "stiffness": _stiffness_bounds(stiffness, force, stable_spring),
     }
 
 
 def _damping_bounds(damping: float, inertia: float, stable: float) -> tuple[float, float]:
-    return 0.0 - damping, min(100 * max(damping, inertia), max(stable - damping, 0.1 * stable))
+    return _taken_off(damping), min(100 * max(damping, inertia), max(stable - damping, 0.1 * stable))
+
+
+def _taken_off(value: float) -> float:
+    """Return the lower bound of what is added to a value; one below zero, as of an over-centre spring, stays."""
+    return min(0.0, -value)
 
 
 def _most_friction(force: float, friction: float) -> float:
@@ -329,7 +336,7 @@ def _most_friction(force: float, friction: float) -> float:
 
 
 def _stiffness_bounds(stiffness: float, force: float, stable: float) -> tuple[float, float]:
-    return 0.0 - stiffness, min(max(10 * force, 10 * stiffness), stable)
+    return _taken_off(stiffness), min(max(10 * force, 10 * stiffness), stable)
 
 
 def _tendon_effects(anatomy: Anatomy) -> Found:
@@ -339,6 +346,8 @@ def _tendon_effects(anatomy: Anatomy) -> Found:
             continue
         bounds = _tendon_bounds(anatomy, tendon)
         for family, (unit, edit) in TENDON_EDITS.items():
+            if _is_off(anatomy, family):
+                continue
             name = f"{family}[{tendon_name(model, tendon)}]"
             effect = Effect(name, unit=unit, neutral=0.0, bounds=bounds[family], apply=partial(edit, tendon))
             yield effect, not _is_of_one_joint(model, tendon)
@@ -356,7 +365,7 @@ def _tendon_bounds(anatomy: Anatomy, tendon: int) -> dict[str, tuple[float, floa
     stable = 1 / (model.opt.timestep * mobility)
     return {
         "tendon_damping": _damping_bounds(damping, 1 / mobility, stable),
-        "tendon_dry_friction": (0.0 - friction, _most_friction(force, friction)),
+        "tendon_dry_friction": (_taken_off(friction), _most_friction(force, friction)),
         "tendon_stiffness": _stiffness_bounds(
             stiffness, force / max(reach, 1e-9), stable / model.opt.timestep
         ),
@@ -369,18 +378,42 @@ def _is_of_one_joint(model: mujoco.MjModel, tendon: int) -> bool:
     return bool(model.tendon_num[tendon] == 1 and model.wrap_type[first] == FIXED_TENDON)
 
 
+def _is_off(anatomy: Anatomy, family: str) -> bool:
+    """Whether the model disables what an effect on joints or tendons acts through."""
+    flags = {"stiffness": "spring", "damping": "damper", "friction": "frictionloss"}
+    return any(anatomy.is_off(flag) for kind, flag in flags.items() if family.endswith(kind))
+
+
+def _acting(anatomy: Anatomy) -> list[int]:
+    """Return the actuators that are not disabled."""
+    model = anatomy.model
+    if anatomy.is_off("actuation"):
+        return []
+    return [
+        index
+        for index in range(model.nu)
+        if not (
+            0 <= model.actuator_group[index] < 31
+            and model.opt.disableactuator >> model.actuator_group[index] & 1
+        )
+    ]
+
+
 def _actuator_effects(anatomy: Anatomy) -> Found:
     name = partial(actuator_name, anatomy.model)
     model = anatomy.model
-    # The parameters of muscles and of motors with an electrical side are lengths, speeds, resistances as well.
+    acting = _acting(anatomy)
+    # The parameters of muscles and of motors with an electrical side are lengths, speeds, resistances as well, those of
+    # a plugin are its own.
     simple = [
         index
-        for index in range(model.nu)
-        if int(model.actuator_gaintype[index]) in LINEAR_GAINS
+        for index in acting
+        if model.actuator_plugin[index] < 0
+        and int(model.actuator_gaintype[index]) in LINEAR_GAINS
         and int(model.actuator_biastype[index]) in LINEAR_BIASES
     ]
     yield from _each_and_all("gain", simple, name, (-3.0, 3.0), edits.scale_gain)
-    limited = [index for index in range(model.nu) if model.actuator_forcelimited[index]]
+    limited = [index for index in acting if model.actuator_forcelimited[index]]
     yield from _each_and_all("force_limit", limited, name, (0.02, 20.0), edits.scale_force_limit)
     # Without damping of its own, a servo's stiffness is all of its gain.
     damped = [
@@ -447,7 +480,8 @@ def _replaceable_damping(anatomy: Anatomy, actuator: int) -> float | None:
     if model.actuator_forcelimited[actuator]:
         return None
     if actuator in anatomy.joint_driven and anatomy.joint_kind(target) in (HINGE, SLIDE):
-        differs = model.jnt_actfrclimited[target] or int(model.opt.integrator) == EULER
+        euler = int(model.opt.integrator) == EULER and not anatomy.damps_explicitly
+        differs = model.jnt_actfrclimited[target] or euler
         return None if differs else float(model.dof_damping[model.jnt_dofadr[target]])
     if int(model.actuator_trntype[actuator]) == TENDON_TRANSMISSION:
         limited = model.tendon_actfrclimited[target] or model.jnt_actfrclimited.any()

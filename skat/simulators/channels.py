@@ -1,5 +1,6 @@
 """Names of the columns of a MuJoCo state, and differences and displacements in its tangent space."""
 
+from collections import Counter
 from dataclasses import dataclass
 
 import mujoco
@@ -136,6 +137,11 @@ def state_layout(model: mujoco.MjModel) -> StateLayout:
             moved.append(f"qpos.{name}")
     plain += [(len(position) + dof, len(moved) + dof) for dof in range(len(velocity))]
     columns = position + velocity
+    repeated = [name for name, count in Counter(name for name, _ in columns).items() if count > 1]
+    if repeated:
+        raise ValueError(
+            f"two columns of the state would be called {repeated[0]}: give one of the joints another name"
+        )
     return StateLayout(
         names=tuple(name for name, _ in columns),
         tangent_names=(*moved, *(name for name, _ in velocity)),

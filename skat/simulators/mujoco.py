@@ -190,13 +190,18 @@ class MujocoSimulator(Simulator):
         moved[..., :n_states] = self._layout.displaced(states, tangent)
         return moved
 
+    def _reads_delayed(self, spec: mujoco.MjSpec, delay: float, values: Mapping[str, float]) -> bool:
+        """Whether MuJoCo delays controls as this simulator does: between time steps, by one of them at least."""
+        step = float(self._nominal.opt.timestep) * max(1.0, values.get("timestep", 1.0))
+        return int(spec.option.integrator) != EXPLICIT_INTEGRATOR and delay >= step
+
     def to_mjcf(self, path: str | PathLike, *, force: bool = False) -> tuple[Path, ...]:
         """Write the model, with the effects that are built in, for any user of MuJoCo.
 
         Numbers are written with all digits: plain MuJoCo predicts what this simulator predicts. What MJCF
         cannot express (wind, drag on bodies that turn, friction that grows with the position, forces on joints,
-        sensors, and a delay under the Runge-Kutta integrator, which reads delayed controls between time steps)
-        is written beside it, into ``<name>.effects.json``.
+        sensors, a delay shorter than a time step, and any under the Runge-Kutta integrator, which reads delayed
+        controls between time steps) is written beside it, into ``<name>.effects.json``.
 
         Parameters
         ----------
@@ -225,7 +230,7 @@ class MujocoSimulator(Simulator):
         for effect in self._edit_order(values):
             value = values[effect.name]
             fits = effect.family != "timestep" or len(self._substeps(values)) == 1
-            fits &= effect.family != "delay" or int(spec.option.integrator) != EXPLICIT_INTEGRATOR
+            fits &= effect.family != "delay" or self._reads_delayed(spec, value, values)
             if effect.apply is None or not fits:
                 beside[effect.name] = value
             else:
