@@ -536,10 +536,12 @@ def _contact_effects(anatomy: Anatomy) -> Found:
         if pair.name not in names:
             edit = partial(contacts.scale_friction, (pair,))
             yield _factor(f"contact_friction[{pair.name}]", 0.01, 20.0, edit), True
-    if rough:
+    soft = contacts.flex_condims(model)
+    if rough or any(condim > 1 for condim in soft):
         yield _factor("contact_friction[all]", 0.01, 20.0, contacts.scale_all_friction), True
+    if rough:
         yield from _each_pair_and_all("contact_anisotropy", rough, (0.05, 20.0), contacts.set_anisotropy)
-    if pairs:
+    if pairs or soft:
         for effect, listed in _each_pair_and_all(
             "restitution", pairs, (0.05, 5.0), contacts.scale_damping_ratio
         ):

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from skat.simulators.channels import element_name
 
@@ -62,8 +63,34 @@ def contact_pairs(model: mujoco.MjModel) -> tuple[ContactPair, ...]:
         for second in range(first + 1, model.ngeom):
             if frozenset((first, second)) not in explicit and _may_touch(model, first, second, excluded):
                 name = f"{geom_name(model, first)}/{geom_name(model, second)}"
-                pairs.append(ContactPair(first, second, False, name, _mixed_condim(model, first, second) > 1))
+                both = [first, second]
+                condim = _mixed_condim(model.geom_condim[both], model.geom_priority[both])
+                pairs.append(ContactPair(first, second, False, name, condim > 1))
     return tuple(pairs)
+
+
+def flex_condims(model: mujoco.MjModel) -> tuple[int, ...]:
+    """Return the number of dimensions of each contact that flexes can have: with geoms, each other and themselves.
+
+    No pair of geoms stands for these: what is multiplied in all contacts is multiplied in them too.
+    """
+    if model.opt.disableflags & DISABLE_CONTACT:
+        return ()
+    types, affinities, condims, priorities = (
+        np.concatenate([getattr(model, f"geom_{name}"), getattr(model, f"flex_{name}")])
+        for name in ("contype", "conaffinity", "condim", "priority")
+    )
+    # Where a passive flex meets these, the force is no contact's.
+    fixed = np.concatenate([model.body_weldid[model.geom_bodyid] == 0, np.ones(model.nflex, bool)])
+    found = []
+    for flex in range(model.nflex):
+        first = model.ngeom + flex
+        for second in range(first + 1):
+            alone = second == first and (model.flex_rigid[flex] or not model.flex_selfcollide[flex])
+            meet = types[first] & affinities[second] or types[second] & affinities[first]
+            if meet and not alone and not (model.flex_passive[flex] and fixed[second]):
+                found.append(_mixed_condim(condims[[first, second]], priorities[[first, second]]))
+    return tuple(found)
 
 
 def scale_friction(pairs: tuple[ContactPair, ...], spec: mujoco.MjSpec, factor: float) -> None:
@@ -74,9 +101,9 @@ def scale_friction(pairs: tuple[ContactPair, ...], spec: mujoco.MjSpec, factor: 
 
 
 def scale_all_friction(spec: mujoco.MjSpec, factor: float) -> None:
-    """Multiply the sliding friction of every contact; MuJoCo takes the larger of two geoms' coefficients."""
-    for geom in spec.geoms:
-        geom.friction[0] = geom.friction[0] * factor
+    """Multiply the sliding friction of every contact; MuJoCo takes the larger of two coefficients."""
+    for element in [*spec.geoms, *spec.flexes]:
+        element.friction[0] = element.friction[0] * factor
     for pair in spec.pairs:
         pair.friction[:2] = pair.friction[:2] * factor
 
@@ -97,12 +124,14 @@ def scale_damping_ratio(pairs: tuple[ContactPair, ...], spec: mujoco.MjSpec, fac
 
 def scale_all_damping_ratios(spec: mujoco.MjSpec, factor: float) -> None:
     """Multiply the damping ratio of every contact; averages and minima of solref keep the factor."""
-    for element in [*spec.geoms, *spec.pairs]:
+    for element in [*spec.geoms, *spec.flexes, *spec.pairs]:
         element.solref[1] = element.solref[1] * factor
 
 
 def explicit_pair(spec: mujoco.MjSpec, pair: ContactPair) -> mujoco.MjsPair:
     """Return the explicit pair of two geoms; if there is none, add it with the parameters MuJoCo would infer.
+
+    All are given: what is not comes from the model's default pair, which an inferred contact does not heed.
 
     Source: MuJoCo documentation, Modeling, "Contact parameters".
     """
@@ -126,9 +155,11 @@ def explicit_pair(spec: mujoco.MjSpec, pair: ContactPair) -> mujoco.MjsPair:
         condim=max(geom.condim for geom in leading),
         friction=friction[[0, 0, 1, 2, 2]],
         solref=solrefs.min(axis=0) if direct else weights @ solrefs,
+        solreffriction=np.zeros(2),  # that of the normal direction
         solimp=weights @ np.array([geom.solimp for geom in leading]),
         margin=first.margin + second.margin,
         gap=first.gap + second.gap,
+        adhesion=sum(geom.adhesion for geom in leading),
     )
 
 
@@ -139,10 +170,8 @@ def _free_name(spec: mujoco.MjSpec, name: str) -> str:
     return name
 
 
-def _mixed_condim(model: mujoco.MjModel, first: int, second: int) -> int:
-    if model.geom_priority[first] != model.geom_priority[second]:
-        return int(model.geom_condim[max((first, second), key=lambda geom: model.geom_priority[geom])])
-    return int(max(model.geom_condim[first], model.geom_condim[second]))
+def _mixed_condim(condims: NDArray[np.int32], priorities: NDArray[np.int32]) -> int:
+    return int(condims[priorities == priorities.max()].max())
 
 
 def _may_touch(model: mujoco.MjModel, first: int, second: int, excluded: set[int]) -> bool:
