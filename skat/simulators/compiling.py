@@ -4,6 +4,7 @@ import warnings
 
 import mujoco
 
+from skat.simulators.channels import element_name
 from skat.simulators.derived import write_down
 from skat.simulators.source import ModelSource, broken_model
 
@@ -21,6 +22,8 @@ def lean_spec(source: ModelSource) -> mujoco.MjSpec:
         light.texture = ""
     for element in [*spec.materials, *spec.textures, *spec.skins]:
         spec.delete(element)
+    for sensor in spec.sensors:  # what a sensor remembers acts on nothing
+        sensor.nsample, sensor.delay, sensor.interval = 0, 0, [0, 0]
     spec.compiler.fusestatic = spec.compiler.discardvisual = False  # effects mean elements by their place
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a diverged row must not restart
     spec.option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)  # sleeping needs memory between calls
@@ -40,7 +43,7 @@ def checked_model(spec: mujoco.MjSpec, frame_skip: int) -> mujoco.MjModel:
     Raises
     ------
     ValueError
-        If MuJoCo refuses the model, nothing can move, or there are other states.
+        If MuJoCo refuses the model, nothing can move, there are other states, or actuators of several controls.
     """
     if isinstance(frame_skip, bool) or int(frame_skip) != frame_skip or frame_skip < 1:
         raise ValueError(f"frame_skip must be a positive whole number of time steps; got {frame_skip!r}")
@@ -52,10 +55,18 @@ def checked_model(spec: mujoco.MjSpec, frame_skip: int) -> mujoco.MjModel:
         raise ValueError("the model has no joints: nothing in it can move, so there is no state to predict")
     hidden = {
         f"{model.na} actuator activations (dyntype other than 'none')": (model.na, "remove it"),
-        "delayed actuators or sensors (delay, nsample)": (
+        "delayed actuators (delay, nsample)": (
             model.nhistory,
             "take delay and nsample out of the MJCF, and build the delay in by "
             'MujocoSimulator(...).extended({"delay[action]": seconds})',
+        ),
+        "a plastic state (springyield, yield, or the twist of an elastic rod)": (
+            model.nplastic,
+            "take springyield and yield out of the MJCF, and elasticity out of rods with twist joints",
+        ),
+        "contacts with a memory (the flag ipc)": (
+            int(model.opt.enableflags) & int(mujoco.mjtEnableBit.mjENBL_IPC),
+            'take ipc="enable" out of the MJCF',
         ),
         "a plugin with a state": (model.npluginstate, "remove it"),
     }
@@ -63,5 +74,14 @@ def checked_model(spec: mujoco.MjSpec, frame_skip: int) -> mujoco.MjModel:
         if count:
             raise ValueError(
                 f"the model has {what}, a state that the rows [qpos, qvel, ctrl] do not hold: {advice}"
+            )
+    for actuator, n_controls in enumerate(model.actuator_ctrlnum):
+        if n_controls != 1:
+            name = element_name(model, mujoco.mjtObj.mjOBJ_ACTUATOR, actuator, "actuator")
+            raise ValueError(
+                f"actuator {name!r} takes {n_controls} controls; only actuators of "
+                f"one control are supported. Give each control an actuator of its own: <position>, <velocity> and "
+                f"<motor> on one joint for a pid with the inputs pos, vel and ff; a <motor> about each axis of the "
+                f"joint for an orientation"
             )
     return model

@@ -2,6 +2,8 @@
 
 import ctypes
 import json
+import os
+import posixpath
 import re
 import warnings
 from collections.abc import Iterator, Mapping
@@ -20,6 +22,8 @@ FULL_PRECISION = 17
 NOTES = ".effects.json"
 # What refers to files that no element of the parsed model names.
 ELSEWHERE = re.compile(r"<(include|attach|model|flexcomp[^>]*\sfile)\b")
+# MuJoCo's words for a file that it does not find.
+MISSING = re.compile(r"Error opening file '(.*?)'")
 
 
 @dataclass(frozen=True)
@@ -74,22 +78,22 @@ def read_source(model: Any) -> ModelSource:
 
 def _read(model: Any) -> ModelSource:
     if isinstance(model, mujoco.MjSpec):
-        return _source_of_spec(model.copy(), Path(model.modelfiledir or "."))
+        return _source_of_spec(model.copy())
     if not isinstance(model, str | PathLike):
         raise TypeError(f"model must be a path, MJCF text or a mujoco.MjSpec; got {type(model).__name__}")
     if isinstance(model, str) and "<" in model:
         spec = _parsed(lambda: mujoco.MjSpec.from_string(model), "the MJCF text")
-        return ModelSource(model) if _stands_alone(spec, model) else _source_of_spec(spec, Path("."))
+        return ModelSource(model) if _stands_alone(spec, model) else _source_of_spec(spec)
     path = Path(model)
-    _warn_of_notes(path.with_suffix(NOTES))
     if not path.is_file():
         raise FileNotFoundError(
-            f"there is no model file {str(path)!r} (looked in {Path.cwd()}); give the path of an MJCF "
+            f"there is no model file {str(model)!r} (looked in {Path.cwd()}); give the path of an MJCF "
             f"file, or MJCF text"
         )
+    _warn_of_notes(path.with_suffix(NOTES))
     spec = _parsed(lambda: mujoco.MjSpec.from_file(str(path)), f"the model {str(path)!r}")
     text = path.read_text(encoding="utf-8", errors="replace")
-    return ModelSource(text) if _stands_alone(spec, text) else _source_of_spec(spec, path.parent)
+    return ModelSource(text) if _stands_alone(spec, text) else _source_of_spec(spec)
 
 
 def _warn_of_notes(path: Path) -> None:
@@ -128,51 +132,99 @@ def _parsed(read: Any, what: str) -> mujoco.MjSpec:
 
 
 def _stands_alone(spec: mujoco.MjSpec, text: str) -> bool:
-    files = [*spec.meshes, *spec.hfields, *spec.textures, *spec.skins]
-    return "<mujoco" in text and not ELSEWHERE.search(text) and not any(_files_of(asset) for asset in files)
+    return "<mujoco" in text and not ELSEWHERE.search(text) and not any(map(_files_of, _assets_of(spec)))
+
+
+def _assets_of(spec: mujoco.MjSpec) -> list[Any]:
+    return [*spec.meshes, *spec.hfields, *spec.textures, *spec.skins]
 
 
 def _files_of(asset: Any) -> list[str]:
     return [name for name in [asset.file, *getattr(asset, "cubefiles", [])] if name]
 
 
-def _source_of_spec(spec: mujoco.MjSpec, folder: Path) -> ModelSource:
+def _source_of_spec(spec: mujoco.MjSpec) -> ModelSource:
     """Return the source with every file that the spec refers to under a name of its own."""
     assets: dict[str, bytes] = {}
-    given = dict(spec.assets)
-    kinds = ((spec.meshdir, spec.meshes), (spec.meshdir, spec.hfields), (spec.texturedir, spec.textures))
-    for subfolder, elements in (*kinds, (spec.meshdir, spec.skins)):
-        for asset in elements:
-            if asset.file:
-                file = Path(asset.file).name if spec.strippath else asset.file
-                asset.file = _stored(assets, given, folder, subfolder, file)
-            if any(getattr(asset, "cubefiles", [])):
-                asset.cubefiles = [
-                    name and _stored(assets, given, folder, subfolder, name) for name in asset.cubefiles
-                ]
+    given = {posixpath.normpath(name): content for name, content in spec.assets.items()}
+    paths, sides = _paths(spec), [_paths(spec, side) for side in range(6)]
+    for index, asset in enumerate(_assets_of(spec)):
+        if asset.file:
+            asset.file = _stored(assets, given, paths[index])
+        if any(getattr(asset, "cubefiles", [])):
+            asset.cubefiles = [
+                name and _stored(assets, given, sides[side][index])
+                for side, name in enumerate(asset.cubefiles)
+            ]
+    for texture in spec.textures:
+        texture.embed = mujoco.mjtEmbed.mjEMBED_AUTO  # MuJoCo refuses references to what is not on the disk
     spec.meshdir = spec.texturedir = ""
     spec.assets = assets
     return ModelSource(write_xml(spec), assets)
 
 
-def _stored(
-    assets: dict[str, bytes], given: Mapping[str, bytes], folder: Path, subfolder: str, name: str
-) -> str:
-    for key in (name, str(Path(subfolder) / name), Path(name).name):
-        if key in given:
-            content = given[key]
-            break
-    else:
-        path = folder / subfolder / name
-        if not path.is_file():
-            raise FileNotFoundError(f"the model refers to the file {name!r}, which is not at {str(path)!r}")
-        content = path.read_bytes()
+def _paths(spec: mujoco.MjSpec, side: int | None = None) -> list[str]:
+    """Return where the compiler finds the file of each asset, or of that side of each cube; nothing if none has one.
+
+    An attached model has folders of its own, which the spec does not tell and the compiled model does.
+    """
+    spec = spec.copy()
+    if side is None:
+        named = [asset for asset in _assets_of(spec) if asset.file]
+    else:  # of a cube, the compiled model tells one file only: this side's is made that one
+        named = [texture for texture in spec.textures if any(texture.cubefiles) and texture.cubefiles[side]]
+        for texture in named:
+            texture.file, texture.cubefiles = texture.cubefiles[side], [""] * 6
+    if not named:
+        return []
+    spec.compiler.discardvisual = False
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            model = spec.compile()
+    except ValueError as error:
+        missing = MISSING.search(str(error))
+        if missing is None:
+            raise broken_model("the model", error) from None
+        raise FileNotFoundError(
+            f"the model refers to the file {missing[1]!r}, which is not there. It is looked for from the folder of the "
+            f"MJCF file that names it; from {Path.cwd()}, if MJCF text names it"
+        ) from None
+    starts = (model.mesh_pathadr, model.hfield_pathadr, model.tex_pathadr, model.skin_pathadr)
+    return [_text_at(model.paths, int(start)) for kind in starts for start in kind]
+
+
+def _text_at(characters: bytes, start: int) -> str:
+    return "" if start < 0 else os.fsdecode(characters[start : characters.index(b"\0", start)])
+
+
+def _stored(assets: dict[str, bytes], given: Mapping[str, bytes], path: str) -> str:
+    content, name = _content(given, path), Path(path)
     for index in range(len(assets) + 1):
-        unique = f"{Path(name).stem}{'_' + str(index) if index else ''}{Path(name).suffix}"
+        unique = f"{name.stem}{'_' + str(index) if index else ''}{name.suffix}"
         if assets.get(unique, content) == content:
             assets[unique] = content
             return unique
     raise AssertionError("unreachable: one of n + 1 names is free among n")
+
+
+def _content(given: Mapping[str, bytes], path: str) -> bytes:
+    """Return what MuJoCo reads at a path: the given file of this path, then of this name in any case, then the disk."""
+    if path in given:
+        return given[path]
+    alike = [name for name in given if Path(name).name.lower() == Path(path).name.lower()]
+    if len({given[name] for name in alike}) > 1:
+        raise ValueError(
+            f"the model refers to the file {path!r}; its assets hold several of this name, {', '.join(sorted(alike))}, "
+            f"and none with this path. Name the one that is meant {path!r} in spec.assets"
+        )
+    if alike:
+        return given[alike[0]]
+    if not Path(path).is_file():
+        raise FileNotFoundError(
+            f"the model refers to the file {path!r}, which is not there (looked in {Path.cwd()})"
+        )
+    return Path(path).read_bytes()
 
 
 @contextmanager
