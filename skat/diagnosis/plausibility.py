@@ -36,6 +36,15 @@ MOST_ROWS = 0.9
 # of that.
 QUIET_SHARE = 0.15
 
+# Velocities lag the positions if they do by so many standard errors, and by more than this share of a row's duration.
+# They are summed over so many rows, of joints whose position is in the simulation what the velocity sums up to, but for
+# this share.
+PLAIN_LAG = 5.0
+LEAST_LAG = 0.03
+ROWS_SUMMED = 10
+SUMS_UP = 0.2
+LARGEST_MISS = 5.0
+
 # Noise found along whole episodes, so many times that of neighbouring rows, holds more than noise.
 MORE_THAN_NOISE = 2.0
 
@@ -62,7 +71,7 @@ def warn_of_doubts(simulator, log, hidden=()):
         *(_degrees(simulator, log, hidden) or _wrapped(simulator, log, hidden)),
         *_late(simulator, log, hidden),
         *_jumps(simulator, log, hidden),
-        *_differenced(simulator, log, hidden),
+        *(_differenced(simulator, log, hidden) or _lagging(simulator, log, hidden)),
     ):
         warnings.warn(doubt, UserWarning, stacklevel=3)
 
@@ -250,16 +259,12 @@ def _shares_of_spread(simulator, y, predicted):
 
 
 def _differenced(simulator, log, hidden):
-    """Name velocities that were not measured but are differences of the log's positions."""
-    pairs = [
-        (simulator.state_names.index(position), simulator.state_names.index(velocity))
-        for position, velocity in _motions(simulator)
-        if not {position, velocity} & set(hidden)
-    ]
+    """Return texts that name velocities that were not measured but are differences of the log's positions."""
+    pairs = _motions(simulator, hidden)
     some = log.rows(np.arange(min(len(log), ROWS_TRIED)))
     follows = np.flatnonzero(np.diff(some.episodes) == 0)
     if not log.consecutive or simulator.dt is None or not pairs or not len(follows):
-        return
+        return []
     columns, state = np.array(pairs).T, len(simulator.state_names)
     simulated_now = some.X[follows + 1].copy()
     simulated_now[:, :state] = simulator.predict_many(some.X[follows], [{}])[0]
@@ -267,40 +272,101 @@ def _differenced(simulator, log, hidden):
     simulated_after = simulator.predict_many(simulated_now, [{}])[0]
     follows, simulated_now, simulated_after = _finite(follows, simulated_now, simulated_after)
     if not len(follows):
-        return
+        return []
     before, now, after = some.X[follows], some.X[follows + 1], some.y[follows + 1]
     measured = _misses(before, now, after, columns, simulator.dt)
     positions = columns[0]
     bends = np.abs(after[:, positions] - 2 * now[:, positions] + before[:, positions]) / simulator.dt
     changes = np.quantile(bends, MOST_ROWS, axis=0)
     simulated = _misses(before, simulated_now, simulated_after, columns, simulator.dt)
+    texts = []
     for kind in measured:
         made = measured[kind] < np.minimum(DIFFERENCED_SHARE * simulated[kind], QUIET_SHARE * changes)
         found = [simulator.state_names[column] for column in columns[1, made]]
         if found:
-            yield (
+            texts.append(
                 f"{', '.join(found)} {'are' if len(found) > 1 else 'is'} no measurement of velocity, but {kind} "
                 "differences of the positions in this log. Such a difference is the mean over a time, not the velocity "
                 "at an instant, and it has the noise of the positions; either may pass for an effect, such as a scale "
                 "of these channels, that the robot does not have. Log velocities that were measured, or name these in "
                 "hidden=."
             )
+    return texts
 
 
-def _motions(simulator):
-    """Return the pairs of state channels (position, velocity) of which the second may be the rate of the first.
+def _lagging(simulator, log, hidden):
+    """Say that velocities lag the positions: a filter that delays them by a time makes their sum miss that much of it.
+
+    What velocities that are late by a time sum up to lacks this time times their change. Their noise does not bias the
+    ratio of the two: the change is the difference of its ends', the sum holds the sum of both. Errors in proportion to
+    the sum, and constant ones, are other sensors' faults and regressed out, as is what the simulation's own integrator
+    does, which may take a velocity at the end of a step for that of the step.
+    """
+    pairs, dt = np.array(_motions(simulator, hidden)), simulator.dt
+    starts = np.flatnonzero(log.steps % ROWS_SUMMED == 0)
+    starts = starts[starts + ROWS_SUMMED <= len(log)]
+    starts = starts[log.episodes[starts] == log.episodes[starts + ROWS_SUMMED - 1]]
+    if not log.consecutive or dt is None or not len(pairs) or len(starts) < ROWS_SUMMED:
+        return
+    some = log.rows(np.arange(min(len(log), ROWS_TRIED)))
+    predicted = simulator.predict_many(some.X, [{}], groups=some.groups)[0]
+    finite = np.isfinite(predicted).all(axis=1)
+    now, then = some.X[finite], predicted[finite]
+    if len(now) < ROWS_SUMMED:
+        return
+    velocity = (now[:, pairs[:, 1]] + then[:, pairs[:, 1]]) / 2
+    moved, change = then[:, pairs[:, 0]] - now[:, pairs[:, 0]], then[:, pairs[:, 1]] - now[:, pairs[:, 1]]
+    missed = moved - dt * velocity
+    own = np.sum(missed * change, axis=0) / np.maximum(np.sum(change**2, axis=0), 1e-300)
+    sums_up = np.median(np.abs(missed - own * change), axis=0) < SUMS_UP * np.median(np.abs(moved), axis=0)
+    pairs, own = pairs[sums_up], own[sums_up]
+    first, last = log.X[starts], log.y[starts + ROWS_SUMMED - 1]
+    rows = starts[:, None] + np.arange(ROWS_SUMMED)
+    numerators, denominators = np.zeros(len(starts)), np.zeros(len(starts))
+    for (position, velocity), by_itself in zip(pairs, own):
+        change = last[:, velocity] - first[:, velocity]
+        summed = dt * (log.X[rows, velocity].sum(axis=1) + change / 2)
+        missed = last[:, position] - first[:, position] - summed - by_itself * change
+        others = np.stack([np.ones(len(starts)), summed / max(np.abs(summed).max(), 1e-300)], axis=1)
+        fitted = np.linalg.lstsq(others, np.stack([missed, change], axis=1), rcond=None)[0]
+        missed, change = (np.stack([missed, change], axis=1) - others @ fitted).T
+        size = 1.4826 * np.median(np.abs(missed))
+        if size > 0:
+            numerators += np.clip(missed / size, -LARGEST_MISS, LARGEST_MISS) * change / size
+            denominators += (change / size) ** 2
+    if not denominators.any():
+        return
+    lag = numerators.sum() / denominators.sum()
+    error = np.linalg.norm(numerators - lag * denominators) / denominators.sum()
+    if abs(lag) > max(PLAIN_LAG * error, LEAST_LAG * dt):
+        size = f"about {abs(lag):.2g} s ({abs(100 * lag / dt):.0f} % of a row)"
+        yield (
+            f"The velocities lag the positions by {size}, as if a low-pass filter had made them: that passes for a "
+            "delay of the commands, or for other effects, that the robot does not have. Log velocities that are not "
+            "filtered, or name them in hidden=."
+            if lag > 0
+            else f"The positions lag the velocities by {size}, as if a filter or another clock delayed them: that "
+            "passes for effects that the robot does not have."
+        )
+
+
+def _motions(simulator, hidden):
+    """Return the columns of pairs (position, velocity) of which the second may be the rate of the first, both measured.
 
     MuJoCo's names tell; others pair wherever units do not speak against it.
     """
     states, units = simulator.state_names, simulator.units
     names, half = simulator.residual_names, len(simulator.residual_names) // 2
     if all(name.startswith(("qpos.", "qvel.")) for name in names):
-        pairs = zip(names[:half], names[half:])
-        return [pair for pair in pairs if set(pair) <= set(states) and pair[1].startswith("qvel.")]
+        pairs = [pair for pair in zip(names[:half], names[half:]) if set(pair) <= set(states)]
+    else:
+        pairs = [
+            (one, other)
+            for one, other in permutations(states, 2)
+            if not {one, other} <= set(units) or units[other] == f"{units[one]}/s"
+        ]
     return [
-        (one, other)
-        for one, other in permutations(states, 2)
-        if not {one, other} <= set(units) or units[other] == f"{units[one]}/s"
+        (states.index(one), states.index(other)) for one, other in pairs if not {one, other} & set(hidden)
     ]
 
 

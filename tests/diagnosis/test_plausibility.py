@@ -1,5 +1,6 @@
 """Logs that are well-formed but hardly meant raise a warning, and sound ones none."""
 
+import re
 import warnings
 
 import numpy as np
@@ -252,6 +253,51 @@ def test_velocities_that_are_differences_are_noticed_by_units_or_whatever_they_a
         warnings.simplefilter("always")
         warn_of_doubts(rig, log)
     assert any("speed is no measurement of velocity" in str(one.message) for one in caught) == noticed
+
+
+def swung(simulator, seed, effects=None):
+    """Return the noisy states (8, 51, 2) of an arm in swings of 50 rows, and the torques (8, 50, 1)."""
+    rng = np.random.default_rng(seed)
+    torques = rng.uniform(-1, 1, (8, 50, 1))
+    states = simulator.rollout(rng.normal(size=(8, 2)), torques, n_steps=50, effects=effects)
+    return states + 0.01 * states.std(axis=(0, 1)) * rng.normal(size=states.shape), torques
+
+
+def doubts_about(simulator, states, torques):
+    X = np.concatenate([states[:, :-1], torques], axis=2).reshape(400, 3)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        warn_of_doubts(
+            simulator, check_log(simulator, X, states[:, 1:].reshape(400, 2), np.repeat(np.arange(8), 50))
+        )
+    return [str(one.message) for one in caught]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_velocities_of_a_filter_are_noticed_with_their_lag(simulator, seed):
+    states, torques = swung(simulator, seed)
+    assert doubts_about(simulator, states, torques) == []
+    for row in range(1, 51):
+        states[:, row, 1] = 0.3 * states[:, row - 1, 1] + 0.7 * states[:, row, 1]
+    (doubt,) = doubts_about(simulator, states, torques)
+    share = float(re.search(r"velocities lag the positions by about \S+ s \((\d+) % of a row\)", doubt)[1])
+    assert abs(share - 100 * 0.3 / 0.7) < 10
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [{"delay[action]": 0.01}, {"scale[qvel.shoulder]": 1.2, "bias[qvel.shoulder]": 0.3}, {"mass[all]": 1.5}],
+)
+def test_what_a_robot_does_is_no_lag_of_its_velocities(simulator, effects):
+    assert doubts_about(simulator, *swung(simulator, 0, effects)) == []
+
+
+def test_positions_of_a_filter_are_noticed(simulator):
+    states, torques = swung(simulator, 0)
+    for row in range(1, 51):
+        states[:, row, 0] = 0.3 * states[:, row - 1, 0] + 0.7 * states[:, row, 0]
+    (doubt,) = doubts_about(simulator, states, torques)
+    assert doubt.startswith("The positions lag the velocities by about")
 
 
 def test_velocity_of_what_rests_higher_than_in_the_simulation_is_one():

@@ -167,7 +167,8 @@ def test_servos_without_velocity_feedback_of_their_own_have_no_velocity_gain():
         assert set(listed(changed(SERVO_ARM, (bend, other)))) == {"lift"}
 
 
-def test_bounds_of_the_velocity_gain_stay_where_the_integrator_is_stable():
+def test_bounds_of_the_velocity_gain_stay_where_the_integrator_is_stable(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes a log of what diverges
     text = with_integrator(without_limits(SERVO_ARM), "Euler")
     simulator = MujocoSimulator(text, frame_skip=100)
     rows = rows_of(simulator)
