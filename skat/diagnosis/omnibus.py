@@ -126,6 +126,8 @@ def _shapes(residuals, tests, columns, directions):
     """Return the pairs of a direction with an input: those of a joint's or an output's own law, and all others."""
     own_laws: list[_Pair] = []
     others: list[_Pair] = []
+    if not directions:
+        return own_laws, others
     for index, coordinate in enumerate(residuals.simulator.input_names):
         values = residuals.points[:, index]
         found = tests.of(columns, hat_functions(values))

@@ -220,8 +220,7 @@ def _gravity_effects(anatomy: Anatomy) -> Found:
     model = anatomy.model
     if anatomy.is_off("gravity") or not np.any(model.opt.gravity) or not anatomy.moving:
         return
-    falls = any((anatomy.reach[body] * model.opt.gravity).any() for body in anatomy.moving)
-    yield _factor("gravity", 0.0, 3.0, edits.scale_gravity), falls
+    yield _factor("gravity", 0.0, 3.0, edits.scale_gravity), True
     for axis in range(2):
         if any(anatomy.reach[body][axis] for body in anatomy.moving):
             edit = partial(edits.tilt_gravity, axis)

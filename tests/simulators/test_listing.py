@@ -76,12 +76,6 @@ def test_effects_of_what_a_model_disables_are_not_listed(option, gone):
     assert everything - listed == set(gone)
 
 
-def test_gravity_is_listed_where_something_can_fall():
-    assert "gravity" in effects_of(hinged())
-    flat = f'<body name="rod"><joint name="x" axis="0 0 1"/>{ROD}</body>'
-    assert "gravity" not in effects_of(model(flat))
-
-
 def test_damping_is_bounded_where_euler_treats_it_explicitly():
     text = hinged('damping="0.1"', '<actuator><motor joint="x"/></actuator>', '<flag eulerdamp="disable"/>')
     simulator = MujocoSimulator(text)
