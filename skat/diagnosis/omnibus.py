@@ -63,7 +63,7 @@ class Remainder:
             return f"something acts on {self.direction} for longer than single rows, and no effect known explains it"
         if self.varies >= CLEAR:
             return (
-                f"something acts on {self.direction}, as far as the log shows always alike, and no effect known "
+                f"something acts on {self.direction}, always alike as far as the log shows, and no effect known "
                 "explains it"
             )
         return f"something acts on {self.direction} that depends on {self.coordinate}, and no effect known explains it"
