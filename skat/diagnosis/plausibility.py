@@ -1,4 +1,4 @@
-"""Signs that a log is not what it seems: stuck channels, late commands, other units, jumps, made velocities."""
+"""Signs that a log is not what it seems: stuck channels, late commands, other units, jumps, made or late velocities."""
 
 import warnings
 from itertools import permutations
@@ -38,7 +38,7 @@ QUIET_SHARE = 0.15
 
 # Velocities lag the positions if they do by so many standard errors, and by more than this share of a row's duration.
 # They are summed over so many rows, of joints whose position is in the simulation what the velocity sums up to, but for
-# this share.
+# this share; what misses by more than so many deviations, as where an angle starts anew, counts no more.
 PLAIN_LAG = 5.0
 LEAST_LAG = 0.03
 ROWS_SUMMED = 10
@@ -116,6 +116,7 @@ def _check_same_again(simulator, log):
     first, again = (simulator.predict_many(some.X, [{}], groups=some.groups)[0] for _ in range(2))
     spread = simulator.residual(some.y, np.broadcast_to(some.y[:1], some.y.shape)).std(axis=0)
     differences = np.abs(np.nan_to_num(simulator.residual(again, first))) / np.where(spread > 0, spread, 1.0)
+    differences[np.isfinite(first).all(axis=1) != np.isfinite(again).all(axis=1)] = np.inf
     if differences.max() > SAME:
         row, channel = np.unravel_index(np.argmax(differences), differences.shape)
         raise ValueError(
@@ -314,9 +315,9 @@ def _lagging(simulator, log, hidden):
     now, then = some.X[finite], predicted[finite]
     if len(now) < ROWS_SUMMED:
         return
-    velocity = (now[:, pairs[:, 1]] + then[:, pairs[:, 1]]) / 2
+    mean = (now[:, pairs[:, 1]] + then[:, pairs[:, 1]]) / 2
     moved, change = then[:, pairs[:, 0]] - now[:, pairs[:, 0]], then[:, pairs[:, 1]] - now[:, pairs[:, 1]]
-    missed = moved - dt * velocity
+    missed = moved - dt * mean
     own = np.sum(missed * change, axis=0) / np.maximum(np.sum(change**2, axis=0), 1e-300)
     sums_up = np.median(np.abs(missed - own * change), axis=0) < SUMS_UP * np.median(np.abs(moved), axis=0)
     pairs, own = pairs[sums_up], own[sums_up]

@@ -259,7 +259,7 @@ def _joint_effects(anatomy: Anatomy) -> Found:
                 kind == BALL and family == "position_friction"
             ):
                 continue
-            if _is_off(anatomy, family):
+            if _is_disabled(anatomy, family):
                 continue
             yield (
                 Effect(
@@ -276,7 +276,7 @@ def _joint_effects(anatomy: Anatomy) -> Found:
         together = [
             joint for joint in inner or joints if family == "damping" or anatomy.joint_kind(joint) != FREE
         ]
-        if together and edit and not _is_off(anatomy, family):
+        if together and edit and not _is_disabled(anatomy, family):
             lows, highs = zip(*(bounds[joint][family] for joint in together))
             effect = Effect(
                 f"{family}[all]",
@@ -345,7 +345,7 @@ def _tendon_effects(anatomy: Anatomy) -> Found:
             continue
         bounds = _tendon_bounds(anatomy, tendon)
         for family, (unit, edit) in TENDON_EDITS.items():
-            if _is_off(anatomy, family):
+            if _is_disabled(anatomy, family):
                 continue
             name = f"{family}[{tendon_name(model, tendon)}]"
             effect = Effect(name, unit=unit, neutral=0.0, bounds=bounds[family], apply=partial(edit, tendon))
@@ -377,7 +377,7 @@ def _is_of_one_joint(model: mujoco.MjModel, tendon: int) -> bool:
     return bool(model.tendon_num[tendon] == 1 and model.wrap_type[first] == FIXED_TENDON)
 
 
-def _is_off(anatomy: Anatomy, family: str) -> bool:
+def _is_disabled(anatomy: Anatomy, family: str) -> bool:
     """Whether the model disables what an effect on joints or tendons acts through."""
     flags = {"stiffness": "spring", "damping": "damper", "friction": "frictionloss"}
     return any(anatomy.is_off(flag) for kind, flag in flags.items() if family.endswith(kind))
