@@ -358,7 +358,7 @@ def test_a_caution_is_said_where_so_many_causes_stand_together(n_causes):
         (["mass[arm]"], []),
         (["bias[angle]", "scale[rate]"], []),
         (["mass[arm]", "bias[angle]"], ["bias[angle] beside another cause"]),
-        (["delay[action]"], ["A filter that delays the velocities"]),
+        (["delay[action]"], ["A filter that delays the velocities measured, and motors that answer slowly"]),
     ],
 )
 def test_what_a_cause_may_stand_for_is_said(names, said):

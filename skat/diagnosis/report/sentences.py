@@ -75,7 +75,8 @@ def cautions(causes):
         )
     if any(cause.family == "delay" for cause in causes):
         sentences.append(
-            "A filter that delays the velocities measured looks like a delay of the commands: rule it out."
+            "A filter that delays the velocities measured, and motors that answer slowly, look like a delay of the "
+            "commands: rule them out."
         )
     return sentences
 
