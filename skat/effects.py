@@ -6,9 +6,100 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from types import MappingProxyType
 from typing import Any
 
+FACTOR, FORCE = 0.2, 0.3
 NAME_PATTERN = re.compile(r"(?P<family>[A-Za-z_]\w*)(\[(?P<target>([^\[\]]|\[[^\[\]]*\])+)\])?")
+
+
+@dataclass(frozen=True)
+class Family:
+    """What all effects of one family share, whatever has them.
+
+    What a family edits, its bounds, and which elements of a model have it, stand in one row of the simulator's own
+    table.
+
+    Parameters
+    ----------
+    name : str
+    words, words_all : str
+        What it is, with the target put in for ``{}``; the same for the target "all". Empty: the effect's name.
+    unit : tuple of str
+        That of slides (or the only one), and that of hinges; () where it is the element's own.
+    neutral : float
+        1 of factors, 0 of what is added.
+    typical : float, optional
+        As `Effect`'s. None: a rule of the simulator, or the default.
+    odds : float
+        As `Effect`'s.
+    force_share : float, optional
+        As `Effect`'s.
+    order : int
+        Edits of a model are made in this order; those that need the outcome of others come later.
+    only : tuple of str
+        Units for which the words hold; () for any.
+    form : str
+        How values are told: "" plainly, "more" as more or less than the model's, "shift" as a shift.
+    aliases : tuple of str
+        Families that act the same wherever only what they have in common shows.
+    """
+
+    name: str
+    words: str = ""
+    words_all: str = ""
+    unit: tuple[str, ...] = ("1",)
+    neutral: float = 1.0
+    typical: float | None = None
+    odds: float = 1.0
+    force_share: float | None = None
+    order: int = 0
+    only: tuple[str, ...] = ()
+    form: str = ""
+    aliases: tuple[str, ...] = ()
+
+
+_DRAG, _TORQUE, _DAMPING, _SPRING = ("kg/m",), ("N", "N m"), ("N s/m", "N m s/rad"), ("N/m", "N m/rad")
+_ADDED = partial(Family, neutral=0.0)
+_FORCE = partial(Family, neutral=0.0, force_share=FORCE)
+_MORE = partial(Family, neutral=0.0, force_share=FORCE, form="more")
+# Odds and typical sizes: engineers' judgement of what is often wrong, and by how much. A user's own go first.
+_TABLE = (
+    Family("mass", "the mass of {}", "the mass of every body", typical=0.2, aliases=("payload",)),
+    Family("length", "the length of {}", "the length of every link", typical=0.03, odds=0.2),
+    Family("radius", "the radius of {}", "the radius of every wheel", typical=0.03, odds=0.2, order=1),
+    Family("inertia", "the rotational inertia of {}", typical=0.2, odds=0.3, order=2),
+    _ADDED("centre_of_mass", "the centre of mass along {}", unit=("m",), typical=0.03, odds=0.3, order=3, only=("m",),
+           form="shift", aliases=("mass", "payload")),
+    Family("gravity", "gravity", "gravity", typical=0.02, odds=0.1),
+    _ADDED("tilt", "the ground's slope along {}", unit=("rad",), typical=0.03, odds=0.2, only=("rad",)),
+    _FORCE("wind", "a constant force along {}", unit=("N",), odds=0.3, only=("N",)),
+    _FORCE("air_drag", "quadratic air drag along {}", "quadratic air drag", unit=_DRAG, odds=0.3),
+    _MORE("damping", "viscous damping of {}", "viscous damping of every joint", unit=_DAMPING),
+    _MORE("dry_friction", "dry friction of {}", "dry friction of every joint", unit=_TORQUE),
+    _FORCE("position_friction", "dry friction that grows with the position of {}", unit=_SPRING, odds=0.2),
+    _MORE("armature", "the armature of {}", "the armature of every joint", unit=("kg", "kg m2")),
+    _MORE("stiffness", "the stiffness of {}", "the stiffness of every joint", unit=_SPRING, odds=0.3),
+    _MORE("tendon_damping", "viscous damping of tendon {}", unit=("N s/m",)),
+    _MORE("tendon_dry_friction", "dry friction of tendon {}", unit=("N",)),
+    _MORE("tendon_stiffness", "the stiffness of tendon {}", unit=("N/m",), odds=0.3),
+    Family("gain", "gain[{}]", "gain[all]", typical=FACTOR),
+    Family("force_limit", "the force limit of {}", "the force limit of every actuator", typical=FACTOR, odds=0.5),
+    Family("kp", "the position gain of {}", "the position gain of every servo", typical=FACTOR),
+    Family("kv", "the velocity gain (kv) of the servo {}", "the velocity gain (kv) of every servo", typical=FACTOR),
+    _ADDED("offset", "the offset of the command of {}", unit=(), typical=0.03, odds=0.5),
+    _ADDED("delay", "the delay of every {}", unit=("s",), order=9, only=("s",)),
+    Family("contact_friction", "the contact friction of {}", "the contact friction", typical=FACTOR, order=4),
+    Family("contact_anisotropy", "the contact friction of {} along its second direction",
+           "the contact friction along its second direction", typical=FACTOR, odds=0.2, order=5),
+    Family("restitution", "the contact damping ratio of {}", "the contact damping ratio", typical=FACTOR, odds=0.3,
+           order=6, only=("1",)),
+    Family("timestep", "the time step", "the time step", typical=0.05, odds=0.1, order=8),
+    _ADDED("bias", "the bias of sensor {}", unit=(), typical=0.01, odds=0.3),
+    Family("scale", "the scale of sensor {}", "the scale of every sensor", typical=0.02, odds=0.2),
+    _FORCE("force", "a constant force on {}", unit=_TORQUE, odds=0.1, only=_TORQUE),
+)  # fmt: skip
+FAMILIES = MappingProxyType({family.name: family for family in _TABLE})
 
 
 @dataclass(frozen=True)
@@ -32,6 +123,19 @@ class Effect:
     describe : callable, optional
         ``describe(value)`` returns a sentence. By default a sentence made from the name, the unit and the
         value.
+    typical : float, optional
+        How far from neutral values often are: the scale of a Cauchy prior, on the logarithm of factors (.2: by a
+        fifth), otherwise in `unit`. By default that of the family; of a family that has none, .2 of a factor and a
+        tenth of the range of other values.
+    odds : float, optional
+        How likely the effect is a cause before anything was measured, relative to others. By default the family's;
+        1 of a family that is not known.
+    force_share : float, optional
+        Where it is given, `typical` is what makes up this share of the force that the nominal model puts on the
+        joint or actuator in the poses of its anatomy. Whoever has a log may put in the force there.
+    aliases : tuple of str, default=()
+        Names of effects that act the same wherever only what they have in common shows, as the mass of a body and a
+        shift of its centre both change its first moment.
 
     Attributes
     ----------
@@ -61,6 +165,10 @@ class Effect:
     bounds: tuple[float, float] = field(kw_only=True)
     apply: Callable[[Any, float], None] | None = field(default=None, kw_only=True, compare=False, repr=False)
     describe: Callable[[float], str] = field(default=None, kw_only=True, compare=False, repr=False)  # type: ignore[assignment]
+    typical: float = field(default=math.nan, kw_only=True, repr=False)
+    odds: float = field(default=math.nan, kw_only=True, repr=False)
+    force_share: float | None = field(default=None, kw_only=True, repr=False)
+    aliases: tuple[str, ...] = field(default=(), kw_only=True, compare=False, repr=False)
     family: str = field(init=False, compare=False, repr=False)
     target: str | None = field(init=False, compare=False, repr=False)
 
@@ -83,6 +191,21 @@ class Effect:
         if given is None or getattr(given, "func", None) is _sentence:
             given = partial(_sentence, self.name, self.unit, self.neutral)
         object.__setattr__(self, "describe", given)
+        object.__setattr__(self, "typical", self._prior("typical"))
+        object.__setattr__(self, "odds", self._prior("odds"))
+
+    def _prior(self, what: str) -> float:
+        value = getattr(self, what)
+        if math.isnan(value):
+            value = getattr(FAMILIES.get(self.family), what, None)
+        if value is None:
+            value = {
+                "typical": 0.2 if self.is_factor else (self.bounds[1] - self.bounds[0]) / 10,
+                "odds": 1.0,
+            }[what]
+        if not 0 < value < math.inf:
+            raise ValueError(f"{what} of {self.name} must be positive and finite; got {value:g}")
+        return float(value)
 
     @property
     def is_factor(self) -> bool:
@@ -174,59 +297,10 @@ def unknown_name_message(name: Any, known: Iterable[str]) -> str:
     )
 
 
-# Family -> (what it is, with the target put in for {}; the same for the target "all"; how it compares).
-_PHRASES = {
-    "mass": ("the mass of {}", "the mass of every body"),
-    "inertia": ("the rotational inertia of {}", ""),
-    "length": ("the length of {}", "the length of every link"),
-    "radius": ("the radius of {}", "the radius of every wheel"),
-    "gravity": ("gravity", "gravity"),
-    "gain": ("gain[{}]", "gain[all]"),
-    "offset": ("the offset of the command of {}", ""),
-    "contact_friction": ("the contact friction of {}", "the contact friction"),
-    "contact_anisotropy": (
-        "the contact friction of {} along its second direction",
-        "the contact friction along its second direction",
-    ),
-    "restitution": ("the contact damping ratio of {}", "the contact damping ratio"),
-    "scale": ("the scale of sensor {}", "the scale of every sensor"),
-    "timestep": ("the time step", "the time step"),
-    "centre_of_mass": ("the centre of mass along {}", ""),
-    "tilt": ("the ground's slope along {}", ""),
-    "wind": ("a constant force along {}", ""),
-    "air_drag": ("quadratic air drag along {}", "quadratic air drag"),
-    "damping": ("viscous damping of {}", "viscous damping of every joint"),
-    "dry_friction": ("dry friction of {}", "dry friction of every joint"),
-    "force": ("a constant force on {}", ""),
-    "position_friction": ("dry friction that grows with the position of {}", ""),
-    "armature": ("the armature of {}", "the armature of every joint"),
-    "stiffness": ("the stiffness of {}", "the stiffness of every joint"),
-    "tendon_damping": ("viscous damping of tendon {}", ""),
-    "tendon_dry_friction": ("dry friction of tendon {}", ""),
-    "tendon_stiffness": ("the stiffness of tendon {}", ""),
-    "force_limit": ("the force limit of {}", "the force limit of every actuator"),
-    "kp": ("the position gain of {}", "the position gain of every servo"),
-    "kv": ("the velocity gain (kv) of the servo {}", "the velocity gain (kv) of every servo"),
-    "delay": ("the delay of every {}", ""),
-    "bias": ("the bias of sensor {}", ""),
-}
-
-
-# Families whose words hold for these units alone.
-_UNITS = {
-    "wind": ("N",),
-    "force": ("N", "N m"),
-    "tilt": ("rad",),
-    "centre_of_mass": ("m",),
-    "restitution": ("1",),
-    "delay": ("s",),
-}
-_ADDED = ("damping", "dry_friction", "armature", "stiffness")
-
-
 def _sentence(name: str, unit: str, neutral: float, value: float) -> str:
     family = name.partition("[")[0]
     phrase = _phrase(name, unit, neutral)
+    form = FAMILIES[family].form if family in FAMILIES else ""
     is_factor = neutral == 1 and unit == "1"
     if family == "gain" and is_factor:
         if abs(value + 1) < 0.05:
@@ -238,9 +312,9 @@ def _sentence(name: str, unit: str, neutral: float, value: float) -> str:
     if is_factor:
         return f"{phrase} is {value:.3g} times the model's"
     if neutral == 0 and phrase != name:
-        if family.removeprefix("tendon_") in _ADDED:
+        if form == "more":
             return f"{phrase} is {abs(value):.3g} {unit} {'more' if value >= 0 else 'less'} than the model's"
-        if family == "centre_of_mass":
+        if form == "shift":
             return f"{phrase} is shifted by {value:.3g} {unit}"
     named_unit = "" if unit == "1" else f" {unit}"
     beside = f" (the model has {neutral:.3g}{named_unit})" if neutral else ""
@@ -251,9 +325,11 @@ def _phrase(name: str, unit: str, neutral: float) -> str:
     """Return what an effect is, in words where its family, target and unit are those of the words; else its name."""
     family, _, bracket = name.partition("[")
     target = bracket.removesuffix("]")
-    one, every = _PHRASES.get(family, (name, name))
-    words = every if target == "all" else one.format(target)
-    stated_in_full = neutral not in (0, 1) and family in _UNITS
-    if stated_in_full or unit not in _UNITS.get(family, (unit,)) or not (target or "{}" not in one):
+    record = FAMILIES.get(family)
+    if record is None:
+        return name
+    words = record.words_all if target == "all" else record.words.format(target)
+    stated_in_full = neutral not in (0, 1) and record.only
+    if stated_in_full or unit not in (record.only or (unit,)) or not (target or "{}" not in record.words):
         return name
     return words or name

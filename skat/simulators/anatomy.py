@@ -18,6 +18,8 @@ EULER = int(mujoco.mjtIntegrator.mjINT_EULER)
 
 # Of a degree of freedom, in m or rad, over which tendons are differentiated.
 SMALL_MOTION = 1e-5
+# Of the strongest joint of a tree: no joint's drive is assumed to be weaker than that.
+DRIVE_SHARE = 0.3
 # Of a wheel's axis from its hinge's: an angle, and a distance in radii.
 ALIGNED = 1e-3
 
@@ -208,6 +210,22 @@ class Anatomy:
                 force[dof] = max(force[dof], self._capacity(actuator))
         return force
 
+    @cached_property
+    def strength(self) -> Array:
+        """Force or torque that the drive of each degree of freedom may have: at least a share of its tree's strongest.
+
+        A motor's limit may be unknown, and the gravity on a wrist is no measure of the drive in it.
+        """
+        straight = np.isin(self.model.jnt_type[self.model.dof_jntid], (SLIDE, FREE))
+        trees = self.model.dof_treeid
+        strength = self.force.copy()
+        for tree in np.unique(trees):
+            for kind in (True, False):
+                members = (trees == tree) & (straight == kind)
+                if members.any():
+                    strength[members] = np.maximum(strength[members], DRIVE_SHARE * self.force[members].max())
+        return strength
+
     def is_off(self, flag: str) -> bool:
         """Whether the model disables a part of MuJoCo's pipeline, by the name of its flag."""
         return bool(
@@ -279,11 +297,17 @@ class Anatomy:
         return mobility[model.actuator_outadr]
 
     def _capacity(self, actuator: int) -> float:
-        """Return the largest force of an actuator, of those that are not limited at a control of 1."""
+        """Return the largest force of an actuator on its joint or tendon.
+
+        Its limit, if it has one; else that at the largest control, or at a control of 1.
+        """
         model = self.model
         limited = bool(model.actuator_ctrllimited[actuator])
         control = float(np.abs(model.actuator_ctrlrange[actuator]).max()) if limited else 1.0
-        return abs(float(model.actuator_gear[actuator, 0] * model.actuator_gainprm[actuator, 0])) * control
+        force = abs(float(model.actuator_gainprm[actuator, 0])) * control
+        if model.actuator_forcelimited[actuator]:
+            force = float(np.abs(model.actuator_forcerange[actuator]).max())
+        return abs(float(model.actuator_gear[actuator, 0])) * force
 
 
 def tendon_name(model: mujoco.MjModel, tendon: int) -> str:

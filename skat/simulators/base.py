@@ -408,7 +408,7 @@ class Simulator(BaseEstimator, ABC):
 
 def is_sensor(name: str) -> bool:
     """Whether an effect of this name acts on what a sensor reads."""
-    return name.startswith(("bias[", "scale["))
+    return name.startswith(("bias[", "scale[")) and not name.partition("[")[2].startswith("ctrl.")
 
 
 def _physical(total: Mapping[str, float]) -> dict[str, float]:

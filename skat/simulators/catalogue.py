@@ -4,6 +4,7 @@ Bounds are physical: they scale with the model's masses, its actuators and its g
 model's integrator is stable.
 """
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -13,7 +14,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from skat.effects import Effect
+from skat.effects import FAMILIES, Effect
 from skat.simulators import contacts, edits
 from skat.simulators.anatomy import (
     EULER,
@@ -36,25 +37,23 @@ LARGEST_OFFSET = 1.0
 GAIN_BOUNDS = (0.02, 20.0)
 # Simulating takes longer by the inverse of it.
 FINEST_TIMESTEP = 0.25
-JOINT_EDITS: dict[str, Callable[..., Any] | None] = {
-    "damping": edits.add_damping,
-    "dry_friction": edits.add_dry_friction,
-    "position_friction": None,
-    "armature": edits.add_armature,
-    "stiffness": edits.add_stiffness,
+# Families on joints: what edits the model (None: the stepping does it), and a typical speed, acceleration or angle that
+# makes a force of one unit of it, in SI.
+JOINT_FAMILIES: dict[str, tuple[Callable[..., Any] | None, float]] = {
+    "damping": (edits.add_damping, 1.0),
+    "dry_friction": (edits.add_dry_friction, 1.0),
+    "position_friction": (None, 1.0),
+    "armature": (edits.add_armature, 10.0),
+    "stiffness": (edits.add_stiffness, 1.0),
 }
-JOINT_UNITS = {  # of slides, of hinges
-    "damping": ("N s/m", "N m s/rad"),
-    "dry_friction": ("N", "N m"),
-    "position_friction": ("N/m", "N m/rad"),
-    "armature": ("kg", "kg m2"),
-    "stiffness": ("N/m", "N m/rad"),
+TENDON_FAMILIES: dict[str, Callable[..., Any]] = {
+    "tendon_damping": edits.add_tendon_damping,
+    "tendon_dry_friction": edits.add_tendon_friction,
+    "tendon_stiffness": edits.add_tendon_stiffness,
 }
-TENDON_EDITS: dict[str, tuple[str, Callable[..., Any]]] = {
-    "tendon_damping": ("N s/m", edits.add_tendon_damping),
-    "tendon_dry_friction": ("N", edits.add_tendon_friction),
-    "tendon_stiffness": ("N/m", edits.add_tendon_stiffness),
-}
+# No geared joint needs more: with its inertia at the bound, the drive's whole force accelerates it by this, in rad/s2
+# or m/s2; with its damping at the bound, it turns the joint at this, in rad/s or m/s.
+LEAST_ACCELERATION, LEAST_SPEED = 5.0, 0.5
 # In 1/kg: what a tendon moves weighs less than the inverse of it, if it moves anything.
 LEAST_MOBILITY = 1e-9
 FIXED_TENDON = int(mujoco.mjtWrap.mjWRAP_JOINT)
@@ -94,11 +93,9 @@ def effect_listing(anatomy: Anatomy, frame_skip: int) -> Listing:
     if _acting(anatomy):
         dt = frame_skip * model.opt.timestep
         bounds = (0.0, MAX_DELAY_IN_TRANSITIONS * dt)
-        effects.append(
-            Effect("delay[action]", unit="s", neutral=0.0, bounds=bounds, apply=edits.delay_actuators)
-        )
+        effects.append(_effect("delay", "action", bounds, edits.delay_actuators, typical=dt))
     bounds = (FINEST_TIMESTEP, float(max(1, frame_skip)))
-    effects.append(Effect("timestep", unit="1", neutral=1.0, bounds=bounds, apply=edits.scale_timestep))
+    effects.append(_effect("timestep", None, bounds, edits.scale_timestep))
     forces = _joint_forces(anatomy)
     names = tuple(force.name for force in forces)
     repeated = [name for name, count in Counter(one.name for one in (*effects, *forces)).items() if count > 1]
@@ -119,16 +116,48 @@ def _joint_forces(anatomy: Anatomy) -> list[Effect]:
         for dof, end in zip(dofs, ends):
             straight = kind == SLIDE or end in (".x", ".y", ".z")
             limit = 10 * float(anatomy.force[dof])
-            unit = "N" if straight else "N m"
-            forces.append(Effect(f"force[{name}{end}]", unit=unit, neutral=0.0, bounds=(-limit, limit)))
+            unit = FAMILIES["force"].unit[0 if straight else 1]
+            forces.append(_effect("force", name + end, (-limit, limit), unit=unit, force=limit / 10))
     return forces
 
 
 Found = Iterator[tuple[Effect, bool]]
 
 
+def _effect(
+    family: str,
+    target: str | None,
+    bounds: tuple[float, float],
+    apply: Callable[..., Any] | None = None,
+    *,
+    unit: str | None = None,
+    neutral: float | None = None,
+    typical: float | None = None,
+    force: float | None = None,
+) -> Effect:
+    """Return an effect made from its family's record.
+
+    `force` is what a force that is typical of the joint or actuator amounts to, in the effect's unit: where the
+    record's typical size is a share of the force, it is that share of it.
+    """
+    record = FAMILIES[family]
+    if record.force_share is not None and force is not None:
+        typical = record.force_share * force
+    return Effect(
+        family if target is None else f"{family}[{target}]",
+        unit=record.unit[0] if unit is None else unit,
+        neutral=record.neutral if neutral is None else neutral,
+        bounds=bounds,
+        apply=apply,
+        typical=math.nan if typical is None else typical,
+        force_share=record.force_share,
+        aliases=tuple(f"{other}[{target}]" for other in record.aliases) if target else (),
+    )
+
+
 def _factor(name: str, low: float, high: float, apply: Callable[..., Any]) -> Effect:
-    return Effect(name, unit="1", neutral=1.0, bounds=(low, high), apply=apply)
+    family, _, target = name.partition("[")
+    return _effect(family, target.removesuffix("]") or None, (low, high), apply)
 
 
 def _link_effects(anatomy: Anatomy) -> Found:
@@ -159,16 +188,12 @@ def _link_effects(anatomy: Anatomy) -> Found:
         )
         for axis in range(3):
             if _shift_matters(anatomy, body, axis):
-                yield (
-                    Effect(
-                        f"centre_of_mass[{anatomy.body_name(body)}.{AXES[axis]}]",
-                        unit="m",
-                        neutral=0.0,
-                        bounds=(-max(extent, 1e-3), max(extent, 1e-3)),
-                        apply=partial(edits.shift_centre_of_mass, body, axis),
-                    ),
-                    True,
+                limit, edit = max(extent, 1e-3), partial(edits.shift_centre_of_mass, body, axis)
+                effect = _effect(
+                    "centre_of_mass", f"{anatomy.body_name(body)}.{AXES[axis]}", (-limit, limit), edit
                 )
+                name = anatomy.body_name(body)
+                yield replace(effect, aliases=(f"mass[{name}]", f"payload[{name}]")), True
 
 
 def _each_and_all(
@@ -224,7 +249,7 @@ def _gravity_effects(anatomy: Anatomy) -> Found:
     for axis in range(2):
         if any(anatomy.reach[body][axis] for body in anatomy.moving):
             edit = partial(edits.tilt_gravity, axis)
-            yield Effect(f"tilt[{AXES[axis]}]", unit="rad", neutral=0.0, bounds=(-0.7, 0.7), apply=edit), True
+            yield _effect("tilt", AXES[axis], (-0.7, 0.7), edit), True
 
 
 def _force_effects(anatomy: Anatomy) -> Found:
@@ -234,17 +259,17 @@ def _force_effects(anatomy: Anatomy) -> Found:
     axes = [axis for axis in range(3) if anatomy.reach[anatomy.root][axis]]
     for axis in axes:
         bounds = (-20 * mass, 20 * mass)
-        yield Effect(f"wind[{AXES[axis]}]", unit="N", neutral=0.0, bounds=bounds), True
+        yield _effect("wind", AXES[axis], bounds, force=10 * mass), True
     slides = {axis: drag_joint(anatomy, axis) for axis in axes}
-    drag = partial(Effect, unit="kg/m", neutral=0.0, bounds=(0.0, 10 * mass))
+    drag = partial(_effect, "air_drag", bounds=(0.0, 10 * mass), force=10 * mass)
     for axis in axes:
         joint = slides[axis]
         edit = None if joint is None else partial(edits.add_quadratic_damping, (joint,))
-        yield drag(f"air_drag[{AXES[axis]}]", apply=edit), True
+        yield drag(AXES[axis], apply=edit), True
     if axes:
         joint = slides[axes[0]] if len(axes) == 1 else None
         edit = None if joint is None else partial(edits.add_quadratic_damping, (joint,))
-        yield drag("air_drag[all]", apply=edit), len(axes) > 1
+        yield drag("all", apply=edit), len(axes) > 1
 
 
 def _joint_effects(anatomy: Anatomy) -> Found:
@@ -254,7 +279,8 @@ def _joint_effects(anatomy: Anatomy) -> Found:
     bounds = {joint: _joint_bounds(anatomy, joint) for joint in joints}
     for joint in joints:
         kind = anatomy.joint_kind(joint)
-        for family, edit in JOINT_EDITS.items():
+        force = float(anatomy.force[anatomy.dofs_of(joint)].max())
+        for family, (edit, motion) in JOINT_FAMILIES.items():
             if (_is_base(anatomy, joint) and family != "damping") or (
                 kind == BALL and family == "position_friction"
             ):
@@ -262,28 +288,30 @@ def _joint_effects(anatomy: Anatomy) -> Found:
             if _is_disabled(anatomy, family):
                 continue
             yield (
-                Effect(
-                    f"{family}[{joint_name(anatomy.model, joint)}]",
+                _effect(
+                    family,
+                    joint_name(anatomy.model, joint),
+                    bounds[joint][family],
+                    partial(edit, (joint,)) if edit else None,
                     unit=_joint_unit(family, {kind}),
-                    neutral=0.0,
-                    bounds=bounds[joint][family],
-                    apply=partial(edit, (joint,)) if edit else None,
+                    force=force / motion,
                 ),
                 True,
             )
     for family in ("damping", "dry_friction"):
-        edit = JOINT_EDITS[family]
+        edit, motion = JOINT_FAMILIES[family]
         together = [
             joint for joint in inner or joints if family == "damping" or anatomy.joint_kind(joint) != FREE
         ]
         if together and edit and not _is_disabled(anatomy, family):
             lows, highs = zip(*(bounds[joint][family] for joint in together))
-            effect = Effect(
-                f"{family}[all]",
+            effect = _effect(
+                family,
+                "all",
+                (max(lows), min(highs)),
+                partial(edit, tuple(together)),
                 unit=_joint_unit(family, {anatomy.joint_kind(joint) for joint in together}),
-                neutral=0.0,
-                bounds=(max(lows), min(highs)),
-                apply=partial(edit, tuple(together)),
+                force=min(float(anatomy.force[anatomy.dofs_of(joint)].max()) for joint in together) / motion,
             )
             yield effect, len(together) > 1
 
@@ -296,7 +324,7 @@ def _is_base(anatomy: Anatomy, joint: int) -> bool:
 
 
 def _joint_unit(family: str, kinds: set[int]) -> str:
-    straight, angular = JOINT_UNITS[family]
+    straight, angular = FAMILIES[family].unit
     present = [straight] * bool(kinds & {SLIDE, FREE}) + [angular] * bool(kinds & {HINGE, BALL, FREE})
     return ", ".join(present)
 
@@ -304,7 +332,7 @@ def _joint_unit(family: str, kinds: set[int]) -> str:
 def _joint_bounds(anatomy: Anatomy, joint: int) -> dict[str, tuple[float, float]]:
     """Return the bounds of what is added to a joint, by family; no total falls below zero."""
     model, dofs = anatomy.model, anatomy.dofs_of(joint)
-    inertia, force = float(anatomy.inertia[dofs].max()), float(anatomy.force[dofs].max())
+    inertia, force = float(anatomy.inertia[dofs].max()), float(anatomy.strength[dofs].max())
     damping, friction, armature = (
         float(values[dofs[0]]) for values in (model.dof_damping, model.dof_frictionloss, model.dof_armature)
     )
@@ -313,16 +341,18 @@ def _joint_bounds(anatomy: Anatomy, joint: int) -> dict[str, tuple[float, float]
     stable_spring = 1 / (model.opt.timestep**2 * max(float(model.dof_invweight0[dofs].max()), 1e-9))
     most_friction = _most_friction(force, friction)
     return {
-        "damping": _damping_bounds(damping, inertia, stable),
+        "damping": _damping_bounds(damping, inertia, stable, force),
         "dry_friction": (_taken_off(friction), most_friction),
         "position_friction": (0.0, most_friction),
-        "armature": (_taken_off(0.95 * armature), 10 * inertia),  # a light link may not be stable without any
+        # A light link may not be stable without any.
+        "armature": (_taken_off(0.95 * armature), max(10 * inertia, force / LEAST_ACCELERATION)),
         "stiffness": _stiffness_bounds(stiffness, force, stable_spring),
     }
 
 
-def _damping_bounds(damping: float, inertia: float, stable: float) -> tuple[float, float]:
-    return _taken_off(damping), min(100 * max(damping, inertia), max(stable - damping, 0.1 * stable))
+def _damping_bounds(damping: float, inertia: float, stable: float, force: float = 0.0) -> tuple[float, float]:
+    most = max(100 * max(damping, inertia), force / LEAST_SPEED)
+    return _taken_off(damping), min(most, max(stable - damping, 0.1 * stable))
 
 
 def _taken_off(value: float) -> float:
@@ -344,11 +374,14 @@ def _tendon_effects(anatomy: Anatomy) -> Found:
         if anatomy.tendon_ranges[0][tendon] < LEAST_MOBILITY:
             continue
         bounds = _tendon_bounds(anatomy, tendon)
-        for family, (unit, edit) in TENDON_EDITS.items():
+        force = anatomy.tendon_force(tendon)
+        reach = {"tendon_stiffness": max(float(anatomy.tendon_ranges[1][tendon]), 1e-9)}
+        for family, edit in TENDON_FAMILIES.items():
             if _is_disabled(anatomy, family):
                 continue
-            name = f"{family}[{tendon_name(model, tendon)}]"
-            effect = Effect(name, unit=unit, neutral=0.0, bounds=bounds[family], apply=partial(edit, tendon))
+            edit = partial(edit, tendon)
+            share = force / reach.get(family, 1.0)
+            effect = _effect(family, tendon_name(model, tendon), bounds[family], edit, force=share)
             yield effect, not _is_of_one_joint(model, tendon)
 
 
@@ -426,16 +459,9 @@ def _actuator_effects(anatomy: Anatomy) -> Found:
         if _is_servo(model, index):
             low, high = model.actuator_ctrlrange[index]
             limit = float(high - low) / 2 if model.actuator_ctrllimited[index] else LARGEST_OFFSET
-            yield (
-                Effect(
-                    f"offset[{name(index)}]",
-                    unit=_control_unit(anatomy, index),
-                    neutral=0.0,
-                    bounds=(-limit, limit),
-                    apply=partial(edits.offset_command, index),
-                ),
-                True,
-            )
+            edit = partial(edits.offset_command, index)
+            unit = _control_unit(anatomy, index)
+            yield _effect("offset", name(index), (-limit, limit), edit, unit=unit), True
 
 
 def _velocity_gain_effects(anatomy: Anatomy, actuators: Sequence[int]) -> Found:

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skat.effects import Effect
+from skat.effects import FAMILIES, Effect
 from skat.files import writable
 from skat.simulators.anatomy import EXPLICIT_INTEGRATOR, Anatomy, actuator_name
 from skat.simulators.base import Simulator
@@ -25,16 +25,6 @@ from skat.simulators.stepping import Forces, Job, Stepper, delayed_controls
 from skat.simulators.tables import Array
 
 CACHED_MODELS = 256
-# Edits that need the outcome of others come last.
-LAST = (
-    "radius",
-    "inertia",
-    "centre_of_mass",
-    "contact_friction",
-    "contact_anisotropy",
-    "restitution",
-    "delay",
-)
 
 
 class MujocoSimulator(Simulator):
@@ -403,7 +393,7 @@ class MujocoSimulator(Simulator):
             ("order", tuple(values)),
             lambda: sorted(
                 (effect for effect in self._own_effects() if effect.name in values),
-                key=lambda effect: LAST.index(effect.family) + 1 if effect.family in LAST else 0,
+                key=lambda effect: FAMILIES[effect.family].order if effect.family in FAMILIES else 0,
             ),
         )
 
