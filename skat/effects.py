@@ -88,17 +88,42 @@ _TABLE = (
     Family("kp", "the position gain of {}", "the position gain of every servo", typical=FACTOR),
     Family("kv", "the velocity gain (kv) of the servo {}", "the velocity gain (kv) of every servo", typical=FACTOR),
     _ADDED("offset", "the offset of the command of {}", unit=(), typical=0.03, odds=0.5),
-    _ADDED("delay", "the delay of every {}", unit=("s",), order=9, only=("s",)),
-    Family("contact_friction", "the contact friction of {}", "the contact friction", typical=FACTOR, order=4),
+    _ADDED("delay", "the delay of {}", "the delay of every action", unit=("s",), order=10, only=("s",)),
+    _ADDED("lag", "the lag of {}", "the lag of every actuator", unit=("s",), typical=0.02, odds=0.5, order=9,
+           only=("s",)),
+    _ADDED("lag_torque", "the lag of the torque of {}", unit=("s",), typical=0.02, odds=0.5, only=("s",)),
+    _ADDED("dead_zone", "half of the dead zone of {}", unit=(), typical=0.01, odds=0.5, aliases=("backlash",)),
+    _ADDED("backlash", "the play between motor and link of {}", unit=("m", "rad"), typical=0.01, odds=0.5, order=11),
+    _FORCE("stribeck", "the friction by which {} sticks when it is slow", unit=_TORQUE, odds=0.5),
+    Family("stribeck_speed", "the speed up to which {} sticks", unit=("m/s", "rad/s"), neutral=2.0, typical=1.0),
+    Family("stribeck_exponent", "the exponent of the sticking of {}", neutral=2.0, typical=1.0),
+    _ADDED("load_friction", "friction of {} per load on its gear", unit=("1",), typical=0.1, odds=0.5),
+    _ADDED("load_stribeck", "friction of {} per load when it is slow", unit=("1",), typical=0.1, odds=0.3),
+    *(
+        _ADDED(f"load_{kind}_{side}", f"friction of {{}} per {words}, {side}", unit=unit, typical=0.1, odds=0.1)
+        for kind, words, unit in (
+            ("friction", "load", ("1",)),
+            ("stribeck", "load when it is slow", ("1",)),
+            ("square", "square of the load when it is slow", ("1/N", "1/(N m)")),
+        )
+        for side in ("motor", "external")
+    ),
+    _ADDED("torque_speed", "the force that {} loses per speed", unit=("N s/m", "N m s/rad"), force_share=FORCE,
+           odds=0.5),
+    Family("current_limit", "the largest force of {}", unit=_TORQUE, neutral=math.nan, force_share=FORCE, odds=0.5),
+    _ADDED("payload", "a weight on {}", unit=("kg",), odds=1.0, order=4, only=("kg",)),
+    Family("contact_friction", "the contact friction of {}", "the contact friction", typical=FACTOR, order=5),
     Family("contact_anisotropy", "the contact friction of {} along its second direction",
-           "the contact friction along its second direction", typical=FACTOR, odds=0.2, order=5),
+           "the contact friction along its second direction", typical=FACTOR, odds=0.2, order=6),
     Family("restitution", "the contact damping ratio of {}", "the contact damping ratio", typical=FACTOR, odds=0.3,
-           order=6, only=("1",)),
+           order=7, only=("1",)),
     Family("timestep", "the time step", "the time step", typical=0.05, odds=0.1, order=8),
     _ADDED("bias", "the bias of sensor {}", unit=(), typical=0.01, odds=0.3),
     Family("scale", "the scale of sensor {}", "the scale of every sensor", typical=0.02, odds=0.2),
     _FORCE("force", "a constant force on {}", unit=_TORQUE, odds=0.1, only=_TORQUE),
 )  # fmt: skip
+# The target that stands for all, where it is not "all".
+EVERY = {"delay": "action"}
 FAMILIES = MappingProxyType({family.name: family for family in _TABLE})
 
 
@@ -328,7 +353,9 @@ def _phrase(name: str, unit: str, neutral: float) -> str:
     record = FAMILIES.get(family)
     if record is None:
         return name
-    words = record.words_all if target == "all" else record.words.format(target)
+    words = record.words_all if target in ("all", EVERY.get(family)) else record.words.format(target)
+    if target.startswith("ctrl.") and family in ("bias", "scale"):
+        words = f"the {family} of the command of {target.removeprefix('ctrl.')}"
     stated_in_full = neutral not in (0, 1) and record.only
     if stated_in_full or unit not in (record.only or (unit,)) or not (target or "{}" not in record.words):
         return name

@@ -10,6 +10,8 @@ from skat.simulators.contacts import ContactPair, contact_pairs
 from skat.simulators.edits import CAPSULE, CYLINDER
 from skat.simulators.tables import Array
 
+UNBOUNDED = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
+THINNEST = 1e-3  # m
 SPHERE = int(mujoco.mjtGeom.mjGEOM_SPHERE)
 JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 TENDON_TRANSMISSION = int(mujoco.mjtTrn.mjTRN_TENDON)
@@ -91,6 +93,33 @@ class Anatomy:
                 found += {FREE: dofs[3:], BALL: dofs, HINGE: dofs}.get(self.joint_kind(joint), [])
             body = int(model.body_parentid[body])
         return found
+
+    @cached_property
+    def soft_bodies(self) -> set[int]:
+        """Bodies that are vertices of something flexible."""
+        return {int(body) for body in (*self.model.flex_vertbodyid, *self.model.flex_nodebodyid)}
+
+    def box(self, body: int) -> tuple[Array, Array]:
+        """Return the corners of a box about a body's geoms and its centre of mass, along the axes of its frame, m."""
+        model, turn = self.model, np.zeros(9)
+        low, high = model.body_ipos[body].copy(), model.body_ipos[body].copy()
+        first = int(model.body_geomadr[body])
+        for geom in range(first, first + int(model.body_geomnum[body])):
+            if int(model.geom_type[geom]) in UNBOUNDED:
+                continue
+            mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
+            axes = turn.reshape(3, 3)
+            middle = model.geom_pos[geom] + axes @ model.geom_aabb[geom, :3]
+            reach = np.abs(axes) @ model.geom_aabb[geom, 3:]
+            low, high = np.minimum(low, middle - reach), np.maximum(high, middle + reach)
+        # A body without geoms is as large as its inertia says.
+        size = (
+            0.0
+            if model.body_geomnum[body]
+            else float(np.sqrt(model.body_inertia[body].sum() / max(float(model.body_mass[body]), 1e-9)))
+        )
+        grow = np.maximum((max(size, THINNEST) - (high - low)) / 2, 0.0)
+        return low - grow, high + grow
 
     def rims_of(self, body: int) -> tuple[int, ...]:
         """Return the geoms that a wheel rolls on: a body that turns without end about one hinge, () for any other.
@@ -207,7 +236,7 @@ class Anatomy:
                 SLIDE,
             ):
                 dof = int(model.jnt_dofadr[joint])
-                force[dof] = max(force[dof], self._capacity(actuator))
+                force[dof] = max(force[dof], self.capacity(actuator))
         return force
 
     @cached_property
@@ -279,7 +308,7 @@ class Anatomy:
         model = self.model
         pulled = (model.actuator_trntype == TENDON_TRANSMISSION) & (model.actuator_trnid[:, 0] == tendon)
         weight = 10 / float(self.tendon_ranges[0][tendon])
-        return max([weight, *(self._capacity(int(actuator)) for actuator in np.flatnonzero(pulled))])
+        return max([weight, *(self.capacity(int(actuator)) for actuator in np.flatnonzero(pulled))])
 
     @cached_property
     def actuator_mobility(self) -> Array:
@@ -296,7 +325,7 @@ class Anatomy:
             mobility = np.maximum(mobility, np.sum(moments * accelerations, axis=1))
         return mobility[model.actuator_outadr]
 
-    def _capacity(self, actuator: int) -> float:
+    def capacity(self, actuator: int) -> float:
         """Return the largest force of an actuator on its joint or tendon.
 
         Its limit, if it has one; else that at the largest control, or at a control of 1.

@@ -2,20 +2,23 @@
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from sklearn.base import BaseEstimator
 
 from skat.effects import Effect, checked_values
-from skat.simulators.tables import Array, checked_columns, earlier_rows, episode_starts
+from skat.simulators.tables import Array, checked_columns, episode_starts
 
 # Of the bias of a sensor: half a turn, or nothing that a unit of one's own would say.
 HALF_TURNS = {"rad": math.pi, "deg": 180.0}
 UNBOUNDED = 1e12
+# Of a sensor's filter, in transitions.
+LONGEST_LAG = 20
+Acting = tuple[Array, ...] | None
 
 
 class Simulator(BaseEstimator, ABC):
@@ -60,14 +63,40 @@ class Simulator(BaseEstimator, ABC):
         """Range that the simulation clips an input to, by name of the input."""
         return {}
 
-    def effects(self) -> tuple[Effect, ...]:
+    def effects(self, *, also: Collection[str] | str = ()) -> tuple[Effect, ...]:
         """Return every effect that this simulator can take on and that no other effect listed repeats.
 
         The values of an effect are relative to this simulator: where an effect is built in already, its
         bounds are what is left of the original ones.
+
+        Parameters
+        ----------
+        also : collection of str, or "all"
+            Families, or names, of effects that are listed only when asked for, as few machines have them or their
+            simulation takes long: lags, delays of single actuators, play, a servo's finer friction, a payload,
+            commands in the wrong unit. `predict` accepts them all, listed or not.
         """
-        unlisted = self._unlisted_effects()
-        return tuple(effect for effect in self._by_name.values() if effect.name not in unlisted)
+        unlisted, asked = self._unlisted_effects(), self._asked_effects()
+        return tuple(
+            effect
+            for effect in self._by_name.values()
+            if effect.name not in unlisted
+            and (effect.name not in asked or also == "all" or {effect.name, effect.family} & set(also))
+        )
+
+    @property
+    def hidden_state_names(self) -> tuple[str, ...]:
+        """Names of the states that the rows do not hold, as the simulator is, with what is built in.
+
+        ``act.<actuator>`` (an activation of the model; with a number behind it where there are several),
+        ``torque.<actuator>`` (a torque that lags), ``play.<joint>`` and ``play_rate.<joint>`` (of the link against its
+        motor), ``ahead.<channel>`` (how far the truth is ahead of what a sensor's filter shows). `predict` begins each
+        episode in a steady state and carries them from row to row, `rollout` likewise. What a delay or a lag of the
+        commands holds is no such state: it follows from the commands alone.
+        """
+        total = self._built_in()
+        sensors = (f"ahead.{self.state_names[column]}" for column in self._lagging(total))
+        return (*self._own_hidden_names(self._physical(total)), *sensors)
 
     def joint_forces(self) -> tuple[tuple[Effect, tuple[str, ...]], ...]:
         """Return effects that are a force on one joint each, with the inputs of that joint; none unless overridden."""
@@ -89,9 +118,12 @@ class Simulator(BaseEstimator, ABC):
         effects : mapping from name to value, optional
             Effects not given are neutral.
         groups : array-like of shape (n_rows,), optional
-            Episode of each row; an episode's rows are consecutive and in time order. Only ``delay[action]``
-            needs it: the action of the row before acts for the first part of a transition, and an episode's
-            first row has only its own. None: all rows are one episode.
+            Episode of each row; an episode's rows are consecutive and in time order. What has a memory needs it:
+            commands that come late or through a filter, of which an episode's first is taken to have held before, and
+            hidden states (`hidden_state_names`), which begin steady and are carried along: each row starts from its
+            own measured state and from the hidden state that the row before it left. Copies of an episode, with
+            displaced states for example, are episodes of their own, with labels of their own. None: all rows are one
+            episode.
 
         Returns
         -------
@@ -134,19 +166,44 @@ class Simulator(BaseEstimator, ABC):
         """
         inputs = checked_columns(X, self.input_names, "X")
         totals = [self._total(values) for values in candidates]
-        n_lags = max([self._lags(values) for values in totals], default=0)
-        starts = episode_starts(groups, len(inputs))
-        history = earlier_rows(self._actions(inputs), starts, n_lags) if n_lags else None
-        repeated = np.broadcast_to(inputs, (len(totals), *inputs.shape))
+        outputs = np.empty((len(totals), len(inputs), len(self.output_names)))
         if not totals or not len(inputs):
-            return np.empty((len(totals), len(inputs), len(self.output_names)))
-        if not self.state_names:
-            return self._measured(
-                self._outputs(repeated, [_physical(total) for total in totals], history), totals
-            )
-        inputs_true = self._true_inputs(repeated, totals)
-        outputs = self._outputs(inputs_true, [_physical(total) for total in totals], history)
-        return self._measured(outputs, totals)
+            return outputs
+        starts = episode_starts(groups, len(inputs))
+        n_hidden = np.array([self._n_hidden(total) for total in totals])
+        for kind in np.unique(n_hidden > 0):
+            which = np.flatnonzero((n_hidden > 0) == kind)
+            some = [totals[index] for index in which]
+            repeated = np.broadcast_to(inputs, (len(some), *inputs.shape))
+            true = self._true_inputs(repeated, some) if self.state_names else repeated
+            acting = self._acting(self._actions(inputs), starts, [self._physical(one) for one in some])
+            simulate = self._carried_along if kind else self._simulated
+            outputs[which] = self._measured(simulate(true, some, acting, starts), some)
+        return outputs
+
+    def _simulated(
+        self, inputs: Array, totals: Sequence[Mapping[str, float]], acting: Sequence[Acting], starts: Any
+    ) -> Array:
+        """Return the outputs of rows that hold the whole state."""
+        return self._outputs(inputs, [self._physical(total) for total in totals], acting, None)[0]
+
+    def _carried_along(
+        self,
+        inputs: Array,
+        totals: Sequence[Mapping[str, float]],
+        acting: Sequence[Acting],
+        starts: NDArray[np.intp],
+    ) -> Array:
+        """Return the outputs of rows in the order of time, each with the hidden state that the one before left."""
+        outputs = np.empty((*inputs.shape[:2], len(self.output_names)))
+        times = np.arange(len(starts)) - starts
+        order = np.argsort(times, kind="stable")
+        carried = _Carried(self, totals, int(np.count_nonzero(times == 0)))
+        episodes = np.unique(starts, return_inverse=True)[1]
+        for rows in np.split(order, np.flatnonzero(np.diff(times[order])) + 1):
+            now = [None if one is None else tuple(part[rows] for part in one) for one in acting]
+            outputs[:, rows] = carried.step(inputs[:, rows], now, episodes[rows])
+        return outputs
 
     def rollout(
         self,
@@ -210,20 +267,24 @@ class Simulator(BaseEstimator, ABC):
         start = checked_columns(initial_states, self.state_names, "initial_states")
         actions = self._checked_actions(inputs, len(start), n_steps)
         totals = [self._total(values) for values in candidates]
-        physical = [_physical(total) for total in totals]
-        n_lags = max([self._lags(values) for values in totals], default=0)
-        n_states = len(self.state_names)
-        states = np.empty((len(totals), len(start), n_steps + 1, n_states))
-        rows = np.empty((len(totals), len(start), len(self.input_names)))
+        n_states, n_episodes = len(self.state_names), len(start)
+        flat = actions.reshape(n_episodes * n_steps, actions.shape[2])
+        starts = np.repeat(np.arange(n_episodes) * n_steps, n_steps)
+        acting = self._acting(flat, starts, [self._physical(total) for total in totals])
+        by_step = [
+            None if one is None else tuple(part.reshape(n_episodes, n_steps, *part.shape[1:]) for part in one)
+            for one in acting
+        ]
+        carried = _Carried(self, totals, n_episodes)
+        states = np.empty((len(totals), n_episodes, n_steps + 1, n_states))
+        rows = np.empty((len(totals), n_episodes, len(self.input_names)))
         rows[:, :, :n_states] = self._true_inputs(np.broadcast_to(start, (len(totals), *start.shape)), totals)
         states[:, :, 0] = rows[:, :, :n_states]
         lost = np.zeros(rows.shape[:2], dtype=bool)
         for step in range(n_steps):
             rows[:, :, n_states:] = actions[:, step]
-            history = None
-            if n_lags:
-                history = actions[:, [max(step - lag, 0) for lag in range(1, n_lags + 1)]]
-            outputs = self._outputs(rows, physical, history)
+            now = [None if one is None else tuple(part[:, step] for part in one) for one in by_step]
+            outputs = carried.step(rows, now, np.arange(n_episodes))
             lost |= ~np.isfinite(outputs).all(axis=2)
             states[:, :, step + 1] = np.where(lost[:, :, None], np.nan, outputs)
             rows[:, :, :n_states] = np.where(lost[:, :, None], states[:, :, 0], outputs)
@@ -280,9 +341,13 @@ class Simulator(BaseEstimator, ABC):
 
     @abstractmethod
     def _outputs(
-        self, inputs: Array, candidates: Sequence[Mapping[str, float]], history: Array | None
-    ) -> Array:
-        """Return the outputs of each row of each candidate, NaN where the simulation diverged.
+        self,
+        inputs: Array,
+        candidates: Sequence[Mapping[str, float]],
+        acting: Sequence[Acting],
+        hidden: Sequence[Array] | None,
+    ) -> tuple[Array, list[Array]]:
+        """Return the outputs of each row of each candidate, NaN where the simulation diverged, and the hidden states.
 
         Parameters
         ----------
@@ -290,13 +355,54 @@ class Simulator(BaseEstimator, ABC):
             Possibly a read-only view that repeats the same rows.
         candidates : sequence of mappings
             Values of the own effects, those built in included.
-        history : ndarray of shape (n_rows, n_lags, n_actions), or None
-            Inputs other than the state of the rows before: one row back, two rows back, ...
+        acting : sequence of tuples of arrays, or None
+            For each candidate these rows of what `_acting` returned.
+        hidden : sequence of ndarrays of shape (n_rows, n_hidden), or None
+            For each candidate the hidden states as the rows begin, NaN for steady states. None: all are steady.
         """
 
-    def _lags(self, values: Mapping[str, float]) -> int:
-        """Return how many rows back the inputs act on a row."""
-        return 0
+    def _acting(
+        self, actions: Array, starts: NDArray[np.intp], candidates: Sequence[Mapping[str, float]]
+    ) -> list[Acting]:
+        """Return what acts in each row of the inputs other than the state, a delay or a filter being in between.
+
+        Parameters
+        ----------
+        actions : ndarray of shape (n_rows, n_actions)
+        starts : ndarray of shape (n_rows,)
+            First row of each row's episode.
+        candidates : sequence of mappings
+            Values of the own effects.
+
+        Returns
+        -------
+        list
+            For each candidate a tuple of arrays, each with an entry a row; None where the rows' own actions act.
+        """
+        return [None] * len(candidates)
+
+    def _own_hidden_names(self, values: Mapping[str, float]) -> tuple[str, ...]:
+        """Return the names of the hidden states under these values, without those of sensors."""
+        return ()
+
+    def _n_hidden(self, total: Mapping[str, float]) -> int:
+        return len(self._own_hidden_names(self._physical(total))) + len(self._lagging(total))
+
+    def _lagging(self, total: Mapping[str, float]) -> dict[int, float]:
+        """Return the time constant of each channel, by its column, that a filter delays."""
+        columns = {f"lag[{name}]": index for index, name in enumerate(self.state_names)}
+        return {columns[name]: value for name, value in total.items() if name in columns and value}
+
+    def _physical(self, total: Mapping[str, float]) -> dict[str, float]:
+        """Return the values of all effects but those of sensors."""
+        sensors = self._cached(
+            "sensor_names", lambda: frozenset(effect.name for effect in self._sensor_effects())
+        )
+        return {name: value for name, value in total.items() if name not in sensors}
+
+    def _asked_effects(self) -> frozenset[str]:
+        """Return the names of effects that are listed only when asked for."""
+        return frozenset(effect.name for effect in self._sensor_effects() if effect.family == "lag")
 
     def _sensor_effects(self) -> tuple[Effect, ...]:
         channels = self.state_names or self.output_names
@@ -308,6 +414,7 @@ class Simulator(BaseEstimator, ABC):
                 for name in channels
             ),
             *(Effect(f"scale[{name}]", unit="1", neutral=1.0, bounds=(0.1, 10.0)) for name in channels),
+            *sensor_lags(self.state_names, self.dt),
         )
 
     def _unlisted_effects(self) -> frozenset[str]:
@@ -406,13 +513,65 @@ class Simulator(BaseEstimator, ABC):
         return actions
 
 
+def sensor_lags(channels: Sequence[str], dt: float | None) -> Iterator[Effect]:
+    """Yield the lag of each channel's sensor; a filter has a time only where transitions have."""
+    for name in channels if dt else ():
+        bounds = (0.0, LONGEST_LAG * dt)  # type: ignore[operator]
+        yield Effect(f"lag[{name}]", unit="s", neutral=0.0, bounds=bounds, typical=dt)  # type: ignore[arg-type]
+
+
 def is_sensor(name: str) -> bool:
     """Whether an effect of this name acts on what a sensor reads."""
     return name.startswith(("bias[", "scale[")) and not name.partition("[")[2].startswith("ctrl.")
 
 
-def _physical(total: Mapping[str, float]) -> dict[str, float]:
-    return {name: value for name, value in total.items() if not is_sensor(name)}
+class _Carried:
+    """The hidden states of candidates, an entry for each episode, carried from row to row.
+
+    A sensor's filter hides how far the truth is ahead of what it reads.
+    """
+
+    def __init__(self, simulator: Simulator, totals: Sequence[Mapping[str, float]], n_episodes: int):
+        self._simulator = simulator
+        self._physical = [simulator._physical(total) for total in totals]
+        self._lagging = [simulator._lagging(total) for total in totals]
+        self._hidden = [
+            np.full((n_episodes, len(simulator._own_hidden_names(values))), np.nan)
+            for values in self._physical
+        ]
+        self._ahead = [np.full((n_episodes, len(lags)), np.nan) for lags in self._lagging]
+
+    def step(self, inputs: Array, acting: Sequence[Acting], episodes: NDArray[np.intp]) -> Array:
+        """Return the outputs of one row of each of these episodes, as sensors without a bias read them."""
+        simulator, dt = self._simulator, float(self._simulator.dt or math.nan)
+        before = [hidden[episodes] for hidden in self._hidden]
+        if not any(self._lagging):
+            outputs, after = simulator._outputs(inputs, self._physical, acting, before)
+        else:
+            read, true = inputs, np.array(inputs)
+            ahead = [one[episodes] for one in self._ahead]
+            if any(np.isnan(one).any() for one in ahead):
+                # A steady state: the filter lags what moves at a constant speed by its time constant.
+                ended = simulator._outputs(true, self._physical, acting, before)[0]
+                for index, lags in enumerate(self._lagging):
+                    for place, (column, lag) in enumerate(lags.items()):
+                        steady = np.nan_to_num(ended[index, :, column] - read[index, :, column]) * lag / dt
+                        known = ahead[index][:, place]
+                        ahead[index][:, place] = np.where(np.isnan(known), steady, known)
+            for index, lags in enumerate(self._lagging):
+                true[index][:, list(lags)] += ahead[index]
+            outputs, after = simulator._outputs(true, self._physical, acting, before)
+            for index, lags in enumerate(self._lagging):
+                for place, (column, lag) in enumerate(lags.items()):
+                    # Of a filter of first order, whose input goes straight from one row's truth to the next.
+                    left = math.exp(-dt / lag)
+                    speed = (outputs[index, :, column] - true[index, :, column]) / dt
+                    now = lag * speed * (1 - left) + ahead[index][:, place] * left
+                    self._ahead[index][episodes, place] = np.nan_to_num(now)
+                    outputs[index, :, column] -= now
+        for kept, one in zip(self._hidden, after):
+            kept[episodes] = one
+        return outputs
 
 
 def _sensors(total: Mapping[str, float]) -> dict[str, tuple[float, float]]:

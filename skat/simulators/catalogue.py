@@ -14,7 +14,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from skat.effects import FAMILIES, Effect
+from skat.effects import FACTOR, FAMILIES, Effect
 from skat.simulators import contacts, edits
 from skat.simulators.anatomy import (
     EULER,
@@ -26,6 +26,7 @@ from skat.simulators.anatomy import (
     tendon_name,
 )
 from skat.simulators.channels import BALL, FREE, HINGE, SLIDE, joint_name
+from skat.simulators.friction import NEUTRAL
 
 AXES = "xyz"
 LINEAR_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
@@ -54,6 +55,23 @@ TENDON_FAMILIES: dict[str, Callable[..., Any]] = {
 # No geared joint needs more: with its inertia at the bound, the drive's whole force accelerates it by this, in rad/s2
 # or m/s2; with its damping at the bound, it turns the joint at this, in rad/s or m/s.
 LEAST_ACCELERATION, LEAST_SPEED = 5.0, 0.5
+# Bounds of families of `friction.budget`; None: twice the force of the joint's drive. Others than its own are listed
+# above.
+FRICTION_BOUNDS: dict[str, tuple[float, float] | None] = {
+    "stribeck": None,
+    "stribeck_speed": (0.01, 50.0),
+    "stribeck_exponent": (0.3, 10.0),
+    **{family: (0.0, 2.0) for family in NEUTRAL if family.startswith("load_")},
+}
+NO_DYNAMICS = int(mujoco.mjtDyn.mjDYN_NONE)
+LONGEST_LAG = 0.3  # s
+LARGEST_SCALE = 100.0  # degrees for radians are 57
+LARGEST_CONTROL = 10.0
+LARGEST_PAYLOAD = 5.0
+# Of the inertia of a joint: a motor's own, where the model has none.
+LEAST_ROTOR = 0.02
+# Of slides, m, and of hinges, rad.
+WIDEST_PLAY = (0.02, 0.2)
 # In 1/kg: what a tendon moves weighs less than the inverse of it, if it moves anything.
 LEAST_MOBILITY = 1e-9
 FIXED_TENDON = int(mujoco.mjtWrap.mjWRAP_JOINT)
@@ -61,7 +79,7 @@ FIXED_TENDON = int(mujoco.mjtWrap.mjWRAP_JOINT)
 
 @dataclass(frozen=True)
 class Listing:
-    """Effects, the names of those that are accepted but no causes to choose from, and of the forces on joints.
+    """Effects, with the names of those that are no causes to choose from, of forces, and of those listed if asked for.
 
     ``mass[all]`` of a model with one body repeats ``mass[<body>]``. A constant force on a joint is nobody's cause, but
     shows how a joint would respond to one; there is one for each degree of freedom, in MuJoCo's order.
@@ -70,6 +88,7 @@ class Listing:
     effects: tuple[Effect, ...]
     unlisted: frozenset[str]
     forces: tuple[str, ...]
+    asked: frozenset[str]
 
 
 def effect_listing(anatomy: Anatomy, frame_skip: int) -> Listing:
@@ -90,10 +109,15 @@ def effect_listing(anatomy: Anatomy, frame_skip: int) -> Listing:
             effects.append(effect)
             if not listed:
                 unlisted.append(effect.name)
+    dt = frame_skip * model.opt.timestep
     if _acting(anatomy):
-        dt = frame_skip * model.opt.timestep
         bounds = (0.0, MAX_DELAY_IN_TRANSITIONS * dt)
-        effects.append(_effect("delay", "action", bounds, edits.delay_actuators, typical=dt))
+        edit = partial(edits.delay_actuators, tuple(range(model.nu)))
+        effects.append(_effect("delay", "action", bounds, edit, typical=dt))
+    finer = [*_late_effects(anatomy, dt), *_servo_effects(anatomy), *_payload_effects(anatomy)]
+    asked = {effect.name for effect, listed in finer if listed}
+    unlisted += [effect.name for effect, listed in finer if not listed]
+    effects += [effect for effect, _ in finer]
     bounds = (FINEST_TIMESTEP, float(max(1, frame_skip)))
     effects.append(_effect("timestep", None, bounds, edits.scale_timestep))
     forces = _joint_forces(anatomy)
@@ -104,7 +128,7 @@ def effect_listing(anatomy: Anatomy, frame_skip: int) -> Listing:
             f"two effects of the model would be called {repeated[0]}: give one of the elements that this means "
             "another name ('all' stands for all of them)"
         )
-    return Listing((*effects, *forces), frozenset((*unlisted, *names)), names)
+    return Listing((*effects, *forces), frozenset((*unlisted, *names)), names, frozenset(asked))
 
 
 def _joint_forces(anatomy: Anatomy) -> list[Effect]:
@@ -273,8 +297,8 @@ def _force_effects(anatomy: Anatomy) -> Found:
 
 
 def _joint_effects(anatomy: Anatomy) -> Found:
-    flexible = set(anatomy.model.flex_vertbodyid) | set(anatomy.model.flex_nodebodyid)
-    joints = [joint for joint in range(anatomy.model.njnt) if anatomy.model.jnt_bodyid[joint] not in flexible]
+    bodies = anatomy.model.jnt_bodyid
+    joints = [joint for joint in range(anatomy.model.njnt) if bodies[joint] not in anatomy.soft_bodies]
     inner = [joint for joint in joints if joint not in anatomy.base_joints]
     bounds = {joint: _joint_bounds(anatomy, joint) for joint in joints}
     for joint in joints:
@@ -437,13 +461,7 @@ def _actuator_effects(anatomy: Anatomy) -> Found:
     acting = _acting(anatomy)
     # The parameters of muscles and of motors with an electrical side are lengths, speeds, resistances as well, those of
     # a plugin are its own.
-    simple = [
-        index
-        for index in acting
-        if model.actuator_plugin[index] < 0
-        and int(model.actuator_gaintype[index]) in LINEAR_GAINS
-        and int(model.actuator_biastype[index]) in LINEAR_BIASES
-    ]
+    simple = _simple(anatomy)
     yield from _each_and_all("gain", simple, name, (-3.0, 3.0), edits.scale_gain)
     limited = [index for index in acting if model.actuator_forcelimited[index]]
     yield from _each_and_all("force_limit", limited, name, (0.02, 20.0), edits.scale_force_limit)
@@ -540,6 +558,127 @@ def _control_unit(anatomy: Anatomy, actuator: int) -> str:
         return f"unit of ctrl.{actuator_name(model, actuator)}"
     is_of_position = model.actuator_biasprm[actuator, 1] != 0
     return ("m" if kind == SLIDE else "rad") + ("" if is_of_position else "/s")
+
+
+def _simple(anatomy: Anatomy) -> list[int]:
+    """Return the actuators whose force is affine in the place and the speed of what they move."""
+    model = anatomy.model
+    return [
+        index
+        for index in _acting(anatomy)
+        if model.actuator_plugin[index] < 0
+        and int(model.actuator_gaintype[index]) in LINEAR_GAINS
+        and int(model.actuator_biastype[index]) in LINEAR_BIASES
+    ]
+
+
+def _late_effects(anatomy: Anatomy, dt: float) -> Found:
+    """Yield what lies between the commands and the actuators."""
+    model, acting = anatomy.model, _acting(anatomy)
+    name = partial(actuator_name, model)
+    longest = (0.0, max(LONGEST_LAG, MAX_DELAY_IN_TRANSITIONS * dt))
+    for index in acting:
+        edit = partial(edits.delay_actuators, (index,))
+        bounds = (0.0, MAX_DELAY_IN_TRANSITIONS * dt)
+        yield _effect("delay", name(index), bounds, edit, typical=dt), len(acting) > 1
+    filtered = [index for index in acting if model.actuator_dyntype[index] == NO_DYNAMICS]
+    for index in filtered:
+        edit = partial(edits.filter_commands, (index,))
+        yield _effect("lag", name(index), longest, edit), len(filtered) > 1
+    if filtered:
+        yield _effect("lag", "all", longest, partial(edits.filter_commands, tuple(filtered))), True
+    for index in _simple(anatomy):
+        unit, limit = f"unit of ctrl.{name(index)}", LARGEST_CONTROL
+        servo = _is_servo(model, index)
+        if servo:
+            unit, limit = _control_unit(anatomy, index), LARGEST_OFFSET
+        if model.actuator_ctrllimited[index]:
+            low, high = model.actuator_ctrlrange[index]
+            limit = float(high - low) / 2
+        if not model.actuator_gainprm[index, 1:3].any():
+            edit = partial(edits.shift_command, index)
+            target = f"ctrl.{name(index)}"
+            shift = _effect("bias", target, (-limit, limit), edit, unit=unit, typical=0.1 * limit)
+            yield shift, not servo
+            bounds = (-LARGEST_SCALE, LARGEST_SCALE)
+            edit = partial(edits.scale_command, index)
+            yield _effect("scale", target, bounds, edit, typical=0.2), servo
+        yield _effect("dead_zone", name(index), (0.0, 0.9 * limit), unit=unit, typical=0.01 * limit), True
+
+
+def _servo_effects(anatomy: Anatomy) -> Found:
+    """Yield what makes a geared servo of a motor: late and limited torque, friction under load, play."""
+    model = anatomy.model
+    name = partial(actuator_name, model)
+    for index in _simple(anatomy):
+        if model.actuator_dyntype[index] == NO_DYNAMICS:
+            edit = partial(edits.prepare_lag, index)
+            feeds_back = bool(model.actuator_biasprm[index, 1:3].any())
+            yield _effect("lag_torque", name(index), (0.0, LONGEST_LAG), edit), feeds_back
+        if index not in anatomy.joint_driven:
+            continue
+        kind = anatomy.joint_kind(int(model.actuator_trnid[index, 0]))
+        if kind not in (HINGE, SLIDE):
+            continue
+        angular = int(kind == HINGE)
+        capacity = anatomy.capacity(index) / max(abs(float(model.actuator_gear[index, 0])), 1e-9)
+        if not capacity > 0:
+            continue
+        known = bool(model.actuator_ctrllimited[index] or model.actuator_forcelimited[index])
+        edit = partial(edits.prepare_tiring, index, capacity)
+        bounds = (0.0, capacity / LEAST_SPEED)
+        unit = FAMILIES["torque_speed"].unit[angular]
+        tiring = _effect("torque_speed", name(index), bounds, edit, unit=unit, force=capacity / 10)
+        yield tiring, known or _is_servo(model, index)
+        if not model.actuator_forcelimited[index] and (known or _is_servo(model, index)):
+            edit = partial(edits.limit_force, index)
+            unit = FAMILIES["current_limit"].unit[angular]
+            bounds = (0.02 * capacity, capacity)
+            limit = _effect(
+                "current_limit", name(index), bounds, edit, unit=unit, neutral=capacity, force=capacity
+            )
+            yield limit, True
+    for joint in range(model.njnt):
+        kind = anatomy.joint_kind(joint)
+        if kind not in (HINGE, SLIDE) or _is_base(anatomy, joint):
+            continue
+        target, angular = joint_name(model, joint), int(kind == HINGE)
+        dof = int(model.jnt_dofadr[joint])
+        force, strength = float(anatomy.force[dof]), float(anatomy.strength[dof])
+        driven = joint in anatomy.actuated
+        for family in () if _is_disabled(anatomy, "dry_friction") else FRICTION_BOUNDS:
+            record = FAMILIES[family]
+            unit = record.unit[min(angular, len(record.unit) - 1)]
+            bounds = FRICTION_BOUNDS[family] or (0.0, 2 * strength)
+            listed = family in ("stribeck", "load_friction") and driven
+            neutral = NEUTRAL[family]
+            yield _effect(family, target, bounds, unit=unit, neutral=neutral, force=force), listed
+        if driven and model.jnt_bodyid[joint] not in anatomy.soft_bodies:
+            rotor = LEAST_ROTOR * float(anatomy.inertia[dof])
+            edit = partial(edits.add_play, target, rotor)
+            widest, unit = WIDEST_PLAY[angular], FAMILIES["backlash"].unit[angular]
+            typical = 0.01 if angular else 0.001
+            play = _effect("backlash", target, (0.0, widest), edit, unit=unit, typical=typical)
+            zones = (f"dead_zone[{name(one)}]" for one in anatomy.drives[dof])
+            yield replace(play, aliases=tuple(zones)), bool(model.joint(joint).name)
+
+
+def _payload_effects(anatomy: Anatomy) -> Found:
+    """Yield a point mass on each body, and, for it to be somewhere else than at the centre of mass, its place."""
+    model = anatomy.model
+    for body in anatomy.moving:
+        if model.body_mass[body] <= 0:
+            continue
+        target, mass = anatomy.body_name(body), float(model.body_mass[body])
+        most = max(LARGEST_PAYLOAD * mass, float(model.body_subtreemass[anatomy.root]))
+        low, high = anatomy.box(body)
+        load = _effect("payload", target, (0.0, most), typical=FACTOR * mass)
+        yield replace(load, aliases=(f"mass[{target}]",)), True
+        for axis in range(3):
+            bounds, centre = (float(low[axis]), float(high[axis])), float(model.body_ipos[body, axis])
+            place = f"{target}.{AXES[axis]}"
+            typical = max(float(high[axis] - low[axis]) / 4, 1e-3)
+            yield _effect("payload", place, bounds, unit="m", neutral=centre, typical=typical), False
 
 
 def _contact_effects(anatomy: Anatomy) -> Found:

@@ -22,6 +22,8 @@ def lean_spec(source: ModelSource) -> mujoco.MjSpec:
         light.texture = ""
     for element in [*spec.materials, *spec.textures, *spec.skins]:
         spec.delete(element)
+    for actuator in spec.actuators:  # the commands are delayed outside
+        actuator.nsample, actuator.delay = 0, 0
     for sensor in spec.sensors:  # what a sensor remembers acts on nothing
         sensor.nsample, sensor.delay, sensor.interval = 0, 0, [0, 0]
     spec.compiler.fusestatic = spec.compiler.discardvisual = False  # effects mean elements by their place
@@ -54,12 +56,6 @@ def checked_model(spec: mujoco.MjSpec, frame_skip: int) -> mujoco.MjModel:
     if model.nq == 0:
         raise ValueError("the model has no joints: nothing in it can move, so there is no state to predict")
     hidden = {
-        f"{model.na} actuator activations (dyntype other than 'none')": (model.na, "remove it"),
-        "delayed actuators (delay, nsample)": (
-            model.nhistory,
-            "take delay and nsample out of the MJCF, and build the delay in by "
-            'MujocoSimulator(...).extended({"delay[action]": seconds})',
-        ),
         "a plastic state (springyield, yield, or the twist of an elastic rod)": (
             model.nplastic,
             "take springyield and yield out of the MJCF, and elasticity out of rods with twist joints",

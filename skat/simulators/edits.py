@@ -14,6 +14,8 @@ import numpy as np
 CAPSULE, CYLINDER = int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER)
 FROM_GEOMS = int(mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE)
 AUTOMATIC = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+# What is put behind the name of a joint for that of its play.
+PLAY = ".play"
 SHELL = mujoco.mjtGeomInertia.mjINERTIA_SHELL
 
 
@@ -209,12 +211,118 @@ def offset_command(actuator: int, spec: mujoco.MjSpec, offset: float) -> None:
     element.biasprm[0] = element.biasprm[0] + element.gainprm[0] * offset
 
 
-def delay_actuators(spec: mujoco.MjSpec, delay: float) -> None:
-    """Delay every actuator's control, linear between the time steps."""
-    for actuator in spec.actuators:
-        actuator.delay = delay
-        actuator.nsample = math.ceil(delay / spec.option.timestep - 1e-9) + 1
-        actuator.interp = 1
+def delay_actuators(actuators: Sequence[int], spec: mujoco.MjSpec, delay: float) -> None:
+    """Delay actuators' controls, on top of the delay they have; linear between the time steps if they have none."""
+    elements = spec.actuators
+    for index in actuators:
+        actuator = elements[index]
+        if not actuator.delay:
+            actuator.interp = 1
+        actuator.delay = actuator.delay + delay
+        actuator.nsample = math.ceil(actuator.delay / spec.option.timestep - 1e-9) + 1
+
+
+def filter_commands(actuators: Sequence[int], spec: mujoco.MjSpec, lag: float) -> None:
+    """Put a filter of first order between actuators and their controls, or a slower one in its place."""
+    elements = spec.actuators
+    for index in actuators:
+        actuator = elements[index]
+        actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
+        actuator.dynprm[0] = (actuator.dynprm[0] if actuator.actearly else 0.0) + lag
+        actuator.actearly = True
+
+
+def scale_command(actuator: int, spec: mujoco.MjSpec, factor: float) -> None:
+    """Let an actuator act as if its control were multiplied."""
+    element = spec.actuators[actuator]
+    element.gainprm = np.asarray(element.gainprm) * factor
+    if factor:
+        element.ctrlrange = np.sort(np.asarray(element.ctrlrange) / factor)
+
+
+def shift_command(actuator: int, spec: mujoco.MjSpec, bias: float) -> None:
+    """Let an actuator act as if its control were larger."""
+    element = spec.actuators[actuator]
+    element.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+    element.biasprm[0] = element.biasprm[0] + element.gainprm[0] * bias
+    element.ctrlrange = np.asarray(element.ctrlrange) - bias
+
+
+def limit_force(actuator: int, spec: mujoco.MjSpec, force: float) -> None:
+    """Let an actuator have at most this force."""
+    element = spec.actuators[actuator]
+    element.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+    element.forcerange = [-force, force]
+
+
+def prepare_tiring(actuator: int, capacity: float, spec: mujoco.MjSpec, slope: float) -> None:
+    """Give an actuator a limit of its force for its speed to lower."""
+    element = spec.actuators[actuator]
+    if not np.any(element.forcerange):
+        limit_force(actuator, spec, capacity)
+
+
+def prepare_lag(actuator: int, spec: mujoco.MjSpec, lag: float) -> None:
+    """Give an actuator a bias for the stepping to write its late force into."""
+    spec.actuators[actuator].biastype = mujoco.mjtBias.mjBIAS_AFFINE
+
+
+def add_play(joint: str, rotor: float, spec: mujoco.MjSpec, width: float) -> None:
+    """Put a joint with play between a joint's motor, which keeps its armature and friction, and the link.
+
+    A motor without inertia gets `rotor`. Its flanks are as hard as the time step allows. Keyframes, which do not know
+    of this joint, go.
+    """
+    motor = next(one for one in spec.joints if one.name == joint)
+    if motor.armature <= 0:
+        motor.armature = rotor
+    motor.parent.add_joint(
+        name=joint + PLAY,
+        type=motor.type,
+        pos=motor.pos,
+        axis=motor.axis,
+        limited=mujoco.mjtLimited.mjLIMITED_TRUE,
+        range=_in_units(spec, motor, [-width / 2, width / 2]),
+        solref_limit=[2 * spec.option.timestep, 1.0],
+        solimp_limit=[0.95, 0.99, 1e-4, 0.5, 2.0],
+        armature=0.0,
+        damping=np.zeros_like(motor.damping),
+        stiffness=np.zeros_like(motor.stiffness),
+        frictionloss=0.0,
+        margin=0.0,
+    )
+    for key in list(spec.keys):
+        spec.delete(key)
+
+
+def _in_units(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, values: Sequence[float]) -> np.ndarray:
+    """Return angles as the compiler reads them."""
+    turns = joint.type == mujoco.mjtJoint.mjJNT_HINGE and spec.compiler.degree
+    return np.rad2deg(values) if turns else np.asarray(values)
+
+
+def add_payload(body: int, place: Sequence[float], spec: mujoco.MjSpec, mass: float) -> None:
+    """Fix a point mass to a body, at a place in the body's frame."""
+    element = _with_inertial(spec.bodies[body], spec)
+    turn, diagonal = np.zeros(9), np.array(element.inertia, dtype=float)
+    if np.isnan(element.fullinertia[0]):
+        quaternion = element.iquat / np.linalg.norm(element.iquat)
+        mujoco.mju_quat2Mat(turn, quaternion)
+        axes = turn.reshape(3, 3)
+        inertia = axes @ np.diag(diagonal) @ axes.T
+    else:
+        xx, yy, zz, xy, xz, yz = element.fullinertia
+        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    own, total = float(element.mass), float(element.mass) + mass
+    offset = np.asarray(place, dtype=float) - element.ipos
+    reduced = own * mass / total
+    inertia = inertia + reduced * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+    element.ipos = element.ipos + mass / total * offset
+    element.mass = total
+    element.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    element.iquat = [1.0, 0.0, 0.0, 0.0]
+    element.inertia = np.zeros(3)
+    element.fullinertia = [*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2]]
 
 
 def scale_timestep(spec: mujoco.MjSpec, factor: float) -> None:

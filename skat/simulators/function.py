@@ -4,10 +4,15 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skat.effects import Effect
-from skat.simulators.base import Simulator, is_sensor
+from skat.simulators.base import LONGEST_LAG, Acting, Simulator, is_sensor
+from skat.simulators.commands import CommandPath
 from skat.simulators.tables import Array
+
+# Of a transition, over which the mean is taken of what arrives.
+PIECES = 32
 
 
 class FunctionSimulator(Simulator):
@@ -25,7 +30,9 @@ class FunctionSimulator(Simulator):
     state_names : sequence of str, default=()
         Empty: a one-shot simulation. Otherwise the first inputs and the outputs, which must bear these names.
     effects : sequence of Effect, default=()
-        What the function can take on. Effects of the sensors are added by themselves.
+        What the function can take on. Effects of the sensors are added by themselves; with `dt`, so are a delay and a
+        lag of first order of each input other than the state. As the function takes one value of an input for a whole
+        transition, it is given the mean over the transition of what arrives.
     dt : float, optional
         Duration of a transition, s.
     units : mapping from name to str, optional
@@ -105,15 +112,63 @@ class FunctionSimulator(Simulator):
         return self
 
     def _own_effects(self) -> tuple[Effect, ...]:
-        return self._effects
+        return (*self._effects, *self._late_effects())
+
+    def _asked_effects(self) -> frozenset[str]:
+        return super()._asked_effects() | {effect.name for effect in self._late_effects()}
+
+    def _late_effects(self) -> tuple[Effect, ...]:
+        """Return delays and lags of the inputs other than the state, but for those that the function has itself."""
+        inputs = self.input_names[len(self.state_names) :]
+        if not self.dt or not self.state_names or not inputs:
+            return ()
+        bounds, own = (0.0, LONGEST_LAG * self.dt), {effect.name for effect in self._effects}
+        names = [f"lag[{name}]" for name in inputs] + [f"delay[{name}]" for name in inputs]
+        names += ["delay[action]"] if "action" not in inputs else []
+        return tuple(
+            Effect(name, unit="s", neutral=0.0, bounds=bounds, typical=self.dt)
+            for name in names
+            if name not in own
+        )
+
+    def _path(self, values: Mapping[str, float]) -> CommandPath:
+        """Return what lies between the inputs other than the state and the function."""
+        names = self.input_names[len(self.state_names) :]
+        delay, lag = (
+            np.array([values.get(f"{family}[{name}]", 0.0) for name in names]) for family in ("delay", "lag")
+        )
+        zeros = np.zeros(len(names))
+        delay += values.get("delay[action]", 0.0)
+        return CommandPath(1 + zeros, zeros, delay, lag, zeros, np.zeros(len(names), bool))
+
+    def _acting(
+        self, actions: Array, starts: NDArray[np.intp], candidates: Sequence[Mapping[str, float]]
+    ) -> list[Acting]:
+        found: list[Acting] = []
+        for values in candidates:
+            path = self._path(values)
+            within = path.acting(actions, starts, float(self.dt), PIECES) if path.changes else None  # type: ignore[arg-type]
+            found.append(None if within is None else (within.mean(axis=1),))
+        return found
+
+    def _lags(self, values: Mapping[str, float]) -> int:
+        return self._path(values).n_lags(self.dt) if self.dt else 0
 
     def _outputs(
-        self, inputs: Array, candidates: Sequence[Mapping[str, float]], history: Array | None
-    ) -> Array:
+        self,
+        inputs: Array,
+        candidates: Sequence[Mapping[str, float]],
+        acting: Sequence[Acting],
+        hidden: Sequence[Array] | None,
+    ) -> tuple[Array, list[Array]]:
+        n_states = len(self.state_names)
         outputs = np.empty((*inputs.shape[:2], len(self.output_names)))
         for index, values in enumerate(candidates):
             complete = {effect.name: values.get(effect.name, effect.neutral) for effect in self._effects}
-            result = self._called(inputs[index].copy(), complete)
+            rows, late = inputs[index].copy(), acting[index]
+            if late is not None:
+                rows[:, n_states:] = late[0]
+            result = self._called(rows, complete)
             if result.shape != outputs.shape[1:]:
                 raise ValueError(
                     f"the function must return the shape (n_rows, n_outputs) = {outputs.shape[1:]}, "
@@ -122,7 +177,7 @@ class FunctionSimulator(Simulator):
                 )
             result = np.where(np.isfinite(result).all(axis=1, keepdims=True), result, np.nan)
             outputs[index] = result
-        return outputs
+        return outputs, [np.zeros((inputs.shape[1], 0))] * len(candidates)
 
     def _called(self, inputs: Array, values: Mapping[str, float]) -> Array:
         try:

@@ -3,28 +3,35 @@
 import json
 import math
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from skat.effects import FAMILIES, Effect
 from skat.files import writable
 from skat.simulators.anatomy import EXPLICIT_INTEGRATOR, Anatomy, actuator_name
-from skat.simulators.base import Simulator
+from skat.simulators.base import Acting, Simulator, sensor_lags
 from skat.simulators.catalogue import Listing, effect_listing
 from skat.simulators.channels import HINGE, StateLayout, joint_name, state_layout
+from skat.simulators.commands import CommandPath
 from skat.simulators.compiling import checked_model, compile_spec, lean_spec
 from skat.simulators.derived import write_down
+from skat.simulators.edits import PLAY, add_payload
+from skat.simulators.friction import NEUTRAL
 from skat.simulators.source import NOTES, ModelSource, broken_model, read_source, write_xml
-from skat.simulators.stepping import Forces, Job, Stepper, delayed_controls
+from skat.simulators.stepping import Forces, Job, Play, Stepper
 from skat.simulators.tables import Array
 
 CACHED_MODELS = 256
+NO_DYNAMICS = int(mujoco.mjtDyn.mjDYN_NONE)
+# Families that need the stepping; with those of `friction.budget`. MJCF cannot express them.
+STEPPED = ("wind", "air_drag", "force", "dead_zone", "torque_speed", "lag_torque")
 
 
 class MujocoSimulator(Simulator):
@@ -33,7 +40,8 @@ class MujocoSimulator(Simulator):
     X = [qpos, qvel, ctrl], y = [qpos, qvel] after ``frame_skip`` time steps.
 
     Every row starts from a clean state: time zero, no warm start of the constraint solver. All rows, under
-    all candidate effects, run in one call of ``mujoco.batch``.
+    all candidate effects, run in one call of ``mujoco.batch``. Activations of actuators are hidden states, which rows
+    do not hold: they begin each episode steady and are carried from row to row (`hidden_state_names`).
 
     Parameters
     ----------
@@ -52,8 +60,8 @@ class MujocoSimulator(Simulator):
     FileNotFoundError
         If there is no such file.
     ValueError
-        If MuJoCo cannot read the model; if it has actuators with activation states or delays, whose state
-        the rows do not hold; if an extra effect has the name of another one.
+        If MuJoCo cannot read the model; if it has a memory that can be neither held by rows nor carried along them; if
+        an extra effect has the name of another one.
 
     Examples
     --------
@@ -189,9 +197,10 @@ class MujocoSimulator(Simulator):
         """Write the model, with the effects that are built in, for any user of MuJoCo.
 
         Numbers are written with all digits: plain MuJoCo predicts what this simulator predicts. What MJCF
-        cannot express (wind, drag on bodies that turn, friction that grows with the position, forces on joints,
-        sensors, a delay shorter than a time step, and any under the Runge-Kutta integrator, which reads delayed
-        controls between time steps) is written beside it, into ``<name>.effects.json``.
+        cannot express (wind, drag on bodies that turn, friction that grows with position or load or falls with
+        speed, forces on joints, dead zones, torque that lags or falls with speed, sensors, a delay shorter than a time
+        step, and any under the Runge-Kutta integrator, which reads delayed controls between time steps) is written
+        beside it, into ``<name>.effects.json``. A ``backlash`` is written as a joint of its own, ``<joint>.play``.
 
         Parameters
         ----------
@@ -216,15 +225,18 @@ class MujocoSimulator(Simulator):
         values = self._built_in()
         spec = self.model.spec()
         write_down(spec)
-        substeps, beside = self.frame_skip, {}
+        substeps = self.frame_skip
+        beside: dict[str, float] = {}
+        edits = {effect.name: edit for effect, edit in self._edited(values)}
         for effect in self._edit_order(values):
             value = values[effect.name]
             fits = effect.family != "timestep" or len(self._substeps(values)) == 1
             fits &= effect.family != "delay" or self._reads_delayed(spec, value, values)
-            if effect.apply is None or not fits:
-                beside[effect.name] = value
+            of_payload = effect.family == "payload" and effect.unit == "m"
+            if effect.name not in edits or not fits or effect.family in STEPPED:
+                beside |= {} if of_payload else {effect.name: value}
             else:
-                effect.apply(spec, value)
+                edits[effect.name](spec, value)
                 substeps = self._substeps(values)[0][1] if effect.family == "timestep" else substeps
         beside |= {name: value for name, value in values.items() if name not in self._own_by_name}
         said = [f"One transition is {substeps} time steps."]
@@ -304,37 +316,137 @@ class MujocoSimulator(Simulator):
     def _unlisted_effects(self) -> frozenset[str]:
         return self._listing.unlisted
 
+    def _asked_effects(self) -> frozenset[str]:
+        return super()._asked_effects() | self._listing.asked
+
     def _sensor_effects(self) -> tuple[Effect, ...]:
-        return self._cached("sensors", lambda: tuple(_sensor_effects(self._layout)))
+        return self._cached("sensors", lambda: tuple(_sensor_effects(self._layout, self.dt)))
 
     def _lags(self, values: Mapping[str, float]) -> int:
-        return math.ceil(values.get("delay[action]", 0.0) / self.dt - 1e-9)
+        return self._path(values).n_lags(self.dt)
+
+    def _path(self, values: Mapping[str, float]) -> CommandPath:
+        """Return what lies between the commands and the actuators."""
+        names, nu = self._actuator_names, self._nominal.nu
+        scale, bias, delay, lag, dead_zone = (
+            np.array([values.get(f"{family}[{name}]", neutral) for name in targets])
+            for family, targets, neutral in (
+                ("scale", [f"ctrl.{name}" for name in names], 1.0),
+                ("bias", [f"ctrl.{name}" for name in names], 0.0),
+                ("delay", names, 0.0),
+                ("lag", names, 0.0),
+                ("dead_zone", names, 0.0),
+            )
+        )
+        own_delay, holds = self._native_delays
+        late = self._anatomy.model.actuator_dyntype == NO_DYNAMICS
+        return CommandPath(
+            scale=scale,
+            bias=bias,
+            delay=delay + own_delay + values.get("delay[action]", 0.0),
+            lag=lag + np.where(late, values.get("lag[all]", 0.0), 0.0),
+            dead_zone=np.where(self._feeds_back, 0.0, dead_zone) if nu else dead_zone,
+            holds=holds,
+        )
+
+    @property
+    def _actuator_names(self) -> tuple[str, ...]:
+        return tuple(name.removeprefix("ctrl.") for name in self._cached("controls", self._control_names))
+
+    @property
+    def _feeds_back(self) -> NDArray[np.bool_]:
+        """Whether each actuator's force depends on the place of what it moves, so that its control is one, too."""
+        return self._nominal.actuator_biasprm[:, 1] != 0
+
+    @property
+    def _native_delays(self) -> tuple[Array, NDArray[np.bool_]]:
+        """The delay of each actuator in the model, s, and whether a late control is held between time steps."""
+
+        def found() -> tuple[Array, NDArray[np.bool_]]:
+            actuators = self.model.spec().actuators
+            delays = [one.delay if one.nsample else 0.0 for one in actuators]
+            holds = [delay > 0 and one.interp == 0 for one, delay in zip(actuators, delays)]
+            return np.array(delays, dtype=float), np.array(holds, dtype=bool)
+
+        return self._cached("native_delays", found)
+
+    def _acting(
+        self, actions: Array, starts: NDArray[np.intp], candidates: Sequence[Mapping[str, float]]
+    ) -> list[Acting]:
+        found: list[Acting] = []
+        for values in candidates:
+            path = self._path(values)
+            numbers = [n_substeps for _, n_substeps in self._substeps(values)]
+            within = (path.acting(actions, starts, self.dt, n_substeps) for n_substeps in numbers)
+            found.append(tuple(within) if path.changes else None)
+        return found
+
+    def _own_hidden_names(self, values: Mapping[str, float]) -> tuple[str, ...]:
+        key = "hidden", tuple(name for name in values if name.startswith(("lag_torque[", "backlash[")))
+        return self._cached(key, lambda: tuple(self._hidden_names(values)))
+
+    def _hidden_names(self, values: Mapping[str, float]) -> Iterator[str]:
+        model = self._nominal
+        for name, count in zip(self._actuator_names, model.actuator_actnum):
+            yield from (f"act.{name}{number or ''}" for number in range(max(int(count), 0)))
+        lags, plays = (
+            [name.partition("[")[2][:-1] for name in self._own_by_name if name in values and kind in name]
+            for kind in ("lag_torque[", "backlash[")
+        )
+        yield from (f"torque.{name}" for name in self._actuator_names if name in lags)
+        for name in (joint_name(model, joint) for joint in range(model.njnt)):
+            if name in plays:
+                yield from (f"play.{name}", f"play_rate.{name}")
 
     def _outputs(
-        self, inputs: Array, candidates: Sequence[Mapping[str, float]], history: Array | None
-    ) -> Array:
+        self,
+        inputs: Array,
+        candidates: Sequence[Mapping[str, float]],
+        acting: Sequence[Acting],
+        hidden: Sequence[Array] | None,
+    ) -> tuple[Array, list[Array]]:
         inputs = self._layout.normalised(inputs, "X")
         n_states = len(self.state_names)
         jobs: list[Job] = []
         shares: list[float] = []
         for index, values in enumerate(candidates):
-            for share, n_substeps in self._substeps(values):
-                controls = None
-                if values.get("delay[action]"):
-                    lag = values["delay[action]"] * n_substeps / self.dt
-                    controls = delayed_controls(inputs[index, :, n_states:], history, lag, n_substeps)
+            for part, (share, n_substeps) in enumerate(self._substeps(values)):
+                controls = acting[index]
                 model = self._model(values, n_substeps)
-                jobs.append(Job(index, model, n_substeps, self._forces(values), controls))
+                plays = self._plays(values, model)
+                job = Job(
+                    index,
+                    model,
+                    n_substeps,
+                    self._forces(values, model, plays),
+                    None if controls is None else controls[part],
+                    plays,
+                    None if hidden is None else hidden[index],
+                )
+                jobs.append(job)
                 shares.append(share)
-        states = self._cached("stepper", Stepper).run(jobs, inputs)
+        states, left = self._cached("stepper", Stepper).run(jobs, inputs)
         outputs = np.empty((len(candidates), *states.shape[1:]))
-        for job, share, result in zip(jobs, shares, states):
+        after: list[Array] = [np.empty(0)] * len(candidates)
+        for job, share, result, rest in zip(jobs, shares, states, left):
             if share == 1.0:
-                outputs[job.candidate] = result
+                outputs[job.candidate], after[job.candidate] = result, rest
             else:  # the second of two jobs: between the first's result and its own
                 step = self._layout.difference(result, outputs[job.candidate])
                 outputs[job.candidate] = self._layout.displaced(outputs[job.candidate], share * step)
-        return self._layout.aligned(outputs, inputs[..., :n_states])
+                after[job.candidate] += share * (rest - after[job.candidate])
+        return self._layout.aligned(outputs, inputs[..., :n_states]), after
+
+    def _plays(self, values: Mapping[str, float], model: mujoco.MjModel) -> tuple[Play, ...]:
+        """Return where a model with plays has them."""
+        found = []
+        for name, width in values.items():
+            if name.startswith("backlash["):
+                joint = name.partition("[")[2][:-1]
+                motor, link = model.joint(joint), model.joint(joint + PLAY)
+                columns = (int(motor.qposadr[0]), int(motor.dofadr[0]), int(link.qposadr[0]))
+                found.append(Play(*columns, int(link.dofadr[0]), width))
+        return tuple(sorted(found, key=lambda play: play.play))
 
     def _substeps(self, values: Mapping[str, float]) -> list[tuple[float, int]]:
         """Return the numbers of time steps per transition to run, each with its share in the result.
@@ -346,37 +458,111 @@ class MujocoSimulator(Simulator):
             return [(1.0, round(exact))]
         return [(1.0, math.floor(exact)), (exact - math.floor(exact), math.ceil(exact))]
 
-    def _forces(self, values: Mapping[str, float]) -> Forces:
-        anatomy, model = self._anatomy, self._nominal
-        outside = {name: values[name] for name in values if self._own_by_name[name].apply is None}
-        if not outside:
+    def _forces(
+        self, values: Mapping[str, float], model: mujoco.MjModel | None = None, plays: tuple[Play, ...] = ()
+    ) -> Forces:
+        anatomy, nominal = self._anatomy, self._nominal
+        families = {name.partition("[")[0] for name in values}
+        if not families & {*STEPPED, *NEUTRAL}:
             return Forces(anatomy.root)
-        joints = {joint_name(model, joint): joint for joint in range(model.njnt)}
+        size = nominal.nv + len(plays)
+        seen = [dof for dof in range(size) if dof not in {play.play_dof for play in plays}]
+        places = [one for one in range(nominal.nq + len(plays)) if one not in {play.play for play in plays}]
         dofs = {name: dof for dof, name in enumerate(self._listing.forces)}
         friction = []
-        for name, value in outside.items():
-            if name.startswith("position_friction["):
-                joint = joints[str(self._own_by_name[name].target)]
-                friction.append((int(model.jnt_dofadr[joint]), int(model.jnt_qposadr[joint]), value))
+        for joint in range(nominal.njnt) if families & set(NEUTRAL) else ():
+            name = joint_name(nominal, joint)
+            law = {family: values[f"{family}[{name}]"] for family in NEUTRAL if f"{family}[{name}]" in values}
+            if law:
+                at = seen[int(nominal.jnt_dofadr[joint])], places[int(nominal.jnt_qposadr[joint])]
+                friction.append((*at, tuple((NEUTRAL | law).values())))
+        by_actuator = {
+            family: [
+                (index, values[f"{family}[{name}]"])
+                for index, name in enumerate(self._actuator_names)
+                if f"{family}[{name}]" in values
+            ]
+            for family in ("dead_zone", "torque_speed", "lag_torque")
+        }
+        feeds_back = self._feeds_back
         return Forces(
             body=anatomy.root,
-            wind=tuple(outside.get(f"wind[{axis}]", 0.0) for axis in "xyz"),  # type: ignore[arg-type]
-            drag=tuple(outside.get(f"air_drag[{axis}]", 0.0) for axis in "xyz"),  # type: ignore[arg-type]
-            drag_all=outside.get("air_drag[all]", 0.0),
-            position_friction=tuple(friction),
-            joints=tuple((dofs[name], outside[name]) for name in dofs if name in outside),
+            wind=tuple(values.get(f"wind[{axis}]", 0.0) for axis in "xyz"),  # type: ignore[arg-type]
+            drag=tuple(self._outside(values, f"air_drag[{axis}]") for axis in "xyz"),  # type: ignore[arg-type]
+            drag_all=self._outside(values, "air_drag[all]"),
+            joints=tuple((seen[dofs[name]], values[name]) for name in dofs if name in values),
+            friction=tuple(friction),
+            dead_zones=tuple(
+                (index, width) for index, width in by_actuator["dead_zone"] if feeds_back[index]
+            ),
+            speed_slopes=tuple(by_actuator["torque_speed"]),
+            torque_lags=tuple(by_actuator["lag_torque"]),
         )
+
+    def _outside(self, values: Mapping[str, float], name: str) -> float:
+        """Return the value of an effect that no edit of the model expresses; 0 of any other."""
+        known = self._own_by_name.get(name)
+        return values.get(name, 0.0) if known is not None and known.apply is None else 0.0
+
+    def _edited(self, values: Mapping[str, float]) -> list[tuple[Effect, Callable[[Any, float], None]]]:
+        """Return the effects that edit the model, in their order, with their edits."""
+        found = []
+        for effect in self._edit_order(values):
+            if effect.family == "payload" and effect.unit == "kg":
+                found.append((effect, self._payload_edit(str(effect.target), values)))
+            elif effect.apply is not None:
+                found.append((effect, effect.apply))
+        return found
+
+    def _payload_edit(self, body: str, values: Mapping[str, float]) -> Callable[[Any, float], None]:
+        names = [f"payload[{body}.{axis}]" for axis in "xyz"]
+        place = tuple(values.get(name, self._own_by_name[name].neutral) for name in names)
+        numbers = {self._anatomy.body_name(one): one for one in range(self._nominal.nbody)}
+        return partial(add_payload, numbers[body], place)
+
+    def payload_places(self, body: str, *, per_axis: int = 3) -> Array:
+        """Return places where a weight may be fixed to a body: a grid over the box about its geoms.
+
+        A point mass m at the place r acts through its four linear moments, (m, m r), and the inertia of a point; what
+        screens payloads tries these places, and refines the best by ``payload[body.x|y|z]``.
+
+        Parameters
+        ----------
+        body : str
+        per_axis : int, default=3
+            Places along each side of the box, its faces included.
+
+        Returns
+        -------
+        ndarray of shape (per_axis ** 3, 3)
+            In the body's frame, m.
+
+        Raises
+        ------
+        ValueError
+            If no body of this name can carry a payload.
+        """
+        names = [f"payload[{body}.{axis}]" for axis in "xyz"]
+        if not all(name in self._by_name for name in names):
+            there = [
+                one.target
+                for one in self._by_name.values()
+                if one.name.startswith("payload[") and one.unit == "kg"
+            ]
+            raise ValueError(f"no payload can be on {body!r}; bodies: {', '.join(map(str, there))}")
+        sides = [np.linspace(*self._all_by_name[name].bounds, per_axis) for name in names]
+        return np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
 
     def _model(self, values: Mapping[str, float], n_substeps: int) -> mujoco.MjModel:
         """Return the model with the effects that edit it, compiled."""
-        edited = [effect for effect in self._edit_order(values) if effect.family not in {"timestep", "delay"}]
-        edited = [effect for effect in edited if effect.apply is not None]
+        edited = [pair for pair in self._edited(values) if not self._is_of_commands(pair[0])]
         cache: OrderedDict[tuple, mujoco.MjModel] = self._cached("models", OrderedDict)
-        key = (n_substeps, *((effect.name, values[effect.name]) for effect in edited))
+        places = tuple((name, values[name]) for name in values if name.startswith("payload["))
+        key = (n_substeps, places, *((effect.name, values[effect.name]) for effect, _ in edited))
         if key not in cache:
             spec = self._spec.copy()
-            for effect in edited:
-                effect.apply(spec, values[effect.name])  # type: ignore[misc]
+            for effect, edit in edited:
+                edit(spec, values[effect.name])
             if n_substeps != self.frame_skip:
                 spec.option.timestep = spec.option.timestep * self.frame_skip / n_substeps
             try:
@@ -387,6 +573,11 @@ class MujocoSimulator(Simulator):
                 cache.popitem(last=False)
         cache.move_to_end(key)
         return cache[key]
+
+    def _is_of_commands(self, effect: Effect) -> bool:
+        """Whether an effect's edit is for written models only: here the commands, or the time steps, are changed."""
+        on_command = effect.family in ("bias", "scale") and str(effect.target).startswith("ctrl.")
+        return effect.family in {"timestep", "delay", "lag"} or on_command
 
     def _edit_order(self, values: Mapping[str, float]) -> list[Effect]:
         return self._cached(
@@ -459,7 +650,7 @@ def _holds(file: Path, content: bytes) -> bool:
     return file.is_file() and file.read_bytes() == content
 
 
-def _sensor_effects(layout: StateLayout) -> list[Effect]:
+def _sensor_effects(layout: StateLayout, dt: float) -> list[Effect]:
     quaternion_columns = {column + part for column, _ in layout.quaternions for part in range(4)}
     limits = {"m": 10.0, "rad": math.pi, "m/s": 10.0, "rad/s": 10.0}
     channels = [
@@ -471,6 +662,5 @@ def _sensor_effects(layout: StateLayout) -> list[Effect]:
         Effect(f"bias[{name}]", unit=unit, neutral=0.0, bounds=(-limits[unit], limits[unit]))
         for name, unit in channels
     ]
-    return biases + [
-        Effect(f"scale[{name}]", unit="1", neutral=1.0, bounds=(0.1, 10.0)) for name, _ in channels
-    ]
+    scales = [Effect(f"scale[{name}]", unit="1", neutral=1.0, bounds=(0.1, 10.0)) for name, _ in channels]
+    return biases + scales + list(sensor_lags([name for name, _ in channels], dt))

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from skat.effects import Effect
-from skat.simulators.base import Simulator
+from skat.simulators.base import Acting, Simulator
 from skat.simulators.mujoco import MujocoSimulator
 from skat.simulators.stepping import Job, Rest, Stepper
 from skat.simulators.tables import Array
@@ -160,15 +160,21 @@ class PuckSimulator(Simulator):
         )
 
     def _outputs(
-        self, inputs: Array, candidates: Sequence[Mapping[str, float]], history: Array | None
-    ) -> Array:
+        self,
+        inputs: Array,
+        candidates: Sequence[Mapping[str, float]],
+        acting: Sequence[Acting],
+        hidden: Sequence[Array] | None,
+    ) -> tuple[Array, list[Array]]:
         starts, jobs = [], []
         for index, values in enumerate(candidates):
             mechanical = {name: value for name, value in values.items() if name != "gain[stick]"}
             starts.append(self.initial_states(inputs[index], values.get("gain[stick]", 1.0)))
             jobs.append(Job(index, *self.world.prepared(mechanical, BLOCK)))
         rest = Rest(_at_rest, max_blocks=round(LONGEST / (BLOCK * self.world.dt)))
-        return self._cached("stepper", Stepper).run(jobs, np.array(starts), rest=rest)[:, :, :2]
+        stepper: Stepper = self._cached("stepper", Stepper)
+        states, left = stepper.run(jobs, np.array(starts), rest=rest)
+        return states[:, :, :2], left
 
 
 def make_puck(condition: str) -> PuckSimulator:

@@ -5,7 +5,8 @@ the constraint solver and no applied forces. So the result of a row does not dep
 order, or on how they are cut into chunks.
 """
 
-import math
+import copy
+import functools
 import multiprocessing
 import os
 import threading
@@ -13,25 +14,30 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from typing import Self
 
 import joblib
 import mujoco
 import numpy as np
-from mujoco.batch import Batch, SimulationError
+from mujoco.batch import MODEL_FIELDS, Batch, SimulationError
 from numpy.typing import NDArray
 
+from skat.simulators.friction import LOADED, NEUTRAL, budget
 from skat.simulators.tables import Array
 
-CHUNK = 8192
+CHUNK, FORCED_CHUNK = 8192, 1024
 CACHED_BATCHES = 32
 HUGE = 1e10  # MuJoCo's own limit of a state that is not divergent
+INTEGRATOR, MUSCLE = int(mujoco.mjtDyn.mjDYN_INTEGRATOR), int(mujoco.mjtDyn.mjDYN_MUSCLE)
+FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT), MUSCLE)
+JOINT_TRANSMISSION = int(mujoco.mjtTrn.mjTRN_JOINT)
 
 _left_to_other_processes: list[object] = []
 
 
 @dataclass(frozen=True)
 class Forces:
-    """Forces on the rows of one candidate that a model does not express.
+    """What acts on the rows of one candidate and no compiled model expresses.
 
     Attributes
     ----------
@@ -43,18 +49,27 @@ class Forces:
         Drag coefficients c of -c |v_i| v_i along the world axes, kg/m.
     drag_all : float
         Drag coefficient c of -c |v| v, kg/m.
-    position_friction : tuple of (dof, column of qpos, coefficient)
-        Dry friction of coefficient times |q|.
     joints : tuple of (dof, force)
         Constant generalised forces, N or N m.
+    friction : tuple of (dof, column of qpos, coefficients)
+        What `friction.budget` adds to the friction of a joint.
+    dead_zones : tuple of (actuator, half of the width)
+        Of servos: of the difference of control and place.
+    speed_slopes : tuple of (actuator, slope)
+        Both ends of the model's range of force are less by slope * speed, but within this range.
+    torque_lags : tuple of (actuator, time constant)
+        The force follows what it should be through a filter of first order.
     """
 
     body: int = 0
     wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
     drag: tuple[float, float, float] = (0.0, 0.0, 0.0)
     drag_all: float = 0.0
-    position_friction: tuple[tuple[int, int, float], ...] = ()
     joints: tuple[tuple[int, float], ...] = ()
+    friction: tuple[tuple[int, int, tuple[float, ...]], ...] = ()
+    dead_zones: tuple[tuple[int, float], ...] = ()
+    speed_slopes: tuple[tuple[int, float], ...] = ()
+    torque_lags: tuple[tuple[int, float], ...] = ()
 
     @property
     def has_drag(self) -> bool:
@@ -62,9 +77,38 @@ class Forces:
         return any(self.drag) or self.drag_all != 0
 
     @property
+    def kinds(self) -> frozenset[str]:
+        """What needs to be renewed in each substep."""
+        kinds = {"friction", "dead_zones", "speed_slopes", "torque_lags"}
+        loaded = any(any(law[place] for place in LOADED) for *_, law in self.friction)
+        found = {kind for kind in kinds if getattr(self, kind)}
+        return frozenset(found | ({"drag"} if self.has_drag else set()) | ({"load"} if loaded else set()))
+
+    @property
     def changes_within_transition(self) -> bool:
         """Whether each substep needs its own forces."""
-        return self.has_drag or bool(self.position_friction)
+        return bool(self.kinds)
+
+
+@dataclass(frozen=True)
+class Play:
+    """A joint between a motor and its link, which the columns of the state know as one joint.
+
+    Attributes
+    ----------
+    joint, joint_dof : int
+        Column of qpos and of qvel of the motor's joint, in the model with all the plays.
+    play, play_dof : int
+        The same of the joint between motor and link.
+    width : float
+        rad or m.
+    """
+
+    joint: int
+    joint_dof: int
+    play: int
+    play_dof: int
+    width: float
 
 
 @dataclass(frozen=True)
@@ -80,6 +124,11 @@ class Job:
     forces : Forces
     controls : ndarray of shape (n_rows, n_substeps, nu), optional
         Controls of each substep, where they change within a transition; otherwise those of the rows act.
+    plays : tuple of Play
+        In the order of their columns.
+    hidden : ndarray of shape (n_rows, n_hidden), optional
+        States that the rows do not hold: the model's activations, the torques that lag, then place and speed of each
+        play. NaN stands for a steady state. None: all are steady.
     """
 
     candidate: int
@@ -87,6 +136,13 @@ class Job:
     n_substeps: int
     forces: Forces = field(default_factory=Forces)
     controls: Array | None = None
+    plays: tuple[Play, ...] = ()
+    hidden: Array | None = None
+
+    @property
+    def n_hidden(self) -> int:
+        """Number of states that the rows do not hold."""
+        return int(self.model.na) + len(self.forces.torque_lags) + 2 * len(self.plays)
 
 
 @dataclass(frozen=True)
@@ -113,76 +169,103 @@ class Stepper:
         self._lock = threading.Lock()
         self._process = os.getpid()
 
-    def run(self, jobs: Sequence[Job], inputs: Array, *, rest: Rest | None = None) -> Array:
-        """Return the states after each job: after its substeps, or once they are at rest.
+    def run(
+        self, jobs: Sequence[Job], inputs: Array, *, rest: Rest | None = None
+    ) -> tuple[Array, list[Array]]:
+        """Return the states after each job, after its substeps or once they are at rest, and the hidden states.
 
         Parameters
         ----------
         jobs : sequence of Job
-        inputs : ndarray of shape (n_candidates, n_rows, nq + nv + nu)
+        inputs : ndarray of shape (n_candidates, n_rows, n_states + nu)
         rest : Rest, optional
             Repeat the substeps until each row is at rest.
 
         Returns
         -------
-        ndarray of shape (n_jobs, n_rows, nq + nv)
+        states : ndarray of shape (n_jobs, n_rows, n_states)
             NaN where the simulation diverged.
+        hidden : list of n_jobs ndarrays of shape (n_rows, n_hidden)
+            As `Job`'s.
         """
-        model = jobs[0].model
-        states = np.empty((len(jobs), inputs.shape[1], model.nq + model.nv))
+        n_rows, n_states = inputs.shape[1], inputs.shape[2] - jobs[0].model.nu
+        states = np.empty((len(jobs), n_rows, n_states))
+        hidden = [np.empty((n_rows, job.n_hidden)) for job in jobs]
         together: dict[tuple, list[int]] = {}
         for index, job in enumerate(jobs):
-            alone = index if job.forces.changes_within_transition else -1
-            key = (alone, job.controls is not None, job.n_substeps, _layout(job.model))
+            shape = _sizes(job.model), tuple((play.joint, play.play) for play in job.plays)
+            forced = (job.forces.kinds, _rigid_parts(job.model)) if job.forces.kinds else ()
+            lags = tuple(actuator for actuator, _ in job.forces.torque_lags)
+            key = (forced, lags, job.controls is not None, job.n_substeps, shape)
             together.setdefault(key, []).append(index)
         with self._lock, _quiet():
             self._forget_batches_of_parent()
             for members in together.values():
-                self._run_together([jobs[index] for index in members], members, inputs, states, rest)
+                self._run_together([jobs[index] for index in members], members, inputs, states, hidden, rest)
         diverged = ~(np.abs(states) < HUGE).all(axis=2)
         states[diverged] = np.nan
-        return states
+        return states, hidden
 
     def _run_together(
-        self, jobs: list[Job], slots: list[int], inputs: Array, states: Array, rest: Rest | None
+        self,
+        jobs: list[Job],
+        slots: list[int],
+        inputs: Array,
+        states: Array,
+        hidden: list[Array],
+        rest: Rest | None,
     ) -> None:
         n_rows, n_states = states.shape[1:]
         total = len(jobs) * n_rows
-        pool = self._pool(jobs[0], min(total, CHUNK))
+        forced = jobs[0].forces.changes_within_transition
+        chunk = FORCED_CHUNK if forced else CHUNK
+        pool = self._pool(jobs[0], min(total, chunk))
         candidates = np.array([job.candidate for job in jobs])
         destinations = np.array(slots)
         winds = np.array([job.forces.wind for job in jobs])
         generalised = np.zeros((len(jobs), jobs[0].model.nv))
+        laws = _Laws(jobs) if forced else None
         for forces, job in zip(generalised, jobs):
             for dof, force in job.forces.joints:
                 forces[dof] = force
-        for start in range(0, total, CHUNK):
-            flat = np.arange(start, min(start + CHUNK, total))
+        for start in range(0, total, chunk):
+            flat = np.arange(start, min(start + chunk, total))
             which, row = np.divmod(flat, n_rows)
             source = inputs[candidates[which], row]
-            pool.load(source[:, :n_states], source[:, n_states:])
-            if pool.model is None:
-                pool.set_models(
-                    [jobs[index].model for index in range(which[0], which[-1] + 1)], which - which[0]
-                )
+            pool.set_models([jobs[index].model for index in range(which[0], which[-1] + 1)], which - which[0])
+            before = np.full((len(flat), jobs[0].n_hidden), np.nan)
+            for job in np.unique(which):
+                if jobs[job].hidden is not None:
+                    before[which == job] = jobs[job].hidden[row[which == job]]
             controls = None
             if jobs[0].controls is not None:
                 controls = np.stack([jobs[job].controls[index] for job, index in zip(which, row)])
+            first = source[:, n_states:] if controls is None else controls[:, 0]
+            widths = np.array([[play.width for play in jobs[job].plays] for job in which])
+            pool.xfrc[: len(flat)] = 0
             pool.xfrc[: len(flat), jobs[0].forces.body, :3] = winds[which]
             pool.qfrc[: len(flat)] = generalised[which]
-            if rest is None:
-                pool.step(jobs[0].n_substeps, jobs[0].forces, controls)
-                states[destinations[which], row] = pool.states()
-            else:
-                states[destinations[which], row] = pool.settle(jobs[0].n_substeps, jobs[0].forces, rest)
+            pool.load(source[:, :n_states], first, before, jobs[0].plays, widths)
+            if rest is not None:
+                mine = None if laws is None else laws.of(which)
+                states[destinations[which], row] = pool.settle(jobs[0].n_substeps, rest, mine)
+                continue
+            pool.step(jobs[0].n_substeps, controls, None if laws is None else laws.of(which))
+            states[destinations[which], row] = pool.states()
+            after = pool.hidden()
+            for job in np.unique(which):
+                hidden[slots[job]][row[which == job]] = after[which == job]
 
     def _pool(self, job: Job, size: int) -> "_Pool":
         """Return a cached batch of at least this size."""
         size = 1 << max(size - 1, 0).bit_length()
         forced = job.forces.changes_within_transition
-        key = (size, id(job.model) if forced else _layout(job.model), bool(job.forces.position_friction))
+        make: type[_Pool] = _Pool
+        if forced:
+            make = _BrakedPool if "friction" in job.forces.kinds else _ForcedPool
+        key = (make, size, _sizes(job.model), _rigid_parts(job.model) if forced else None)
         if key not in self._batches:
-            self._batches[key] = _Pool(job.model, size, own_model=forced)
+            self._batches[key] = make(job.model, size)
             if len(self._batches) > CACHED_BATCHES:
                 self._batches.popitem(last=False)
         self._batches.move_to_end(key)
@@ -195,18 +278,54 @@ class Stepper:
             self._batches, self._process = OrderedDict(), os.getpid()
 
 
-class _Pool:
-    """A MuJoCo batch with the views that a transition needs."""
+class _Laws:
+    """What jobs that run together need in each substep, an entry a job."""
 
-    def __init__(self, model: mujoco.MjModel, size: int, *, own_model: bool):
-        self.batch = Batch(model, nsim=size, nthread=min(size, _thread_count()))
-        self.model = model if own_model else None
+    def __init__(self, jobs: list[Job]):
+        forces = [job.forces for job in jobs]
+        self.kinds, self.body = forces[0].kinds, forces[0].body
+        self.wind = np.array([one.wind for one in forces])
+        self.drag = np.array([one.drag for one in forces])
+        self.drag_all = np.array([one.drag_all for one in forces])
+        self.friction_at = sorted({(dof, column) for one in forces for dof, column, _ in one.friction})
+        self.friction = np.tile(list(NEUTRAL.values()), (len(jobs), len(self.friction_at), 1))
+        nu = jobs[0].model.nu
+        self.dead_zones, self.slopes = (np.zeros((len(jobs), nu)) for _ in range(2))
+        self.lagging = [actuator for actuator, _ in forces[0].torque_lags]
+        self.lags = np.array([[lag for _, lag in one.torque_lags] for one in forces])
+        for index, one in enumerate(forces):
+            for dof, column, law in one.friction:
+                self.friction[index, self.friction_at.index((dof, column))] = law
+            for actuator, width in one.dead_zones:
+                self.dead_zones[index, actuator] = width
+            for actuator, slope in one.speed_slopes:
+                self.slopes[index, actuator] = slope
+
+    def of(self, which: np.ndarray) -> Self:
+        """Return the laws of rows, each of which belongs to a job."""
+        chosen = copy.copy(self)
+        for name in ("wind", "drag", "drag_all", "friction", "dead_zones", "slopes", "lags"):
+            setattr(chosen, name, getattr(self, name)[which])
+        return chosen
+
+
+class _Pool:
+    """A MuJoCo batch with the views that a transition needs; each row may have a model of its own."""
+
+    persistent = False
+
+    def __init__(self, model: mujoco.MjModel, size: int):
+        self.batch = Batch(model, nsim=size, nthread=min(size, _thread_count()), persistent=self.persistent)
+        self.model = model
         self.size, self.count = size, 0
         self.qpos, self.qvel, self.ctrl = (self.batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
         self.time, self.warm = (self.batch.bind(name) for name in ("time", "qacc_warmstart"))
         self.xfrc, self.qfrc = (self.batch.bind(name) for name in ("xfrc_applied", "qfrc_applied"))
+        self.act = self.batch.bind("act") if model.na else np.zeros((size, 0))
         self.active: np.ndarray | None = None
         self.failed = np.zeros(0, dtype=int)
+        self.plays: tuple[Play, ...] = ()
+        self.torques = np.zeros((0, 0))
         self._models: list[mujoco.MjModel] = []
         self._which = np.zeros(0, dtype=int)
 
@@ -217,24 +336,67 @@ class _Pool:
             return self.active
         return None if self.count == self.size else np.arange(self.count)
 
-    def load(self, states: Array, controls: Array) -> None:
-        """Set the rows to clean states."""
-        count, nq = len(states), self.qpos.shape[1]
-        self.count, self.active, self.failed = count, None, np.zeros(0, dtype=int)
-        self.qpos[:count], self.qvel[:count] = states[:, :nq], states[:, nq:]
+    def load(
+        self, states: Array, controls: Array, hidden: Array, plays: tuple[Play, ...], widths: Array
+    ) -> None:
+        """Set the rows to clean states. Before, the models are set and the forces applied."""
+        count, na = len(states), self.act.shape[1]
+        self.count, self.active, self.failed, self.plays = count, None, np.zeros(0, dtype=int), plays
+        if plays:
+            seen, seen_dofs = self._seen()
+            self.qpos[:count, seen], self.qvel[:count, seen_dofs] = np.split(states, [len(seen)], axis=1)
+        else:
+            nq = self.qpos.shape[1]
+            self.qpos[:count], self.qvel[:count] = states[:, :nq], states[:, nq:]
         self.ctrl[:count] = controls
-        self.time[:count], self.warm[:count], self.xfrc[:count] = 0, 0, 0
+        self.time[:count], self.warm[:count] = 0, 0
+        if na:
+            steady = steady_activations(self._models[0], controls, self.qpos[:count])
+            self.act[:count] = np.where(np.isnan(hidden[:, :na]), steady, hidden[:, :na])
+        lagging = hidden.shape[1] - na - 2 * len(plays)
+        self.torques = hidden[:, na : na + lagging].copy()
+        if plays:
+            self._load_plays(hidden[:, na + lagging :].reshape(count, len(plays), 2), widths)
+
+    def _load_plays(self, hidden: Array, widths: Array) -> None:
+        """Set the motors: where they were, or, in a steady state, at the flank that they press on."""
+        count, unknown = self.count, np.isnan(hidden[:, :, 0])
+        for play in self.plays:
+            self.qpos[:count, play.play], self.qvel[:count, play.play_dof] = 0, 0
+        pressed = np.zeros((count, len(self.plays)))
+        if unknown.any():
+            torque = self.batch.bind("qfrc_actuator")
+            with suppress(SimulationError):
+                self.batch.forward(self.ids, stage=int(mujoco.mjtStage.mjSTAGE_ACC))
+            pressed = -np.sign(torque[:count][:, [play.joint_dof for play in self.plays]])
+            self.warm[:count] = 0
+        for index, play in enumerate(self.plays):
+            place = np.where(unknown[:, index], pressed[:, index] * widths[:, index] / 2, hidden[:, index, 0])
+            speed = np.where(unknown[:, index], 0.0, hidden[:, index, 1])
+            self.qpos[:count, play.play], self.qvel[:count, play.play_dof] = place, speed
+            self.qpos[:count, play.joint] -= place
+            self.qvel[:count, play.joint_dof] -= speed
+
+    def _seen(self) -> tuple[list[int], list[int]]:
+        """Return the columns of qpos and qvel that the rows hold."""
+        within = {play.play for play in self.plays}, {play.play_dof for play in self.plays}
+        sizes = self.qpos.shape[1], self.qvel.shape[1]
+        columns = [[one for one in range(size) if one not in taken] for size, taken in zip(sizes, within)]
+        return columns[0], columns[1]
 
     def set_models(self, models: list[mujoco.MjModel], which: np.ndarray) -> None:
         """Have row i run on models[which[i]]; nothing is done if it does already."""
         same = len(models) == len(self._models) and all(a is b for a, b in zip(models, self._models))
         if same and np.array_equal(which, self._which):
             return
-        rest = [models[-1]] * (self.size - len(which))
-        self.batch.set_models(models[0] if len(models) == 1 else [models[index] for index in which] + rest)
+        self._set_models(models, which)
         self._models, self._which = models, which
 
-    def settle(self, n_substeps: int, forces: Forces, rest: Rest) -> Array:
+    def _set_models(self, models: list[mujoco.MjModel], which: np.ndarray) -> None:
+        rest = [models[-1]] * (self.size - len(which))
+        self.batch.set_models(models[0] if len(models) == 1 else [models[index] for index in which] + rest)
+
+    def settle(self, n_substeps: int, rest: Rest, laws: _Laws | None) -> Array:
         """Advance until each row is at rest, and return the states there; NaN where that takes too long.
 
         A row is stopped by its own motion alone, at the end of a block of substeps.
@@ -243,7 +405,7 @@ class _Pool:
         active = np.arange(self.count)
         for _ in range(rest.max_blocks):
             self.active = active
-            self.step(n_substeps, forces, None)
+            self.step(n_substeps, None, laws)
             done = rest.reached(self.qpos[active], self.qvel[active])
             final[active[done]] = self.states()[active[done]]
             active = active[~done]
@@ -252,11 +414,8 @@ class _Pool:
         self.active = None
         return final
 
-    def step(self, n_substeps: int, forces: Forces, controls: Array | None) -> None:
+    def step(self, n_substeps: int, controls: Array | None, laws: _Laws | None) -> None:
         """Advance; controls of shape (n_rows, n_substeps, nu) change from substep to substep."""
-        if forces.changes_within_transition:
-            self._step_forced(forces, n_substeps, controls)
-            return
         if controls is None:
             self._advance(n_substeps)
             return
@@ -264,39 +423,26 @@ class _Pool:
             self.ctrl[: self.count] = controls[:, substep]
             self._advance(1)
 
-    def _step_forced(self, forces: Forces, n_substeps: int, controls: Array | None) -> None:
-        """Advance substep by substep, with the forces renewed from the state at each one's start."""
-        count, body = self.count, forces.body
-        model: mujoco.MjModel = self.batch.get_model(0) if self.model is None else self.model
-        if forces.position_friction:
-            friction = self.batch.expand("dof_frictionloss")
-            friction[:] = model.dof_frictionloss  # the batch may have run with friction in other joints
-        stage = mujoco.mjtStage.mjSTAGE_VEL if forces.has_drag else mujoco.mjtStage.mjSTAGE_NONE
-        if forces.has_drag:
-            spatial, place, centre = (self.batch.bind(name) for name in ("cvel", "xipos", "subtree_com"))
-            with suppress(SimulationError):
-                self.batch.forward(self.ids, stage=int(stage))
-        for substep in range(n_substeps):
-            if controls is not None:
-                self.ctrl[:count] = controls[:, substep]
-            for dof, column, coefficient in forces.position_friction:
-                friction[:count, dof] = model.dof_frictionloss[dof] + coefficient * np.abs(
-                    self.qpos[:count, column]
-                )
-            force = np.broadcast_to(forces.wind, (count, 3))
-            if forces.has_drag:
-                arm = place[:count, body] - centre[:count, int(model.body_rootid[body])]
-                velocity = spatial[:count, body, 3:] + np.cross(spatial[:count, body, :3], arm)
-                force = force - np.array(forces.drag) * np.abs(velocity) * velocity
-                force = force - forces.drag_all * np.linalg.norm(velocity, axis=1, keepdims=True) * velocity
-            self.xfrc[:count, body, :3] = force
-            self._advance(1, int(stage))
-
     def states(self) -> Array:
         """Return the rows' states; NaN where MuJoCo gave up."""
-        states = np.concatenate([self.qpos[: self.count], self.qvel[: self.count]], axis=1)
+        qpos, qvel = self.qpos[: self.count].copy(), self.qvel[: self.count].copy()
+        for play in self.plays:
+            qpos[:, play.joint] += qpos[:, play.play]
+            qvel[:, play.joint_dof] += qvel[:, play.play_dof]
+        if self.plays:
+            seen, seen_dofs = self._seen()
+            qpos, qvel = qpos[:, seen], qvel[:, seen_dofs]
+        states = np.concatenate([qpos, qvel], axis=1)
         states[self.failed] = np.nan
         return states
+
+    def hidden(self) -> Array:
+        """Return the states that the rows do not hold."""
+        count = self.count
+        columns = [self.act[:count], self.torques]
+        for play in self.plays:
+            columns += [self.qpos[:count, [play.play]], self.qvel[:count, [play.play_dof]]]
+        return np.concatenate(columns, axis=1)
 
     def _advance(self, n_substeps: int, stage: int = 0) -> None:
         try:
@@ -305,39 +451,215 @@ class _Pool:
             self.failed = np.union1d(self.failed, error.ids).astype(int)
 
 
-def delayed_controls(controls: Array, history: Array | None, lag: float, n_substeps: int) -> Array:
-    """Return the controls of each substep that come ``lag`` substeps late, linear between substeps.
+class _ForcedPool(_Pool):
+    """A batch whose forces are renewed in each substep.
 
-    Parameters
-    ----------
-    controls : ndarray of shape (n_rows, nu)
-    history : ndarray of shape (n_rows, n_lags, nu)
-        Controls of the transitions before: one back, two back, ...
-    lag : float
-    n_substeps : int
-
-    Returns
-    -------
-    ndarray of shape (n_rows, n_substeps, nu)
+    What differs between the models of its rows, and what the laws change, are values of a field of one model for each
+    row: MuJoCo offers either that or models of one's own.
     """
-    known = controls[:, None] if history is None else np.concatenate([controls[:, None], history], axis=1)
-    delayed = np.empty((len(controls), n_substeps, controls.shape[1]))
-    for substep in range(n_substeps):
-        moment = substep - lag
-        before = math.floor(moment + 1e-9)
-        weight = moment - before
-        earlier, later = (
-            known[:, -math.floor(index / n_substeps)] for index in (before, min(before + 1, substep))
-        )
-        delayed[:, substep] = earlier if weight <= 1e-9 else (1 - weight) * earlier + weight * later
-    return delayed
+
+    persistent = True
+
+    def __init__(self, model: mujoco.MjModel, size: int):
+        super().__init__(model, size)
+        self._fields: dict[str, Array] = {}
+
+    def _set_models(self, models: list[mujoco.MjModel], which: np.ndarray) -> None:
+        for name in sorted({name for model in models for name in _different(self.model, model)}):
+            self._field(name)
+        for name, values in self._fields.items():
+            own = np.stack([np.asarray(_value(model, name)) for model in models])
+            values[: len(which)] = own[which].reshape(values[: len(which)].shape)
+
+    def _field(self, name: str) -> Array:
+        """Return the values of a field of the model, a row each."""
+        if name not in self._fields:
+            self._fields[name] = self.batch.expand(name)
+        return self._fields[name]
+
+    def _own(self, name: str) -> Array:
+        """Return the values of a field that the rows' models have, whatever a law has made of them."""
+        own = np.stack([np.asarray(_value(model, name)) for model in self._models])
+        return own[self._which]
+
+    def step(self, n_substeps: int, controls: Array | None, laws: _Laws | None) -> None:
+        """Advance substep by substep, with the forces renewed from the state at each one's start."""
+        if laws is None:
+            raise AssertionError("unreachable: rows without laws run in another batch")
+        count, kinds = self.count, laws.kinds
+        changed = {
+            "friction": ("dof_frictionloss",),
+            "speed_slopes": ("actuator_forcerange",),
+            "torque_lags": ("actuator_gainprm", "actuator_biasprm"),
+        }
+        own = {name: self._own(name) for kind in changed if kind in kinds for name in changed[kind]}
+        for name in own:
+            self._field(name)[:count] = own[name]
+        bound = {
+            "drag": ("cvel", "xipos", "subtree_com"),
+            "load": ("qfrc_bias", "qfrc_spring", "qfrc_actuator"),
+            "dead_zones": ("actuator_length",),
+            "speed_slopes": ("actuator_velocity",),
+            "torque_lags": ("actuator_length", "actuator_velocity"),
+        }
+        seen = {name: self.batch.bind(name) for kind in bound if kind in kinds for name in bound[kind]}
+        # What depends on velocities is that of a substep's start, the load on gears that of the substep before.
+        at_start = bool(kinds - {"friction", "load"})
+        stage = int(mujoco.mjtStage.mjSTAGE_VEL if at_start else mujoco.mjtStage.mjSTAGE_NONE)
+        if seen:
+            first = mujoco.mjtStage.mjSTAGE_ACC if "load" in kinds else mujoco.mjtStage.mjSTAGE_VEL
+            with suppress(SimulationError):
+                self.batch.forward(self.ids, stage=int(first))
+            self.warm[:count] = 0
+        plain = self.ctrl[:count].copy()
+        for substep in range(n_substeps):
+            now = plain if controls is None else controls[:, substep]
+            if "dead_zones" in kinds:
+                missing = now - seen["actuator_length"][:count]
+                now = now - np.clip(missing, -laws.dead_zones, laws.dead_zones)
+            self.ctrl[:count] = now
+            if "friction" in kinds:
+                self._brake(laws, own["dof_frictionloss"], seen)
+            if "drag" in kinds:
+                self._drag(laws, seen)
+            if "speed_slopes" in kinds:
+                self._tire(laws, own["actuator_forcerange"], seen)
+            if "torque_lags" in kinds:
+                self._lag(laws, own, seen)
+            self._advance(1, stage)
+        for name in own:
+            self._field(name)[:count] = own[name]
+
+    def _brake(self, laws: _Laws, own: Array, seen: dict[str, Array]) -> None:
+        count = self.count
+        motor, external = np.zeros((2, count, self.qvel.shape[1]))
+        if "load" in laws.kinds:
+            motor = seen["qfrc_actuator"][:count]
+            external = seen["qfrc_spring"][:count] - seen["qfrc_bias"][:count]
+        dofs, columns = (list(one) for one in zip(*laws.friction_at))
+        state = self.qpos[:count, columns], self.qvel[:count, dofs], motor[:, dofs], external[:, dofs]
+        self._field("dof_frictionloss")[:count, dofs] = own[:, dofs] + budget(laws.friction, *state)
+
+    def _drag(self, laws: _Laws, seen: dict[str, Array]) -> None:
+        count, body = self.count, laws.body
+        spatial, place, centre = (seen[name][:count] for name in ("cvel", "xipos", "subtree_com"))
+        arm = place[:, body] - centre[:, int(self.model.body_rootid[body])]
+        velocity = spatial[:, body, 3:] + np.cross(spatial[:, body, :3], arm)
+        force = laws.wind - laws.drag * np.abs(velocity) * velocity
+        force = force - laws.drag_all[:, None] * np.linalg.norm(velocity, axis=1, keepdims=True) * velocity
+        self.xfrc[:count, body, :3] = force
+
+    def _tire(self, laws: _Laws, own: Array, seen: dict[str, Array]) -> None:
+        limits = own - (laws.slopes * seen["actuator_velocity"][: self.count])[:, :, None]
+        limits = np.clip(limits, own[:, :, :1], own[:, :, 1:])
+        tires = laws.slopes > 0
+        self._field("actuator_forcerange")[: self.count][tires] = limits[tires]
+
+    def _lag(self, laws: _Laws, own: dict[str, Array], seen: dict[str, Array]) -> None:
+        """Have actuators' forces follow what they should be.
+
+        Of what a filter makes of a constant input, the mean over the substep acts: a share of the input, with its
+        dependence on place and speed, so that the integrator treats it as without a filter, and what is left of before.
+        """
+        at, count = laws.lagging, self.count
+        lengths, speeds = seen["actuator_length"][:count], seen["actuator_velocity"][:count]
+        free, wanted = _forces_of(self._own, own, self.ctrl[:count], lengths, speeds)
+        if "speed_slopes" in laws.kinds:
+            low, high = np.moveaxis(self._field("actuator_forcerange")[:count], 2, 0)
+            wanted = np.where(laws.slopes > 0, np.clip(wanted, low, high), wanted)
+        saturated, wanted = (free != wanted)[:, at, None], wanted[:, at]
+        self.torques = np.where(np.isnan(self.torques), wanted, self.torques)
+        step = float(self._models[0].opt.timestep) / laws.lags
+        way = -np.expm1(-step)
+        now = (1 - way / step)[:, :, None]
+        gain, bias = now * own["actuator_gainprm"][:, at], now * own["actuator_biasprm"][:, at]
+        gain, bias = np.where(saturated, 0, gain), np.where(saturated, 0, bias)
+        bias[:, :, 0] += np.where(saturated[..., 0], now[..., 0] * wanted, 0) + self.torques * way / step
+        self._field("actuator_gainprm")[:count, at], self._field("actuator_biasprm")[:count, at] = gain, bias
+        self.torques = self.torques + way * (wanted - self.torques)
 
 
-def _layout(model: mujoco.MjModel) -> tuple[int, ...]:
+class _BrakedPool(_ForcedPool):
+    """A batch whose joints' friction is renewed in each substep.
+
+    MuJoCo reads it as a step begins, so that no step may begin with what was computed before.
+    """
+
+    persistent = False
+
+
+def _forces_of(
+    own: Callable[[str], Array], parameters: dict[str, Array], controls: Array, length: Array, speed: Array
+) -> tuple[Array, Array]:
+    """Return the force (n_rows, nu) of actuators that are affine in length and speed, and the same within limits."""
+    gain, bias = parameters["actuator_gainprm"], parameters["actuator_biasprm"]
+    limits, limited = own("actuator_ctrlrange"), own("actuator_ctrllimited")
+    controls = np.where(limited, np.clip(controls, limits[..., 0], limits[..., 1]), controls)
+    force = (gain[..., 0] + gain[..., 1] * length + gain[..., 2] * speed) * controls
+    force = force + bias[..., 0] + bias[..., 1] * length + bias[..., 2] * speed
+    limits, limited = own("actuator_forcerange"), own("actuator_forcelimited")
+    return force, np.where(limited, np.clip(force, limits[..., 0], limits[..., 1]), force)
+
+
+def steady_activations(model: mujoco.MjModel, controls: Array, qpos: Array) -> Array:
+    """Return activations (n_rows, na) that the controls, held for long, leave as they are.
+
+    Those of a filter or a muscle are the control within its range. An integrator that is a place to go to is where its
+    joint is. Others are zero: the integral of a pid, the current of a motor.
+    """
+    steady = np.zeros((len(controls), model.na))
+    for actuator in range(model.nu):
+        first, count = int(model.actuator_actadr[actuator]), int(model.actuator_actnum[actuator])
+        if count < 1:
+            continue
+        control, last = controls[:, actuator], first + count - 1
+        if model.actuator_ctrllimited[actuator]:
+            control = np.clip(control, *model.actuator_ctrlrange[actuator])
+        kind = int(model.actuator_dyntype[actuator])
+        if kind in FILTERS:
+            steady[:, last] = np.clip(control, 0, 1) if kind == MUSCLE else control
+        elif kind == INTEGRATOR and int(model.actuator_trntype[actuator]) == JOINT_TRANSMISSION:
+            joint = int(model.actuator_trnid[actuator, 0])
+            if model.actuator_biasprm[actuator, 1]:
+                steady[:, last] = model.actuator_gear[actuator, 0] * qpos[:, model.jnt_qposadr[joint]]
+        if model.actuator_actlimited[actuator]:
+            steady[:, last] = np.clip(steady[:, last], *model.actuator_actrange[actuator])
+    return steady
+
+
+@functools.lru_cache(maxsize=512)
+def _different(first: mujoco.MjModel, second: mujoco.MjModel) -> tuple[str, ...]:
+    """Return the fields in which two models of one layout differ."""
+    if first is second:
+        return ()
+    return tuple(
+        name
+        for name in MODEL_FIELDS
+        if not name.startswith("name") and not _same(_value(first, name), _value(second, name))
+    )
+
+
+def _same(first: object, second: object) -> bool:
+    return np.array_equal(
+        np.asarray(first), np.asarray(second), equal_nan=np.asarray(first).dtype.kind == "f"
+    )
+
+
+def _value(model: mujoco.MjModel, name: str) -> object:
+    return getattr(model.opt, name[4:]) if name.startswith("opt.") else getattr(model, name)
+
+
+def _rigid_parts(model: mujoco.MjModel) -> tuple[int, ...]:
+    """Return what tells apart models that differ in what no field of a row can hold: their meshes and height fields."""
+    return tuple(hash(part.tobytes()) for part in (model.mesh_vert, model.hfield_data) if part.size)
+
+
+def _sizes(model: mujoco.MjModel) -> tuple[int, ...]:
     """Return the sizes that models must share to run in one batch."""
     return (
         model.nq, model.nv, model.nu, model.nbody, model.njnt, model.ngeom, model.nsite, model.ntendon,
         model.neq, model.nM, model.nC, model.nB, model.nD, model.nsensordata, model.nuserdata, model.nmocap,
+        model.na,
     )  # fmt: skip
 
 

@@ -1,0 +1,147 @@
+"""What acts of the commands: scaled, shifted, late, filtered, with a dead zone.
+
+All of it follows from the commands alone. Commands hold from row to row; before an episode's first row its own first
+command is taken to have held for ever.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from skat.simulators.tables import Array, earlier_rows
+
+
+@dataclass(frozen=True)
+class CommandPath:
+    """What lies between the commands of a log and the actuators, an entry for each of them.
+
+    Attributes
+    ----------
+    scale, bias : ndarray of shape (nu,)
+        What acts is scale * command + bias.
+    delay : ndarray of shape (nu,)
+        s.
+    lag : ndarray of shape (nu,)
+        Time constant of a filter of first order, s.
+    dead_zone : ndarray of shape (nu,)
+        Half of the width within which a command does nothing; beyond, it acts as much less.
+    holds : ndarray of shape (nu,) of bool
+        Whether a late command is held from time step to time step; otherwise it is linear between them.
+    """
+
+    scale: Array
+    bias: Array
+    delay: Array
+    lag: Array
+    dead_zone: Array
+    holds: NDArray[np.bool_]
+
+    @property
+    def changes(self) -> bool:
+        """Whether anything but the command itself acts."""
+        return bool(
+            (self.scale != 1).any()
+            or any(values.any() for values in (self.bias, self.delay, self.lag, self.dead_zone))
+        )
+
+    def n_lags(self, dt: float) -> int:
+        """Return how many earlier rows' commands are on the way, at most."""
+        return math.ceil(float(self.delay.max(initial=0.0)) / dt - 1e-9)
+
+    def acting(self, commands: Array, starts: NDArray[np.intp], dt: float, n_substeps: int) -> Array:
+        """Return what acts in each time step.
+
+        Parameters
+        ----------
+        commands : ndarray of shape (n_rows, nu)
+        starts : ndarray of shape (n_rows,)
+            First row of each row's episode.
+        dt : float
+            Duration of a row, s.
+        n_substeps : int
+            Time steps of a row.
+
+        Returns
+        -------
+        ndarray of shape (n_rows, n_substeps, nu)
+        """
+        commands = self.scale * commands + self.bias
+        n_lags = self.n_lags(dt)
+        history = earlier_rows(commands, starts, n_lags) if n_lags else None
+        acts = np.repeat(commands[:, None], n_substeps, axis=1)
+        for delay in np.unique(self.delay[self.delay > 0]):
+            for hold in (False, True):
+                late = np.flatnonzero((self.delay == delay) & (self.holds == hold))
+                if late.size:
+                    steps = delay * n_substeps / dt
+                    past = history[:, :, late] if history is not None else None
+                    acts[:, :, late] = delayed_controls(commands[:, late], past, steps, n_substeps, hold=hold)
+        if self.lag.any():
+            step = dt / n_substeps
+            shares = np.array([1 - math.exp(-step / lag) if lag > 0 else 1.0 for lag in self.lag])
+            acts = filtered(acts, starts, shares)
+        return acts - np.clip(acts, -self.dead_zone, self.dead_zone)
+
+
+def delayed_controls(
+    controls: Array, history: Array | None, lag: float, n_substeps: int, *, hold: bool = False
+) -> Array:
+    """Return the controls of each substep that come ``lag`` substeps late, linear between substeps.
+
+    Parameters
+    ----------
+    controls : ndarray of shape (n_rows, nu)
+    history : ndarray of shape (n_rows, n_lags, nu)
+        Controls of the transitions before: one back, two back, ...
+    lag : float
+    n_substeps : int
+    hold : bool
+        Whether the earlier of two substeps holds, in place of what is between them.
+
+    Returns
+    -------
+    ndarray of shape (n_rows, n_substeps, nu)
+    """
+    known = controls[:, None] if history is None else np.concatenate([controls[:, None], history], axis=1)
+    delayed = np.empty((len(controls), n_substeps, controls.shape[1]))
+    for substep in range(n_substeps):
+        moment = substep - lag
+        before = math.floor(moment + 1e-9)
+        weight = 0.0 if hold else moment - before
+        earlier, later = (
+            known[:, -math.floor(index / n_substeps)] for index in (before, min(before + 1, substep))
+        )
+        delayed[:, substep] = earlier if weight <= 1e-9 else (1 - weight) * earlier + weight * later
+    return delayed
+
+
+def filtered(acts: Array, starts: NDArray[np.intp], shares: Sequence[float] | Array) -> Array:
+    """Return what filters of first order, in steady state as each episode begins, make of piecewise constant inputs.
+
+    As MuJoCo's ``filterexact`` with ``actearly``: at the end of each substep.
+
+    Parameters
+    ----------
+    acts : ndarray of shape (n_rows, n_substeps, nu)
+    starts : ndarray of shape (n_rows,)
+    shares : sequence of nu floats
+        1 - exp(-step / time constant): of the way that a filter goes in a substep.
+    """
+    found = np.array(acts)
+    for start in np.unique(starts):
+        rows = np.flatnonzero(starts == start) if len(starts) < 2 else slice(*_span(starts, start))
+        path = acts[rows].reshape(-1, acts.shape[2])
+        for column, share in enumerate(shares):
+            if share < 1:
+                first = [(1 - share) * path[0, column]]
+                values, _ = lfilter([share], [1, share - 1], path[:, column], zi=first)
+                found[rows, :, column] = values.reshape(-1, acts.shape[1])
+    return found
+
+
+def _span(starts: NDArray[np.intp], start: int) -> tuple[int, int]:
+    return int(start), int(np.searchsorted(starts, start, side="right"))
