@@ -1,8 +1,11 @@
 """Simulators by name."""
 
 import difflib
+from collections.abc import Callable
+from functools import partial
 
 from skat.simulators.base import Simulator
+from skat.simulators.machines import MACHINES, make_machine
 from skat.simulators.puck import CONDITIONS as PUCK_CONDITIONS
 from skat.simulators.puck import make_puck
 from skat.simulators.robots import CONDITIONS as ROBOT_CONDITIONS
@@ -10,17 +13,18 @@ from skat.simulators.robots import ROBOTS, make_robot
 
 
 def make_simulator(name: str, *, condition: str = "normal") -> Simulator:
-    """Return one of the paper's simulators.
+    """Return one of the paper's simulators, or a robot of which a measured log is open.
 
     Parameters
     ----------
-    name : {"hopper", "halfcheetah", "ant", "puck"}
-        A Gymnasium robot, or a stick that strikes a hockey puck.
+    name : str
+        "hopper", "halfcheetah", "ant", "puck", "pendulum", "double_pendulum", "ur10", "so101", "go2_air" or "ricmonk".
+        A Gymnasium robot, or a stick that strikes a hockey puck; or a real machine, as its published numbers have it.
     condition : str, default="normal"
         Robots: "normal", "light", "heavy", "long", "short", "some_inverted", "inverted", "some_off" (Table I
         of the paper). Puck: "normal", or one of the eleven simulations of the paper's table: "isotr_low",
         "isotr_lowmed", "isotr_med", "isotr_medhi", "isotr_high", "isotr_low_offc", "isotr_high_offc",
-        "heavy_anisotr_lowx", "heavy_anisotr_lowy", "low_anisotr_lowx", "low_anisotr_lowy".
+        "heavy_anisotr_lowx", "heavy_anisotr_lowy", "low_anisotr_lowx", "low_anisotr_lowy". Real machines: "normal".
 
     Returns
     -------
@@ -41,9 +45,15 @@ def make_simulator(name: str, *, condition: str = "normal") -> Simulator:
     >>> make_simulator("hopper", condition="heavy")
     MujocoSimulator('hopper', frame_skip=4, built_in={'mass[all]': 2.0})
     """
-    _require_known("simulator", name, (*ROBOTS, "puck"))
-    _require_known(f"condition of {name}", condition, PUCK_CONDITIONS if name == "puck" else ROBOT_CONDITIONS)
-    return make_puck(condition) if name == "puck" else make_robot(name, condition)
+    makers: dict[str, tuple[Callable[[str], Simulator], tuple[str, ...]]] = {
+        **{robot: (partial(make_robot, robot), ROBOT_CONDITIONS) for robot in ROBOTS},
+        "puck": (make_puck, PUCK_CONDITIONS),
+        **{machine: (partial(make_machine, machine), ("normal",)) for machine in MACHINES},
+    }
+    _require_known("simulator", name, tuple(makers))
+    make, conditions = makers[name]
+    _require_known(f"condition of {name}", condition, conditions)
+    return make(condition)
 
 
 def _require_known(what: str, name: str, names: tuple[str, ...]) -> None:

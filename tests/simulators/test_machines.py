@@ -1,0 +1,152 @@
+"""The machines of the open logs have the mass properties that were published of them."""
+
+import os
+import re
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from skat.simulators import make_simulator
+from skat.simulators.machines import MACHINES, UR10
+
+HOME = os.environ.get("SKAT_DATA_HOME")
+published = pytest.mark.skipif(HOME is None, reason="the published files are not on this machine")
+
+
+def dynamics(model, seed=0, n=20):
+    """Return inertia matrices and the forces that hold the model in random states, without its friction."""
+    data, random, found = mujoco.MjData(model), np.random.default_rng(seed), []
+    for _ in range(n):
+        data.qpos[:] = random.uniform(-1, 1, model.nq)
+        data.qvel[:] = random.normal(size=model.nv)
+        mujoco.mj_forward(model, data)
+        matrix = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, matrix)
+        found.append(np.column_stack([matrix, data.qfrc_bias, data.qfrc_damper]))
+    return np.array(found)
+
+
+def compiled(text):
+    spec = mujoco.MjSpec.from_string(text)
+    return spec.compile()
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_a_machine_is_listed_by_name_and_can_be_simulated(name):
+    machine = make_simulator(name)
+    assert machine.compiled().opt.timestep * machine.frame_skip == pytest.approx(machine.dt)
+    rows = np.zeros((3, len(machine.input_names)))
+    assert np.isfinite(machine.predict(rows)).all()
+    with pytest.raises(ValueError, match=f"unknown condition of {name} 'heavy'. There are: normal"):
+        make_simulator(name, condition="heavy")
+
+
+@published
+def test_so101_is_the_official_model_with_the_joints_of_the_logs():
+    text = (Path(HOME) / "so101" / "so101_plain.xml").read_text()
+    official, ours = compiled(text), make_simulator("so101").compiled()
+    np.testing.assert_allclose(dynamics(ours), dynamics(official), rtol=1e-4, atol=1e-7)
+    for field in (
+        "actuator_gainprm",
+        "actuator_biasprm",
+        "actuator_forcerange",
+        "dof_frictionloss",
+        "dof_armature",
+    ):
+        np.testing.assert_allclose(getattr(ours, field), getattr(official, field), rtol=1e-9, err_msg=field)
+    np.testing.assert_allclose(ours.jnt_range, official.jnt_range, rtol=1e-6)
+    names = (Path(HOME) / "so101" / "joint_list.txt").read_text().split()
+    assert make_simulator("so101").state_names[:6] == tuple(f"qpos.{name}" for name in names)
+
+
+@published
+def test_go2_is_the_published_model_hung_up():
+    text = (Path(HOME) / "go2_air" / "go2_plain.xml").read_text()
+    text = re.sub(r"<keyframe>.*?</keyframe>", "", text.replace("<freejoint/>", ""), flags=re.DOTALL)
+    theirs, ours = compiled(text), make_simulator("go2_air").compiled()
+    assert [ours.joint(index).name for index in range(12)] == [
+        theirs.joint(index).name for index in range(12)
+    ]
+    np.testing.assert_allclose(dynamics(ours), dynamics(theirs), rtol=1e-4, atol=1e-7)
+    np.testing.assert_allclose(ours.jnt_range, theirs.jnt_range)
+    np.testing.assert_allclose(ours.dof_frictionloss, theirs.dof_frictionloss)
+    np.testing.assert_allclose(ours.actuator_forcerange, theirs.actuator_ctrlrange)
+
+
+@published
+def test_ricmonk_is_the_published_description_hanging_by_its_first_arm():
+    tree = ElementTree.parse(Path(HOME) / "ricmonk" / "ricmonk.urdf").getroot()
+    ours = make_simulator("ricmonk").compiled()
+    for name, link in {"arm1": "hook_1", "tail": "tail", "arm2": "link2", "hook2": "hook_2"}.items():
+        inertial = tree.find(f"link[@name='{link}']/inertial")
+        inertia = {key: float(value) for key, value in inertial.find("inertia").attrib.items()}
+        xx, yy, zz, xy, xz, yz = (inertia[key] for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"))
+        body, turn = ours.body(name), np.zeros(9)
+        assert body.mass[0] == pytest.approx(float(inertial.find("mass").get("value")), rel=1e-12)
+        centre = [float(one) for one in inertial.find("origin").get("xyz").split()]
+        np.testing.assert_allclose(body.ipos, centre, atol=1e-12)
+        mujoco.mju_quat2Mat(turn, body.iquat)
+        axes = turn.reshape(3, 3)
+        matrix = axes @ np.diag(body.inertia) @ axes.T
+        np.testing.assert_allclose(matrix, [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], atol=1e-9)
+    places = {"tail": "Joint1", "arm2": "Joint3", "hook2": "virtual_fixed_link"}
+    for name, joint in places.items():
+        origin = tree.find(f"joint[@name='{joint}']/origin").get("xyz")
+        np.testing.assert_allclose(ours.body(name).pos, [float(one) for one in origin.split()], atol=1e-9)
+    hanging = mujoco.MjData(ours)
+    mujoco.mj_forward(ours, hanging)
+    assert hanging.body("hook2").xpos[2] == pytest.approx(
+        0.0, abs=1e-3
+    )  # both arms down from the bar and up again
+
+
+@published
+def test_double_pendulum_has_the_equations_of_its_authors():
+    lines = (Path(HOME) / "double_pendulum" / "model_parameters.yml").read_text().splitlines()
+    p = {name: float(value) for name, value in (line.split(":") for line in lines if line.strip())}
+    model = make_simulator("double_pendulum").compiled()
+    data, random = mujoco.MjData(model), np.random.default_rng(0)
+    for _ in range(10):
+        first, second = data.qpos[:] = random.uniform(-2, 2, 2)
+        mujoco.mj_forward(model, data)
+        matrix = np.zeros((2, 2))
+        mujoco.mj_fullM(model, data, matrix)
+        coupled = p["m2"] * p["l1"] * p["r2"] * np.cos(second)
+        rotor = p["gr"] ** 2 * p["Ir"]
+        expected = np.array(
+            [
+                [
+                    p["I1"] + p["I2"] + p["m2"] * p["l1"] ** 2 + 2 * coupled + rotor + p["Ir"],
+                    p["I2"] + coupled,
+                ],
+                [p["I2"] + coupled, p["I2"] + rotor],
+            ]
+        )
+        np.testing.assert_allclose(matrix, expected, rtol=1e-9)
+        far = p["m2"] * p["g"] * p["r2"] * np.sin(first + second)
+        near = p["g"] * (p["m1"] * p["r1"] + p["m2"] * p["l1"]) * np.sin(first)
+        np.testing.assert_allclose(data.qfrc_bias, [near + far, far], rtol=1e-9)
+
+
+def test_pendulum_is_a_point_mass_on_a_rod():
+    model = make_simulator("pendulum").compiled()
+    found = dynamics(model)[:, 0]
+    np.testing.assert_allclose(found[:, 0], 0.6755 * 0.5**2, rtol=1e-4)
+
+
+def test_ur10_reaches_as_far_as_the_manufacturers_dimensions_say():
+    """Stretched out, the last joint is the sum of the Denavit-Hartenberg lengths away."""
+    model = make_simulator("ur10").compiled()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    x, y, z = data.body("wrist_3_link").xpos
+    a2, a3, d1, d4, d5 = 0.612, 0.5723, 0.1273, 0.163941, 0.1157
+    np.testing.assert_allclose([x, y, z], [a2 + a3, d4, d1 - d5], atol=1e-9)
+    assert model.body_mass.sum() == pytest.approx(28.7)
+    assert sum(row[2] for row in UR10) == pytest.approx(28.7)
+    # Holding the stretched arm, the shoulder carries each link's weight at its distance.
+    lever = 12.93 * 0.306 + 3.87 * (a2 + 0.28615) + (1.96 + 1.96 + 0.202) * (a2 + a3)
+    assert abs(data.qfrc_bias[1]) == pytest.approx(9.81 * lever, rel=1e-6)
