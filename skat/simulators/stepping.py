@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from skat.simulators.friction import LOADED, NEUTRAL, budget
 from skat.simulators.tables import Array
 
-CHUNK, FORCED_CHUNK = 8192, 1024
+CHUNK = 8192
 CACHED_BATCHES = 32
 HUGE = 1e10  # MuJoCo's own limit of a state that is not divergent
 INTEGRATOR, MUSCLE = int(mujoco.mjtDyn.mjDYN_INTEGRATOR), int(mujoco.mjtDyn.mjDYN_MUSCLE)
@@ -218,8 +218,7 @@ class Stepper:
         n_rows, n_states = states.shape[1:]
         total = len(jobs) * n_rows
         forced = jobs[0].forces.changes_within_transition
-        chunk = FORCED_CHUNK if forced else CHUNK
-        pool = self._pool(jobs[0], min(total, chunk))
+        pool = self._pool(jobs[0], min(total, CHUNK))
         candidates = np.array([job.candidate for job in jobs])
         destinations = np.array(slots)
         winds = np.array([job.forces.wind for job in jobs])
@@ -228,8 +227,8 @@ class Stepper:
         for forces, job in zip(generalised, jobs):
             for dof, force in job.forces.joints:
                 forces[dof] = force
-        for start in range(0, total, chunk):
-            flat = np.arange(start, min(start + chunk, total))
+        for start in range(0, total, CHUNK):
+            flat = np.arange(start, min(start + CHUNK, total))
             which, row = np.divmod(flat, n_rows)
             source = inputs[candidates[which], row]
             pool.set_models([jobs[index].model for index in range(which[0], which[-1] + 1)], which - which[0])
@@ -260,9 +259,7 @@ class Stepper:
         """Return a cached batch of at least this size."""
         size = 1 << max(size - 1, 0).bit_length()
         forced = job.forces.changes_within_transition
-        make: type[_Pool] = _Pool
-        if forced:
-            make = _BrakedPool if "friction" in job.forces.kinds else _ForcedPool
+        make = _ForcedPool if forced else _Pool
         key = (make, size, _sizes(job.model), _rigid_parts(job.model) if forced else None)
         if key not in self._batches:
             self._batches[key] = make(job.model, size)
@@ -312,10 +309,8 @@ class _Laws:
 class _Pool:
     """A MuJoCo batch with the views that a transition needs; each row may have a model of its own."""
 
-    persistent = False
-
     def __init__(self, model: mujoco.MjModel, size: int):
-        self.batch = Batch(model, nsim=size, nthread=min(size, _thread_count()), persistent=self.persistent)
+        self.batch = Batch(model, nsim=size, nthread=min(size, _thread_count()))
         self.model = model
         self.size, self.count = size, 0
         self.qpos, self.qvel, self.ctrl = (self.batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
@@ -458,8 +453,6 @@ class _ForcedPool(_Pool):
     row: MuJoCo offers either that or models of one's own.
     """
 
-    persistent = True
-
     def __init__(self, model: mujoco.MjModel, size: int):
         super().__init__(model, size)
         self._fields: dict[str, Array] = {}
@@ -577,15 +570,6 @@ class _ForcedPool(_Pool):
         bias[:, :, 0] += np.where(saturated[..., 0], now[..., 0] * wanted, 0) + self.torques * way / step
         self._field("actuator_gainprm")[:count, at], self._field("actuator_biasprm")[:count, at] = gain, bias
         self.torques = self.torques + way * (wanted - self.torques)
-
-
-class _BrakedPool(_ForcedPool):
-    """A batch whose joints' friction is renewed in each substep.
-
-    MuJoCo reads it as a step begins, so that no step may begin with what was computed before.
-    """
-
-    persistent = False
 
 
 def _forces_of(
