@@ -634,8 +634,12 @@ def _value(model: mujoco.MjModel, name: str) -> object:
 
 
 def _rigid_parts(model: mujoco.MjModel) -> tuple[int, ...]:
-    """Return what tells apart models that differ in what no field of a row can hold: their meshes and height fields."""
-    return tuple(hash(part.tobytes()) for part in (model.mesh_vert, model.hfield_data) if part.size)
+    """Return what tells apart models that differ in what no field of a row can hold.
+
+    That are their meshes and height fields, and how many pairs of geoms they name.
+    """
+    hashes = (hash(part.tobytes()) for part in (model.mesh_vert, model.hfield_data) if part.size)
+    return (int(model.npair), int(model.nexclude), *hashes)
 
 
 def _sizes(model: mujoco.MjModel) -> tuple[int, ...]:

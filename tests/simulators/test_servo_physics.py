@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from skat.simulators import MujocoSimulator
+from skat.simulators import MujocoSimulator, make_simulator
 from skat.simulators.friction import NEUTRAL, budget
 from tests.machines import SERVO_ARM, changed
 
@@ -165,6 +165,17 @@ def test_friction_of_many_candidates_is_that_of_each_alone():
         assert np.abs(found - plain).max() > 1e-6
     # A batch that ran with friction runs without it again.
     np.testing.assert_array_equal(simulator.predict_many(rows, candidates, groups=groups), together)
+
+
+def test_candidates_whose_models_name_other_pairs_of_geoms_run_too():
+    """A factor on one geom's contacts names its pairs, of which the model had none."""
+    simulator = make_simulator("hopper")
+    rows = np.zeros((4, len(simulator.input_names)))
+    rows[:, 1] = 1.2
+    base = {"stribeck[foot_joint]": 0.5, "air_drag[all]": 0.3}
+    candidates = [base, base | {"contact_friction[foot_geom]": 1.5}, base | {"mass[torso]": 1.1}]
+    for values, found in zip(candidates, simulator.predict_many(rows, candidates)):
+        np.testing.assert_array_equal(simulator.predict(rows, effects=values), found)
 
 
 def test_a_row_with_friction_of_zero_is_that_of_plain_mujoco():
