@@ -4,7 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from skat.effects import FAMILIES
 from skat.simulators import make_simulator
+from skat.simulators.machines import MACHINES
 
 PAGE = Path(__file__).parents[2] / "docs" / "simulators.rst"
 HEADINGS = {"hopper": "Hopper", "halfcheetah": "HalfCheetah", "ant": "Ant"}
@@ -34,5 +36,24 @@ def test_state_tables_have_the_columns_of_the_simulator(name):
 
 def test_every_effect_family_is_documented():
     text = PAGE.read_text(encoding="utf-8")
-    families = {effect.family for name in (*HEADINGS, "puck") for effect in make_simulator(name).effects()}
-    assert not [family for family in families if f"``{family}" not in text]
+    names = (*HEADINGS, "puck", *MACHINES)
+    families = {effect.family for name in names for effect in make_simulator(name).effects(also="all")}
+    assert not [family for family in {*families, *FAMILIES} if f"``{family}" not in text]
+
+
+def test_the_table_of_priors_is_that_of_the_records():
+    text = PAGE.read_text(encoding="utf-8")
+    lines = text.partition(":class: prior-table\n\n")[2].partition("\n\n")[0].splitlines()
+    rows = {name: rest for name, *rest in ([cell.strip() for cell in line.split(",")] for line in lines)}
+    assert list(rows) == list(FAMILIES)
+    for name, record in FAMILIES.items():
+        typical = "rule" if record.typical is None else f"{record.typical:g}"
+        expected = ["force" if record.force_share is not None else typical, f"{record.odds:g}"]
+        assert rows[name] == expected, name
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_machines_are_documented_with_their_transition(name):
+    rows = [line.split(",") for line in PAGE.read_text(encoding="utf-8").splitlines()]
+    (row,) = (row for row in rows if row[0].strip() == name and len(row) > 3)
+    assert float(row[1].split()[0]) == pytest.approx(1000 * make_simulator(name).dt)
