@@ -50,8 +50,7 @@ CART_POLE = """
 </mujoco>
 """
 
-# Mass kg, centre m and principal inertia kg m2 of the six links of a UR5e: place of the link's joint in the link before,
-# its axis.
+# The six links of a UR5e: place of the joint in the link before, its axis, mass kg, centre m, principal inertia kg m2.
 UR5E_LINKS = (
     ("shoulder", (0, 0, 0.163), "0 0 1", 3.761, (0, 0.026, -0.002), (0.0103, 0.0103, 0.00666)),
     ("upper_arm", (0, 0.138, 0), "0 1 0", 8.058, (0, 0, 0.2125), (0.1339, 0.1339, 0.0151)),
@@ -104,7 +103,7 @@ def _chain(links, joints, joint_attributes):
 
 
 def six_joint_arm(drive):
-    """Return an arm with a UR5e's links: ``drive`` "torque" (no friction, no rotors) or "servo" (rotors of .1 kg m2)."""
+    """Return an arm with a UR5e's links; ``drive``: "torque" (no friction, no rotors) or "servo" (with rotors)."""
     attributes = ['armature="0.1"'] * 6 if drive == "servo" else [""] * 6
     if drive == "servo":
         actuators = "".join(

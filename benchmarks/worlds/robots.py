@@ -24,7 +24,7 @@ torque_arm, servo_arm, so101, quadruped_hung, quadruped_free, hopper, halfcheeta
 under feedback of its own noisy readings of a row ago).
 
 Hidden families: mass, inertia, length, centre_of_mass, gravity, tilt, wind, damping, dry_friction, armature, stiffness,
-gain, kp, kv, offset, contact_friction[all], restitution[all], delay[action], bias, scale. Targets are skat's, "all" too.
+gain, kp, kv, offset, contact_friction[all], restitution[all], delay[action], bias, scale.
 
 Paths run on through an episode, from a lead of some rows before the first that is logged, so that filters have settled
 and a delayed command is a real one. One seed gives one excitation, one noise and one force; sensors and forces are
@@ -243,6 +243,12 @@ def make_log(
         forces = np.zeros((n * world.substeps, nv))
         if force:
             forces = random_force(force, rms, n, world.substeps, world.timestep, pushes)
+        if unmodelled:
+            joint = int(np.argmax(rms > 0))
+            times = world.timestep * np.arange(len(forces))
+            forces[:, joint] += (
+                unmodelled * rms[joint] * np.sin(2 * np.pi * 0.7 * times + pushes.uniform(0, 6))
+            )
         normal = noises.normal(size=(n + 1, 2 * nv))
         states, commands = run(world, n, motion, forces, sigma * normal)
         readings = world.readings(sensor, states, sigma, noises, normal)
