@@ -208,7 +208,17 @@ def as_tuple(log):
 
 
 def make_log(
-    robot, truth=None, *, sensor="ideal", force=None, seed=0, rows=None, episodes=None, finer=1, noise=NOISE
+    robot,
+    truth=None,
+    *,
+    sensor="ideal",
+    force=None,
+    seed=0,
+    rows=None,
+    episodes=None,
+    finer=1,
+    noise=NOISE,
+    unmodelled=0.0,
 ):
     """Return a `Log`; see the head of this module.
 

@@ -135,9 +135,8 @@ def noise_bound(log):
     """Return the least standard error of the log of each channel's noise, from the Fisher information of variances.
 
     Of innovations with covariance S: F_ij = sum_t tr(S^-1 dS_i S^-1 dS_j) / 2, for the log variances of the sensors and
-    of the random accelerations together, with dS through the filter's gain in the steady state left out: an upper
-    bound on the information of R where states are well known between rows, and close to it elsewhere. ``inf``
-    where a channel is not measured.
+    of the random accelerations together; dS follows the filter from row to row. What the means of innovations
+    say of variances, through the gain, is left out: it is small. ``inf`` where a channel is not measured.
     """
     slopes = derivatives(log)
     n = slopes.shape[1]
