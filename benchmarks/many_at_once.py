@@ -131,10 +131,14 @@ def open_loop(log, simulator, truth=None):
             path = [world.advance(log.history[start + step]) for step in range(steps)]
             errors.append(np.array(path) - log.y[start : start + steps])
     else:
-        commands = np.stack([log.X[start : start + steps, n_states:] for start in starts])
-        paths = simulator.rollout(log.X[starts, :n_states], commands, n_steps=steps)
-        measured = np.stack([log.y[start : start + steps] for start in starts])
-        errors = paths[:, 1:] - measured
+        # Row by row within the log, whose earlier commands a delay needs.
+        X, paths = log.X.copy(), []
+        for step in range(steps):
+            paths.append(simulator.predict(X, groups=log.groups)[starts + step])
+            if step + 1 < steps:
+                X[starts + step + 1, :n_states] = paths[-1]
+        measured = np.stack([log.y[starts + step] for step in range(steps)])
+        errors = np.stack(paths) - measured
     spread = 100 * log.sigma  # sigma is 1 % of it
     return float(np.sqrt(np.mean((np.asarray(errors) / spread) ** 2)))
 

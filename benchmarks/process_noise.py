@@ -1,7 +1,8 @@
 """Random forces on the joints: whether causes are still named, intervals cover, and the sensors' noise is found.
 
-Robots: puck, Hopper, two-link arm, cart-pole, servo arm. Forces of 5 and 20 % of the rms torque of the motors: white, with a memory of 0.2 s, and a resonance at 20 Hz. Some logs have a force that no effect is beside the random one:
-there the noise that is found is judged, and nothing else::
+Robots: puck, Hopper, two-link arm, cart-pole, servo arm. Forces of 5 and 20 % of the rms torque of the motors: white,
+with a memory of 0.2 s, and a resonance at 20 Hz. Some logs have a force beside the random one that no effect is: there
+the noise that is found is judged, and nothing else::
 
     python benchmarks/process_noise.py --cut
     python benchmarks/process_noise.py --cases "| memory20"     # see tables.py for the rest

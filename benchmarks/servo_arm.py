@@ -1,8 +1,8 @@
 """A stiff servo arm whose commands come late, and a quadruped whose base nobody measures.
 
 Six joints with the gains of users' models of a UR5e and every effect on offer: a delay of one and of two rows, with
-white noise of 1 % and with 14-bit encoders. A quadruped on its feet, its free base hidden, one motor 10 % weak, which is
-among the effects offered or is not; and the same robot with nothing hidden::
+white noise of 1 % and with 14-bit encoders. A quadruped on its feet, its free base hidden, one motor 10 % weak, which
+is among the effects offered or is not; and the same robot with nothing hidden::
 
     python benchmarks/servo_arm.py --cut
     python benchmarks/servo_arm.py --cases delay     # see tables.py for the rest
