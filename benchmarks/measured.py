@@ -113,7 +113,7 @@ def open_loop(model, seconds=HELD_OUT):
 def six_parameters():
     """Return the open-loop error of the six parameters given: dry friction, damping and armature of both joints.
 
-    By least squares of the inverse dynamics, positions filtered at 5 Hz without phase, and from there of paths over half
+    By least squares of the inverse dynamics, filtered at 5 Hz without phase, and from there of paths over half
     a second; of the runs that are fitted, with plain MuJoCo. The better of the two on the runs held out.
     """
     import mujoco
