@@ -1,16 +1,17 @@
 """What each constant and rule of the engine is for: every field of `Settings` halved, doubled, off, none left out.
 
 24 causes and 24 clean logs of cheap worlds, the same for all. The fields are those of the frozen dataclass
-``skat.diagnosis.settings.Settings``: a number is halved and doubled, and set to 0; an infinite one is set to 1; a flag
-is turned; of a tuple of numbers every member is halved and doubled, and all but its first and all but its last are left
-out; of an optional number None is tried. A value that `Settings` refuses is told as such. A row whose answers are those of
-the engine as it is for a halving, a doubling and its absence belongs to a constant that does nothing::
+``skat.diagnosis.settings.Settings``: a number is halved, doubled, and set to 0; one that is infinite or None is set to
+1; a flag is turned, a Literal takes its other values; of a tuple of numbers every member is halved and doubled, and its
+first and its last member are left out; a mapping or a dataclass is taken apart. A value that `Settings` refuses is told
+as such, and one of another kind stops the table. Where neither halving, doubling nor absence changes an answer, the
+constant does nothing::
 
     python benchmarks/ablation.py --cut                  # four logs, the first three fields
-    python benchmarks/ablation.py --cases " tolerance "  # one field; see tables.py for the rest
+    python benchmarks/ablation.py --cases "tolerance "   # one field; see tables.py for the rest
 
-Settings are replaced where the modules of ``skat`` hold the default instance (any module attribute, default of a
-parameter, or default of a class that is that instance), for the time of one fit.
+Settings are replaced where the modules of ``skat`` hold the default instance (a module's attribute, the default of a
+parameter, or a member of a class that is that instance), for the time of one fit.
 """
 
 import contextlib
@@ -20,6 +21,7 @@ import math
 import pkgutil
 import sys
 import types
+import typing
 
 import numpy as np
 import sensors
@@ -80,7 +82,12 @@ def changes(settings):
     found = {}
     for field in dataclasses.fields(settings):
         value = getattr(settings, field.name)
-        for word, other in _others(value):
+        literal = typing.get_type_hints(type(settings))[field.name]
+        if typing.get_origin(literal) is typing.Literal:
+            tried = [(f"as {other!r}", other) for other in typing.get_args(literal) if other != value]
+        else:
+            tried = _others(value)
+        for word, other in tried:
             found[f"{field.name} {word}"] = (field.name, other)
     return found
 
@@ -118,8 +125,8 @@ def _others(value):
             for inner in (field.name for field in dataclasses.fields(value))
             for word, other in _others(getattr(value, inner))
         ]
-    if value is None or isinstance(value, str):
-        return []
+    if value is None:
+        return [("one", 1.0)]
     raise TypeError(f"no rule says how to try another value than {value!r}")
 
 

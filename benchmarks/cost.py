@@ -1,15 +1,15 @@
 """What a diagnosis costs: seconds, memory, and ratios to peers in the same run.
 
 Wanted on two free cores: Hopper, 1,500 rows, all effects, at most 15 s and 0.3 of what ``mujoco.sysid`` takes with four
-parameters given; a six-joint servo arm, 1,500 rows, 30 s; a quadruped with a free base, 1,500 rows, 120 s within 1.5 GB;
-a wrong or a missing cause at most three times a clean log; positions only at most twice all measured; linear in rows up
-to 150,000 within 4 GB; ``quick`` at most 5, 10 and 30 s::
+parameters given; a six-joint servo arm, 1,500 rows, 30 s; a quadruped with a free base, 1,500 rows, 120 s within 1.5
+GB; a wrong or a missing cause at most three times a clean log; positions only at most twice all measured; linear in
+rows up to 150,000 within 4 GB; ``quick`` at most 5, 10 and 30 s::
 
     python benchmarks/cost.py --cut
     python benchmarks/cost.py --cases "two_link | rows"     # see tables.py for the rest
 
-Seconds are of the wall, and mean something on a machine that does nothing else; a line has the load at its start. Ratios
-in the report are of processor seconds.
+Seconds are of the wall, and mean something on a machine that does nothing else; a line has the load at its start.
+Ratios in the report are of processor seconds.
 """
 
 import os
