@@ -46,6 +46,8 @@ from worlds.sensing import NOISE, read
 
 LEAD = 8  # rows before the first that is logged
 TAIL = 2
+# Of positions and of velocities, SI units: noise that no sensor goes below.
+LEAST_NOISE = (1e-4, 1e-3)
 
 
 @dataclass(frozen=True)
@@ -244,7 +246,8 @@ def make_log(
     entropy = [*np.atleast_1d(seed).tolist(), sum(robot.encode())]
     world = World(robot, truth, finer=finer)
     spread, rms = scales(robot)
-    sigma = noise * spread
+    # Nobody measures a puck's height to a thousandth of a millimetre.
+    sigma = noise / NOISE * np.maximum(NOISE * spread, np.repeat(LEAST_NOISE, len(spread) // 2))
     nv = world.model.nv
     parts = []
     for episode in range(episodes):
@@ -493,8 +496,9 @@ def start_state(world, rng, smooth, amplitude, centre, positions, dofs):
         qpos += rng.uniform(-0.5, 0.5, model.nq)
         qvel += rng.normal(size=model.nv)
     elif kind is ROBOTS["puck"]:
-        qpos[3] = rng.uniform(-3, 3)
-        qvel[:] = rng.normal(size=model.nv) * [0.8, 0.8, 0.0, 3.0]
+        # From half a centimetre within the table to three above it.
+        qpos[2:] = rng.uniform(-0.005, 0.03), rng.uniform(-3, 3)
+        qvel[:] = rng.normal(size=model.nv) * [0.8, 0.8, 0.3, 3.0]
     else:
         qpos[2] += 0.1 * rng.normal()
         qpos[positions] += rng.uniform(-0.2, 0.2, len(positions))
