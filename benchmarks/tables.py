@@ -297,9 +297,10 @@ def lines_of(path, source=None, parameters=None):
     found = {}
     for text in path.read_text().splitlines():
         line = json.loads(text)
-        wanted = source is None or line["source"] == source
-        if wanted and (parameters is None or line["parameters"] == parameters):
-            found[line["source"], json.dumps(line["parameters"], sort_keys=True), line["key"]] = line
+        wanted = source is None or line.get("source") == source
+        if wanted and (parameters is None or line.get("parameters") == parameters):
+            asked = json.dumps(line.get("parameters"), sort_keys=True)
+            found[line.get("source"), asked, line["key"]] = line
     return list(found.values())
 
 
@@ -377,7 +378,6 @@ def _claimed(path, key):
         yield True
         with contextlib.suppress(OSError):
             os.unlink(file)
-            folder.rmdir()
 
 
 def _append(path, line):

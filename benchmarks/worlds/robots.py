@@ -375,11 +375,12 @@ class World:
             turning = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
             measured = read(sensor, states, sigma, turning, self.dt, rng, normal=normal)
         names = channel_names(model)
-        for name, value in self.truth.items():
-            if _family(name) == "bias":
-                measured[:, names.index(_target(name))] += value
-            if _family(name) == "scale":
-                measured[:, names.index(_target(name))] *= value
+        # Measured = scale * true + bias.
+        for family, act in (("scale", np.multiply), ("bias", np.add)):
+            for name, value in self.truth.items():
+                if _family(name) == family:
+                    column = names.index(_target(name))
+                    measured[:, column] = act(measured[:, column], value)
         return measured
 
 

@@ -82,6 +82,37 @@ def test_a_world_is_the_effects_of_the_same_name(robot, cause):
     assert np.abs(nominal).max() > 30 * np.abs(extended).max()
 
 
+@pytest.mark.parametrize("robot", ["puck", "cart_pole", "two_link"])
+def test_every_effect_that_a_draw_from_the_prior_may_hide_is_the_effect_of_its_name(robot):
+    from probabilities import HIDDEN
+
+    from skat.simulators import MujocoSimulator
+
+    robots = _robots()
+    kind = robots.ROBOTS[robot]
+    simulator = MujocoSimulator(kind.text(), frame_skip=kind.frame_skip)
+    for effect in simulator.effects():
+        if effect.family not in HIDDEN:
+            continue
+        _, high = effect.bounds
+        step = 0.3 if effect.is_factor else 0.02 * high
+        truth = {effect.name: min(effect.neutral + step, high)}
+        log = robots.make_log(robot, truth, sensor="exact", rows=12, episodes=1)
+        error = simulator.predict(log.X, effects=truth, groups=log.groups)[6:] - log.y[6:]
+        assert np.abs(error).max() < 1e-5, effect.name
+
+
+def test_readings_are_scaled_before_a_bias_is_added():
+    robots = _robots()
+    names = ("bias[qpos.elbow]", "scale[qpos.elbow]")
+    first, second = (
+        robots.make_log("two_link", dict(zip(order, values)), sensor="exact", rows=12, episodes=1)
+        for order, values in ((names, (0.1, 1.2)), (names[::-1], (1.2, 0.1)))
+    )
+    np.testing.assert_array_equal(first.X, second.X)
+    np.testing.assert_allclose(first.X[:, 1], 1.2 * first.exact[:, 1] + 0.1, rtol=1e-12)
+
+
 def test_a_delay_of_one_row_is_the_command_of_the_row_before():
     robots = _robots()
     log = robots.make_log("servo_arm", {"delay[action]": 0.01}, sensor="exact", rows=20, episodes=1)

@@ -103,7 +103,7 @@ def test_a_report_counts_lines_of_one_hash_and_one_set_of_parameters(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name", ["sensors", "process_noise", "many_at_once", "servo_arm", "cost", "measured"]
+    "name", ["sensors", "process_noise", "many_at_once", "servo_arm", "cost", "measured", "other_robots"]
 )
 def test_cases_of_a_table_are_unique_and_its_cut_is_small(name):
     module = __import__(name)
@@ -170,3 +170,23 @@ def test_the_prior_of_a_draw_is_a_cauchy_within_bounds():
     assert np.mean(values < 0.5) == pytest.approx(0.5 / inside, abs=0.03)
     share = np.mean([bool(probabilities.draw([effect], rng)) for _ in range(4000)])
     assert share == pytest.approx(0.1 / 1.1, abs=0.015)
+
+
+def test_settings_are_replaced_wherever_a_module_holds_them_and_put_back(monkeypatch):
+    import sys
+    import types
+
+    import ablation
+
+    old, new = object(), object()
+    module = types.ModuleType("skat.of_this_test")
+    exec("def by_default(settings=None, *, also=None):\n    return settings, also, SETTINGS\n", vars(module))
+    module.SETTINGS = old
+    module.by_default.__defaults__ = (old,)
+    module.by_default.__kwdefaults__ = {"also": old}
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    with ablation.replaced(old, new):
+        assert module.by_default() == (new, new, new)
+    assert module.by_default() == (old, old, old)
+    with pytest.raises(RuntimeError, match="nothing would change"), ablation.replaced(object(), new):
+        pass
