@@ -5,19 +5,16 @@ an effect is a raw edit of the compiled model. Sensors have Student-t noise of 1
 half of that. A size s is the mean squared change of the next state by the effect, in variances of the noise::
 
     python benchmarks/other_robots.py                      # two seeds of every effect in every robot
-    python benchmarks/other_robots.py --robots swimmer     # some of them
+    python benchmarks/other_robots.py --cases swimmer      # some of them; see tables.py for the rest
 """
 
-import argparse
-import time
-import warnings
-from collections import Counter
 from pathlib import Path
 
 import gymnasium
-import joblib
 import mujoco
 import numpy as np
+import tables
+from tables import Case, Table
 
 ASSETS = Path(gymnasium.__file__).parent / "envs" / "mujoco" / "assets"
 # File, time steps of a transition, episodes of 50 transitions.
@@ -45,69 +42,63 @@ FAMILIES = (
     "scale",
 )
 N_ROWS, NOISE = 50, 0.01
+N_SEEDS = 2
 VISIBLE = 0.1
 
 
-def main():
-    arguments = _arguments()
-    tasks = [
-        (robot, family, seed)
-        for seed in range(arguments.seeds)
-        for robot in arguments.robots
+def cases(cut):
+    return [
+        Case(f"{robot} | {family}", seed)
+        for seed in range(1 if cut else N_SEEDS)
+        for robot in (list(ROBOTS)[:2] if cut else ROBOTS)
         for family in FAMILIES
     ]
-    verdicts = Counter()
-    runs = joblib.Parallel(n_jobs=arguments.n_jobs, return_as="generator")(
-        joblib.delayed(run)(*task) for task in tasks
-    )
-    for which, told, line in runs:
-        print(line, flush=True)
-        verdicts[which, told] += 1
-    for (which, told), count in sorted(verdicts.items()):
-        print(f"{which}: {told}: {count}")
 
 
-def run(robot, family, seed):
-    """Return which case it is, what was told (right, alias, unexplained, nothing or false), and a line to print."""
-    warnings.filterwarnings("ignore")
-    from skat.diagnosis import SimulationDiagnosis
-    from skat.simulators import MujocoSimulator
-
+def log_of(case):
+    """Return the user's model and frame skip, name and value of what is hidden, its s, and X, y and groups."""
+    robot, family = case.name.split(" | ")
     file, frame_skip, n_episodes = ROBOTS[robot]
-    rng = np.random.default_rng([seed, FAMILIES.index(family), list(ROBOTS).index(robot)])
+    rng = np.random.default_rng([case.seed, FAMILIES.index(family), list(ROBOTS).index(robot)])
     nominal = mujoco.MjModel.from_xml_path(str(ASSETS / file))
     model = mujoco.MjModel.from_xml_path(str(ASSETS / file))
     name, value = _edited(model, family, rng)
     states, actions = _episodes(model, frame_skip, n_episodes, rng)
     s, value, X, y, groups = _measured(states, actions, nominal, frame_skip, name, value, rng)
-    names = _channels(nominal)
-    title = f"{robot} #{seed}: " + (f"{name} {value:.4g} (s {s:.2g})" if value is not None else "nothing")
-    simulator = MujocoSimulator(ASSETS / file, frame_skip=frame_skip)
-    assert simulator.state_names == tuple(names)
-    start = time.process_time()
-    diagnosis = SimulationDiagnosis(simulator, random_state=seed, n_jobs=1).fit(X, y, groups=groups)
-    seconds = time.process_time() - start
-    causes = diagnosis.causes_
-    found = "; ".join(
-        f"{cause.name} {cause.value:.4g} ({cause.interval[0]:.4g} to {cause.interval[1]:.4g})"
-        + (f", aliases {', '.join(cause.aliases)}" if cause.aliases else "")
-        for cause in causes
-    )
-    told = {"nothing detected": "nothing", "unexplained": "unexplained"}.get(diagnosis.verdict_, "false")
-    covered = ""
-    if len(causes) == 1 and causes[0].name == name:
-        told = told if told == "unexplained" else "right"
-        covered = " in" if causes[0].interval[0] <= value <= causes[0].interval[1] else " OUT"
-    elif diagnosis.verdict_ == "ambiguous" and len(causes) == 1 and name in causes[0].aliases:
-        told = "alias"
+    return ASSETS / file, frame_skip, name, value, s, X, y, groups
+
+
+def run(case, parameters):
+    from skat.simulators import MujocoSimulator
+
+    file, frame_skip, name, value, s, X, y, groups = log_of(case)
+    simulator = MujocoSimulator(file, frame_skip=frame_skip)
+    answer, _ = tables.ask(simulator, X, y, groups, seed=case.seed, parameters=parameters)
+    truth = {} if value is None else {name: value}
     which = "nothing hidden" if value is None else f"s >= {VISIBLE}" if s >= VISIBLE else f"s < {VISIBLE}"
-    if value is not None and name not in {effect.name for effect in simulator.effects()}:
+    if truth and name not in {effect.name for effect in simulator.effects()}:
         which = "not in the list"
-    return (
-        which,
-        told,
-        f"{told:11s} {title}: {diagnosis.verdict_} {found}{covered} [{which}, {seconds:.0f} s]",
-    )
+    return {"which": which, "size": s, "truth": truth, **answer, "told": _told(truth, answer)}
+
+
+def _told(truth, answer):
+    """Return right, alias, unexplained, nothing, false or error."""
+    if answer["verdict"] in ("nothing detected", "unexplained", "error"):
+        return answer["verdict"].removesuffix(" detected")
+    line = {"truth": truth, **answer}
+    if truth and tables.alone(line):
+        return "right"
+    return "alias" if truth and tables.or_alias(line) else "false"
+
+
+def report(lines, shown):
+    for which in ("nothing hidden", f"s >= {VISIBLE}", f"s < {VISIBLE}", "not in the list"):
+        mine = [line for line in lines if line["which"] == which]
+        for told in ("right", "alias", "nothing", "unexplained", "false", "error"):
+            if any(line["told"] == told for line in mine):
+                shown.share(f"{which}: {told}", [line["told"] == told for line in mine])
+    shown.share("intervals that cover", [one for line in lines for one in tables.in_interval(line)])
+    shown.probabilities(lines)
 
 
 def _edited(model, family, rng):
@@ -216,15 +207,7 @@ def _measured(states, actions, nominal, frame_skip, name, value, rng):
     return s, value, X, y, np.repeat(np.arange(n_episodes), N_ROWS)
 
 
-def _arguments():
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--robots", nargs="+", choices=ROBOTS, default=list(ROBOTS))
-    parser.add_argument("--seeds", type=int, default=2, help="of each effect")
-    parser.add_argument("--n-jobs", type=int, default=2, help="processes")
-    return parser.parse_args()
-
+TABLE = Table("other_robots", cases, run, report)
 
 if __name__ == "__main__":
-    main()
+    tables.main(TABLE, __doc__)

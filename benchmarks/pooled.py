@@ -1,0 +1,48 @@
+"""What has to hold over all tables together: coverage of intervals, and probabilities that are not too high.
+
+Reads the lines of one hash from ``results``, runs nothing::
+
+    python benchmarks/pooled.py
+    python benchmarks/pooled.py --source <hash>
+"""
+
+import argparse
+
+import tables
+from rich.console import Console
+
+# Of sensors and random forces apart, intervals have wider bounds of their own.
+SINGLES = ("hidden_effects", "other_robots", "sensors", "process_noise", "servo_arm")
+# Drawn from the prior, and judged in its own table.
+CALIBRATED = "probabilities"
+
+
+def main():
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--source", help="hash of the lines to count; by default of the sources at hand")
+    source = parser.parse_args().source or tables.source_hash()
+    lines = {}
+    for path in sorted(tables.RESULTS.glob("*.jsonl")):
+        lines[path.stem] = [_read(line) for line in tables.lines_of(path) if line.get("source") == source]
+    shown = tables.Figures(f"all tables, sources {source}")
+    singles = [line for name in SINGLES for line in lines.get(name, []) if len(line["truth"]) == 1]
+    covered = [one for line in singles for one in tables.in_interval(line)]
+    shown.share("single cases: intervals that cover", covered, "93 to 97 %, >= 400")
+    for name in SINGLES:
+        shown.share(
+            f"... {name}", [one for x in singles if x in lines.get(name, []) for one in tables.in_interval(x)]
+        )
+    shown.probabilities([line for name, some in lines.items() if name != CALIBRATED for line in some])
+    shown.costs([line for some in lines.values() for line in some])
+    Console().print(shown.table)
+
+
+def _read(line):
+    """Return a line with its truth as a mapping; `hidden_effects` has pairs."""
+    return line if isinstance(line["truth"], dict) else {**line, "truth": dict(line["truth"])}
+
+
+if __name__ == "__main__":
+    main()
