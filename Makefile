@@ -4,14 +4,20 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 WORKERS ?= 2
 
-.PHONY: demo test lint types docs clean
+.PHONY: demo test test-long lint types docs clean
 
 demo: $(VENV)/.installed
 	$(BIN)/skat demo
 
-# One thread for linear algebra: that of one worker would wait for that of the others.
+# One thread for linear algebra: that of one worker would wait for that of the others. The order is drawn anew each
+# time; the first line of the output has its seed, and `make test SEED=...` repeats it.
+PYTEST = OMP_NUM_THREADS=1 MPLBACKEND=agg $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal $(if $(SEED),-p randomly --randomly-seed=$(SEED))
+
 test: $(VENV)/.installed-test
-	OMP_NUM_THREADS=1 MPLBACKEND=agg $(BIN)/python -m pytest -n $(WORKERS)
+	$(PYTEST) -m "not long"
+
+test-long: $(VENV)/.installed-test
+	$(PYTEST) -m long
 
 lint: $(VENV)/.installed-test
 	$(BIN)/ruff check .
