@@ -55,7 +55,9 @@ def test_friction_of_the_cube_is_named_and_tilt_is_not(options):
 
 
 @NO_DATA
-@pytest.mark.filterwarnings("ignore:The noise found in qpos.hinge:UserWarning")  # Two effects leave something.
+@pytest.mark.filterwarnings(
+    "ignore:The noise found in qpos.hinge:UserWarning"
+)  # Two effects leave something.
 @pytest.mark.parametrize(
     "others",
     [
