@@ -84,7 +84,7 @@ class MujocoSimulator(Simulator):
 
     def __init__(
         self,
-        model: str | PathLike | mujoco.MjSpec | ModelSource,
+        model: str | PathLike[str] | mujoco.MjSpec | ModelSource,
         *,
         frame_skip: int = 1,
         built_in: Mapping[str, float] | None = None,
@@ -195,7 +195,7 @@ class MujocoSimulator(Simulator):
         step = float(self._nominal.opt.timestep) * max(1.0, values.get("timestep", 1.0))
         return int(spec.option.integrator) != EXPLICIT_INTEGRATOR and delay >= step
 
-    def to_mjcf(self, path: str | PathLike, *, force: bool = False) -> tuple[Path, ...]:
+    def to_mjcf(self, path: str | PathLike[str], *, force: bool = False) -> tuple[Path, ...]:
         """Write the model, with the effects that are built in, for any user of MuJoCo.
 
         Numbers are written with all digits: plain MuJoCo predicts what this simulator predicts. What MJCF
@@ -381,7 +381,7 @@ class MujocoSimulator(Simulator):
         """Return the model with the effects that edit it, compiled."""
         edited = [effect for effect in self._edit_order(values) if effect.family not in {"timestep", "delay"}]
         edited = [effect for effect in edited if effect.apply is not None]
-        cache: OrderedDict[tuple, mujoco.MjModel] = self._cached("models", OrderedDict)
+        cache: OrderedDict[tuple[Any, ...], mujoco.MjModel] = self._cached("models", OrderedDict)
         key = (n_substeps, *((effect.name, values[effect.name]) for effect in edited))
         if key not in cache:
             spec = self._spec.copy()

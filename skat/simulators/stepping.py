@@ -13,6 +13,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from typing import Any
 
 import joblib
 import mujoco
@@ -109,7 +110,7 @@ class Stepper:
     """Runs jobs; keeps MuJoCo's batches, and so the thread pool, for the next call."""
 
     def __init__(self) -> None:
-        self._batches: OrderedDict[tuple, _Pool] = OrderedDict()
+        self._batches: OrderedDict[tuple[Any, ...], _Pool] = OrderedDict()
         self._lock = threading.Lock()
         self._process = os.getpid()
 
@@ -130,7 +131,7 @@ class Stepper:
         """
         model = jobs[0].model
         states = np.empty((len(jobs), inputs.shape[1], model.nq + model.nv))
-        together: dict[tuple, list[int]] = {}
+        together: dict[tuple[Any, ...], list[int]] = {}
         for index, job in enumerate(jobs):
             alone = index if job.forces.changes_within_transition else -1
             key = (alone, job.controls is not None, job.n_substeps, _layout(job.model))
