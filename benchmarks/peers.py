@@ -3,9 +3,10 @@
 Rows are (state, action, next state) of one robot in two worlds of the paper's Table I, replayed from the same states
 and actions, so that each carried row has a true partner. Every method is fitted on the same rows and tested on others.
 The error is the mean distance of a carried row and its partner, each column of the next state in standard deviations of
-the target. Printed is its ratio to the error of doing nothing, medians over the worlds, and seconds of CPU of one fit and
-transform. The peers are given columns scaled by both domains together: as they come, they fail or do worse. "pairs" says
-that a method is told which rows belong together. Regression carries no distribution, and the first has no simulation.
+the target. Printed is its ratio to the error of doing nothing, medians over the worlds, and seconds of CPU of one fit
+and transform. The peers are given columns scaled by both domains together: as they come, they fail or do worse.
+"pairs" says that a method is told which rows belong together. Regression carries no distribution, and the first has
+no simulation.
 
     python benchmarks/peers.py                   # a few minutes
     python benchmarks/peers.py --small           # seconds
