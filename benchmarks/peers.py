@@ -87,7 +87,7 @@ def methods(context):
         "skat CORAL": (by_skat(skat.CORAL()), False),
         "skat ConditionalAffineTransport": (by_skat(skat.ConditionalAffineTransport(context=context)), False),
         "skat ProcrustesAffineTransport": (by_skat(skat.ProcrustesAffineTransport()), True),
-        "POT LinearTransport": (by_pot("LinearTransport"), False),
+        "POT LinearTransport": (by_pot("LinearTransport", reg=1e-6), False),
         "POT EMDTransport": (by_pot("EMDTransport"), False),
         "POT SinkhornTransport": (by_pot("SinkhornTransport", reg_e=0.1, norm="median"), False),
         "skada LinearOTMappingAdapter": (by_skada("LinearOTMappingAdapter"), False),
