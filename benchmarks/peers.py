@@ -89,7 +89,7 @@ def methods(context):
         "skat ProcrustesAffineTransport": (by_skat(skat.ProcrustesAffineTransport()), True),
         "POT LinearTransport": (by_pot("LinearTransport", reg=1e-6), False),
         "POT EMDTransport": (by_pot("EMDTransport"), False),
-        "POT SinkhornTransport": (by_pot("SinkhornTransport", reg_e=0.1, norm="median"), False),
+        "POT SinkhornTransport": (by_pot("SinkhornTransport", reg_e=0.1, norm="median", max_iter=300), False),
         "skada LinearOTMappingAdapter": (by_skada("LinearOTMappingAdapter"), False),
         "skada CORALAdapter": (by_skada("CORALAdapter"), False),
         "sklearn ridge, without simulation": (by_regression("inputs"), True),
@@ -138,7 +138,7 @@ def main():
     small = parser.parse_args().small
     print(versions())
     for robot in ("hopper",) if small else ("hopper", "halfcheetah"):
-        n_rows, worlds = (200, WORLDS[:2]) if small else (1000, WORLDS)
+        n_rows, worlds = (200, WORLDS[:2]) if small else (500, WORLDS)
         ratios, seconds, failed = compared(robot, n_rows, worlds)
         print(f"\n{robot}: {n_rows} rows to fit, {n_rows} others to test, {len(worlds)} worlds")
         print(f"{'method':36}{'pairs':>6}{'error after / before':>22}{'worst world':>13}{'CPU s':>8}")
