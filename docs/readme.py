@@ -93,7 +93,7 @@ def write_picture(path):
     TrajectoryDisplay.from_estimator(
         diagnosis, log.data[rows], log.target[rows], channels=["qpos.elbow"], ax=[axes]
     )
-    axes.set_xlabel("time (s)\nFound: " + "; ".join(cause.sentence for cause in diagnosis.causes_))
+    axes.set_xlabel("\n".join(["time (s)", *(cause.sentence for cause in diagnosis.causes_)]))
     figure.savefig(path, metadata={"Date": None})
 
 
