@@ -3,15 +3,28 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN = $(VENV)/bin
 WORKERS ?= 2
+# A file of versions to install, such as .ci/constraints.txt; by default the newest that pyproject.toml allows.
+CONSTRAINTS ?=
+INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check $(if $(CONSTRAINTS),-c $(CONSTRAINTS))
 
-.PHONY: demo test lint types docs clean
+.PHONY: demo test test-long coverage lint types docs lock clean
 
 demo: $(VENV)/.installed
 	$(BIN)/skat demo
 
-# One thread for linear algebra: that of one worker would wait for that of the others.
+# One thread for linear algebra: that of one worker would wait for that of the others. The order is drawn anew each
+# time; the first line of the output has its seed, and `make test SEED=...` repeats it.
+PYTEST = OMP_NUM_THREADS=1 MPLBACKEND=agg $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal $(if $(SEED),-p randomly --randomly-seed=$(SEED))
+
 test: $(VENV)/.installed-test
-	OMP_NUM_THREADS=1 MPLBACKEND=agg $(BIN)/python -m pytest -n $(WORKERS)
+	$(PYTEST) -m "not long"
+
+test-long: $(VENV)/.installed-test
+	$(PYTEST) -m long
+
+# Fails below the share of lines that pyproject.toml asks for.
+coverage: $(VENV)/.installed-test
+	$(PYTEST) -m "not long" --cov --cov-report=term
 
 lint: $(VENV)/.installed-test
 	$(BIN)/ruff check .
@@ -28,16 +41,20 @@ $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.installed: $(BIN)/python pyproject.toml
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .
+	$(INSTALL) -e .
 	touch $@
 
 $(VENV)/.installed-test: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[test]"
+	$(INSTALL) -e ".[test]"
 	touch $@
 
 $(VENV)/.installed-docs: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[docs]"
+	$(INSTALL) -e ".[docs]"
 	touch $@
 
+# Writes anew which versions CI installs; needs uv.
+lock:
+	uv pip compile --quiet --universal --upgrade --python-version 3.11 --extra test --extra docs --no-header --no-annotate pyproject.toml -o .ci/constraints.txt
+
 clean:
-	rm -rf $(VENV) docs/_build docs/generated docs/gallery .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) docs/_build docs/generated docs/gallery .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage

@@ -91,7 +91,7 @@ def imported_modules(tree):
     deferred = {
         id(inner)
         for node in ast.walk(tree)
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) or _for_types(node)
         for inner in ast.walk(node)
     }
     for node in ast.walk(tree):
@@ -106,6 +106,10 @@ def imported_modules(tree):
             if node.module == "skat":
                 for alias in node.names:
                     yield f"skat.{alias.name}", id(node) not in deferred
+
+
+def _for_types(node):
+    return isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
 
 
 FILES = sorted(PACKAGE.rglob("*.py"))

@@ -1,6 +1,10 @@
 """Clouds of rows before and after a transport, in two coordinates."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from numbers import Integral
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from sklearn.utils import check_scalar
@@ -8,6 +12,10 @@ from sklearn.utils import check_scalar
 from skat.gaussian import row_moments
 from skat.plotting.style import AFTER, BEFORE, MEASURED, column_of, new_axes, trim
 from skat.samples import one_sample
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from numpy.typing import NDArray
 
 
 class TransportDisplay:
@@ -39,7 +47,14 @@ class TransportDisplay:
     'principal coordinate 1'
     """
 
-    def __init__(self, *, source, transported, target, labels):
+    def __init__(
+        self,
+        *,
+        source: NDArray[np.float64],
+        transported: NDArray[np.float64],
+        target: NDArray[np.float64],
+        labels: tuple[str, str],
+    ) -> None:
         self.source = source
         self.transported = transported
         self.target = target
@@ -47,8 +62,17 @@ class TransportDisplay:
 
     @classmethod
     def from_estimator(
-        cls, estimator, X, y, *, features="principal", feature_names=None, n_points=1000, n_arrows=0, ax=None
-    ):
+        cls,
+        estimator: Any,
+        X: Any,
+        y: Any,
+        *,
+        features: str | tuple[int | str, int | str] = "principal",
+        feature_names: Sequence[str] | None = None,
+        n_points: int = 1000,
+        n_arrows: int = 0,
+        ax: Axes | None = None,
+    ) -> Self:
         """Draw a fitted transport at work.
 
         Parameters
@@ -86,22 +110,22 @@ class TransportDisplay:
                 "a transport is drawn by what estimator.transform(X) returns, but "
                 f"{type(estimator).__name__} cannot transform. Give a transport or a pipeline."
             )
-        options = {"features": features, "feature_names": feature_names, "n_points": n_points}
+        options: dict[str, Any] = {"features": features, "feature_names": feature_names, "n_points": n_points}
         return cls.from_predictions(X, estimator.transform(X), y, n_arrows=n_arrows, ax=ax, **options)
 
     @classmethod
     def from_predictions(
         cls,
-        X,
-        X_transported,
-        y,
+        X: Any,
+        X_transported: Any,
+        y: Any,
         *,
-        features="principal",
-        feature_names=None,
-        n_points=1000,
-        n_arrows=0,
-        ax=None,
-    ):
+        features: str | tuple[int | str, int | str] = "principal",
+        feature_names: Sequence[str] | None = None,
+        n_points: int = 1000,
+        n_arrows: int = 0,
+        ax: Axes | None = None,
+    ) -> Self:
         """Draw rows that were carried before.
 
         Parameters
@@ -144,7 +168,8 @@ class TransportDisplay:
                     f"features must be two columns, by number or name, or 'principal'; it is {features!r}."
                 )
             columns = [column_of(feature, names, X.shape[1]) for feature in features]
-            axes, labels = np.eye(X.shape[1])[columns], tuple(names[k] for k in columns)
+            first, second = columns
+            axes, labels = np.eye(X.shape[1])[columns], (names[first], names[second])
         drawn, target = _evenly(len(X), n_points), _evenly(len(y), n_points)
         display = cls(
             source=X[drawn] @ axes.T,
@@ -154,7 +179,7 @@ class TransportDisplay:
         )
         return display.plot(ax=ax, n_arrows=n_arrows)
 
-    def plot(self, ax=None, *, n_arrows=0):
+    def plot(self, ax: Axes | None = None, *, n_arrows: int = 0) -> Self:
         """Draw.
 
         Parameters
@@ -168,6 +193,8 @@ class TransportDisplay:
         -------
         TransportDisplay
         """
+        from matplotlib.collections import PathCollection
+
         self.ax_, self.figure_ = new_axes(ax, size=(5.2, 4.2))
         clouds = (
             ("target", self.target, MEASURED, "o", 16),
@@ -177,7 +204,14 @@ class TransportDisplay:
         for name, rows, colour, marker, size in clouds:
             opacity = float(np.clip(150 / len(rows), 0.25, 0.9))
             self.ax_.scatter(
-                *rows.T, s=size, color=colour, marker=marker, alpha=opacity, linewidths=0, label=name
+                rows[:, 0],
+                rows[:, 1],
+                s=size,
+                color=colour,
+                marker=marker,
+                alpha=opacity,
+                linewidths=0,
+                label=name,
             )
         for k in _evenly(len(self.source), n_arrows) if n_arrows else ():
             arrow = {"arrowstyle": "->", "color": AFTER, "alpha": 0.7}
@@ -185,13 +219,14 @@ class TransportDisplay:
         self.ax_.set(xlabel=self.labels[0], ylabel=self.labels[1])
         legend = self.ax_.legend(loc="best", frameon=False)
         for handle in legend.legend_handles:
-            handle.set_alpha(1.0)
-            handle.set_sizes([30])
+            if isinstance(handle, PathCollection):
+                handle.set_alpha(1.0)
+                handle.set_sizes([30])
         trim(self.ax_)
         return self
 
 
-def _feature_names(X, feature_names):
+def _feature_names(X: Any, feature_names: Sequence[str] | None) -> list[str]:
     if feature_names is not None:
         return list(feature_names)
     if hasattr(X, "columns"):
@@ -199,7 +234,7 @@ def _feature_names(X, feature_names):
     return [f"feature {k}" for k in range(np.shape(X)[-1])]
 
 
-def _principal_axes(rows):
+def _principal_axes(rows: NDArray[np.float64]) -> tuple[NDArray[np.float64], tuple[str, str]]:
     """Return two axes, in rows, and their labels."""
     if rows.shape[1] < 2:
         raise ValueError(f"a plane needs two columns; there is {rows.shape[1]}.")
@@ -210,5 +245,5 @@ def _principal_axes(rows):
     return axes * np.sign(largest)[:, np.newaxis], ("principal coordinate 1", "principal coordinate 2")
 
 
-def _evenly(n_rows, n_points):
+def _evenly(n_rows: int, n_points: int) -> NDArray[np.intp]:
     return np.unique(np.linspace(0, n_rows - 1, min(n_points, n_rows)).astype(int))

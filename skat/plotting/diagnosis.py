@@ -1,9 +1,18 @@
 """Figures of a diagnosis: channels over time, and causes with their intervals."""
 
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Self
+
 import numpy as np
 
 from skat.plotting.style import AFTER, BEFORE, MEASURED, column_of, new_axes, trim
 from skat.rounding import interval_text, number, size_text
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from numpy.typing import NDArray
 
 
 class TrajectoryDisplay:
@@ -38,7 +47,16 @@ class TrajectoryDisplay:
     ['height', 'velocity']
     """
 
-    def __init__(self, *, time, measured, before, after, names, units=None):
+    def __init__(
+        self,
+        *,
+        time: NDArray[np.float64],
+        measured: NDArray[np.float64],
+        before: NDArray[np.float64],
+        after: NDArray[np.float64] | None,
+        names: Sequence[str],
+        units: Mapping[str, str] | None = None,
+    ) -> None:
         self.time = time
         self.measured = measured
         self.before = before
@@ -47,7 +65,15 @@ class TrajectoryDisplay:
         self.units = units
 
     @classmethod
-    def from_estimator(cls, diagnosis, X, y, *, channels=None, ax=None):
+    def from_estimator(
+        cls,
+        diagnosis: Any,
+        X: Any,
+        y: Any,
+        *,
+        channels: Sequence[str] | None = None,
+        ax: Axes | None = None,
+    ) -> Self:
         """Draw one episode, simulated open loop from its first measured state.
 
         X and y do not say where an episode ends: rows of several are drawn as if they were one, wrongly. Pass those
@@ -99,8 +125,17 @@ class TrajectoryDisplay:
 
     @classmethod
     def from_predictions(
-        cls, time, measured, before, after=None, *, names, channels=None, units=None, ax=None
-    ):
+        cls,
+        time: Any,
+        measured: Any,
+        before: Any,
+        after: Any = None,
+        *,
+        names: Sequence[str],
+        channels: Sequence[str] | None = None,
+        units: Mapping[str, str] | None = None,
+        ax: Axes | None = None,
+    ) -> Self:
         """Draw trajectories computed before.
 
         Parameters
@@ -149,7 +184,7 @@ class TrajectoryDisplay:
             ax=ax
         )
 
-    def plot(self, ax=None):
+    def plot(self, ax: Any = None) -> Self:
         """Draw.
 
         Parameters
@@ -227,7 +262,15 @@ class CauseDisplay:
     ['mass[torso]']
     """
 
-    def __init__(self, *, names, units, values, neutrals, intervals):
+    def __init__(
+        self,
+        *,
+        names: Sequence[str],
+        units: Sequence[str],
+        values: Sequence[float],
+        neutrals: Sequence[float],
+        intervals: Sequence[tuple[float, float]],
+    ) -> None:
         self.names = names
         self.units = units
         self.values = values
@@ -235,7 +278,7 @@ class CauseDisplay:
         self.intervals = intervals
 
     @classmethod
-    def from_estimator(cls, diagnosis, *, ax=None):
+    def from_estimator(cls, diagnosis: Any, *, ax: Axes | None = None) -> Self:
         """Draw what a diagnosis has named.
 
         Parameters
@@ -253,7 +296,9 @@ class CauseDisplay:
         return cls.from_causes(diagnosis.causes_, neutral=neutral, ax=ax)
 
     @classmethod
-    def from_causes(cls, causes, *, neutral, ax=None):
+    def from_causes(
+        cls, causes: Sequence[Any], *, neutral: Mapping[str, float], ax: Axes | None = None
+    ) -> Self:
         """Draw causes.
 
         Parameters
@@ -286,7 +331,7 @@ class CauseDisplay:
         )
         return display.plot(ax=ax)
 
-    def plot(self, ax=None):
+    def plot(self, ax: Axes | None = None) -> Self:
         """Draw.
 
         Parameters
@@ -329,12 +374,12 @@ class CauseDisplay:
         return self
 
 
-def with_unit(text, unit, gap=" "):
+def with_unit(text: str, unit: str | None, gap: str = " ") -> str:
     """Return the text of an axis with the unit, if it is known and not 1, in brackets."""
     return text if unit in (None, "", "1") else f"{text}{gap}({unit})"
 
 
-def _in_order(rows, names):
+def _in_order(rows: Any, names: Sequence[str]) -> NDArray[np.float64]:
     """Return rows as an array, the columns of a data frame in the order of the names."""
     if hasattr(rows, "columns") and set(names) <= set(rows.columns):
         rows = rows[list(names)]

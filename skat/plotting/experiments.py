@@ -1,8 +1,18 @@
 """Figures of experiments: errors by pair of domains, and over the number of pairs."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Self
+
 import numpy as np
 
 from skat.plotting.style import MARKERS, MEASURED, METHODS, new_axes, trim
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from numpy.typing import NDArray
 
 
 class DomainMatrixDisplay:
@@ -39,7 +49,7 @@ class DomainMatrixDisplay:
            [0.5, nan]])
     """
 
-    def __init__(self, *, values, sources, targets, label):
+    def __init__(self, *, values: Any, sources: Sequence[str], targets: Sequence[str], label: str) -> None:
         self.values = values
         self.sources = sources
         self.targets = targets
@@ -47,8 +57,16 @@ class DomainMatrixDisplay:
 
     @classmethod
     def from_frame(
-        cls, frame, *, value="value", source="source", target="target", label=None, ax=None, **options
-    ):
+        cls,
+        frame: pd.DataFrame,
+        *,
+        value: str = "value",
+        source: str = "source",
+        target: str = "target",
+        label: str | None = None,
+        ax: Axes | None = None,
+        **options: Any,
+    ) -> Self:
         """Draw a data frame with a row for each pair.
 
         Parameters
@@ -91,7 +109,15 @@ class DomainMatrixDisplay:
         display = cls(values=values, sources=sources, targets=targets, label=label or value)
         return display.plot(ax=ax, **options)
 
-    def plot(self, ax=None, *, limits=None, cmap="viridis_r", number_format=".2f", colorbar=True):
+    def plot(
+        self,
+        ax: Axes | None = None,
+        *,
+        limits: tuple[float, float] | None = None,
+        cmap: str = "viridis_r",
+        number_format: str = ".2f",
+        colorbar: bool = True,
+    ) -> Self:
         """Draw.
 
         Parameters
@@ -135,7 +161,7 @@ class DomainMatrixDisplay:
             self.ax_.set_title(self.label)
         return self
 
-    def _write(self, row, column, text):
+    def _write(self, row: int, column: int, text: str) -> None:
         red, green, blue, _ = self.im_.cmap(self.im_.norm(self.values[row, column]))
         is_dark = 0.299 * red + 0.587 * green + 0.114 * blue < 0.5
         self.ax_.text(
@@ -174,14 +200,22 @@ class LearningCurveDisplay:
            [20., 1., 0.]])
     """
 
-    def __init__(self, *, curves, labels):
+    def __init__(self, *, curves: dict[str, NDArray[np.float64]], labels: tuple[str, str]) -> None:
         self.curves = curves
         self.labels = labels
 
     @classmethod
     def from_frame(
-        cls, frame, *, size="n_samples", method="method", value="error", deviation=None, ax=None, **options
-    ):
+        cls,
+        frame: pd.DataFrame,
+        *,
+        size: str = "n_samples",
+        method: str = "method",
+        value: str = "error",
+        deviation: str | None = None,
+        ax: Axes | None = None,
+        **options: Any,
+    ) -> Self:
         """Draw a tidy data frame.
 
         Parameters
@@ -225,7 +259,14 @@ class LearningCurveDisplay:
             curves[str(name)] = np.column_stack([spread.index, by_size[value].mean(), spread]).astype(float)
         return cls(curves=curves, labels=(size, value)).plot(ax=ax, **options)
 
-    def plot(self, ax=None, *, log_size=True, log_value=False, baseline=None):
+    def plot(
+        self,
+        ax: Axes | None = None,
+        *,
+        log_size: bool = True,
+        log_value: bool = False,
+        baseline: float | None = None,
+    ) -> Self:
         """Draw.
 
         Parameters
@@ -245,7 +286,7 @@ class LearningCurveDisplay:
         self.ax_, self.figure_ = new_axes(ax, size=(5.6, 3.8))
         floor = 0.5 * min(curve[:, 1].min() for curve in self.curves.values()) if log_value else -np.inf
         for k, (name, (sizes, means, deviations)) in enumerate((n, c.T) for n, c in self.curves.items()):
-            style = {"color": METHODS[k % len(METHODS)]}
+            style: dict[str, Any] = {"color": METHODS[k % len(METHODS)]}
             self.ax_.plot(sizes, means, marker=MARKERS[k % len(MARKERS)], markersize=4, label=name, **style)
             low = np.maximum(means - 2 * deviations, floor)
             self.ax_.fill_between(sizes, low, means + 2 * deviations, alpha=0.16, linewidth=0, **style)
@@ -267,7 +308,7 @@ class LearningCurveDisplay:
         return self
 
 
-def _check_columns(frame, names):
+def _check_columns(frame: pd.DataFrame, names: Sequence[str]) -> None:
     missing = [name for name in names if name not in frame.columns]
     if missing:
         raise ValueError(f"the data frame has no column {missing[0]!r}; it has {list(frame.columns)}.")

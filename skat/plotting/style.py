@@ -1,13 +1,23 @@
 """What all figures share: colours, markers, axes, and how a column is named."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure, SubFigure
 
 MEASURED, BEFORE, AFTER = "#555555", "#E69F00", "#0072B2"
 METHODS = (AFTER, "#D55E00", "#009E73", "#CC79A7", BEFORE, "#56B4E9", "#000000")
 MARKERS = "osD^vPX"
 
 
-def new_axes(ax, size):
+def new_axes(ax: Axes | None, size: tuple[float, float]) -> tuple[Axes, Figure | SubFigure]:
     """Return Axes and their figure, new ones of a size in inches where there are none."""
     from matplotlib import pyplot
 
@@ -16,12 +26,12 @@ def new_axes(ax, size):
     return ax, ax.figure
 
 
-def trim(ax):
+def trim(ax: Axes) -> None:
     """Leave out the frame at the top and to the right."""
     ax.spines[["top", "right"]].set_visible(False)
 
 
-def column_of(feature, names, n_columns):
+def column_of(feature: int | str, names: Sequence[str], n_columns: int) -> int:
     """Return the index of a column given by index or by name."""
     if isinstance(feature, str):
         if feature not in names:

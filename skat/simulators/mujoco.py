@@ -82,7 +82,7 @@ class MujocoSimulator(Simulator):
 
     def __init__(
         self,
-        model: str | PathLike | mujoco.MjSpec | ModelSource,
+        model: str | PathLike[str] | mujoco.MjSpec | ModelSource,
         *,
         frame_skip: int = 1,
         built_in: Mapping[str, float] | None = None,
@@ -193,7 +193,7 @@ class MujocoSimulator(Simulator):
         step = float(self._nominal.opt.timestep) * max(1.0, values.get("timestep", 1.0))
         return int(spec.option.integrator) != EXPLICIT_INTEGRATOR and delay >= step
 
-    def to_mjcf(self, path: str | PathLike, *, force: bool = False) -> tuple[Path, ...]:
+    def to_mjcf(self, path: str | PathLike[str], *, force: bool = False) -> tuple[Path, ...]:
         """Write the model, with the effects that are built in, for any user of MuJoCo.
 
         Numbers are written with all digits: plain MuJoCo predicts what this simulator predicts. What MJCF
@@ -556,7 +556,7 @@ class MujocoSimulator(Simulator):
     def _model(self, values: Mapping[str, float], n_substeps: int) -> mujoco.MjModel:
         """Return the model with the effects that edit it, compiled."""
         edited = [pair for pair in self._edited(values) if not self._is_of_commands(pair[0])]
-        cache: OrderedDict[tuple, mujoco.MjModel] = self._cached("models", OrderedDict)
+        cache: OrderedDict[tuple[Any, ...], mujoco.MjModel] = self._cached("models", OrderedDict)
         places = tuple((name, values[name]) for name in values if name.startswith("payload["))
         key = (n_substeps, places, *((effect.name, values[effect.name]) for effect, _ in edited))
         if key not in cache:

@@ -42,7 +42,7 @@ class ModelSource:
     def __repr__(self) -> str:
         return f"<MJCF, {len(self.xml)} characters, {len(self.assets)} assets>"
 
-    def __deepcopy__(self, memo: dict) -> Self:
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         return self
 
     def spec(self) -> mujoco.MjSpec:

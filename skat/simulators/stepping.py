@@ -14,7 +14,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from typing import Self
+from typing import Any, Self
 
 import joblib
 import mujoco
@@ -165,7 +165,7 @@ class Stepper:
     """Runs jobs; keeps MuJoCo's batches, and so the thread pool, for the next call."""
 
     def __init__(self) -> None:
-        self._batches: OrderedDict[tuple, _Pool] = OrderedDict()
+        self._batches: OrderedDict[tuple[Any, ...], _Pool] = OrderedDict()
         self._lock = threading.Lock()
         self._process = os.getpid()
 
@@ -191,7 +191,7 @@ class Stepper:
         n_rows, n_states = inputs.shape[1], inputs.shape[2] - jobs[0].model.nu
         states = np.empty((len(jobs), n_rows, n_states))
         hidden = [np.empty((n_rows, job.n_hidden)) for job in jobs]
-        together: dict[tuple, list[int]] = {}
+        together: dict[tuple[Any, ...], list[int]] = {}
         for index, job in enumerate(jobs):
             shape = _sizes(job.model), tuple((play.joint, play.play) for play in job.plays)
             forced = (job.forces.kinds, _rigid_parts(job.model)) if job.forces.kinds else ()

@@ -30,6 +30,8 @@ SINGLE = [
     ("puck", ("restitution", "all", 0.8)),
     ("halfcheetah", ("timestep", None, 0.5)),
 ]
+# The quick run has one of each robot; the others are long together.
+QUICK = {"inertia in hopper", "damping in halfcheetah", "tilt in puck"}
 EPISODES = {"hopper": 5, "halfcheetah": 4, "puck": 7}
 SEED = 17
 
@@ -69,9 +71,16 @@ def test_another_solver_of_a_world_is_not_felt(worlds, kind):
     assert 0 < np.sum(apart) < 1e-4
 
 
-@pytest.mark.parametrize(
-    ("kind", "hidden"), [pytest.param(*case, id=f"{case[1][0]} in {case[0]}") for case in SINGLE]
-)
+def singles():
+    """Return a parameter for each hidden effect, long unless it is one of the quick ones."""
+    names = [f"{family} in {kind}" for kind, (family, _, _) in SINGLE]
+    return [
+        pytest.param(*case, id=name, marks=() if name in QUICK else pytest.mark.long)
+        for name, case in zip(names, SINGLE)
+    ]
+
+
+@pytest.mark.parametrize(("kind", "hidden"), singles())
 def test_single_hidden_effect_is_named_and_measured(worlds, cases, kind, hidden):
     family, target, value = hidden
     diagnosis = diagnosed(worlds, worlds.measure(kind, [hidden], seed=SEED, n_episodes=EPISODES[kind]))
@@ -100,8 +109,8 @@ def test_two_hidden_effects_are_both_named_and_explain_other_episodes(worlds):
 @pytest.mark.parametrize(
     ("kind", "n_episodes", "hidden"),
     [
-        ("hopper", 6, ("saturation", "leg_joint", 0.5)),
-        ("puck", 6, ("magnet", "0.2", 0.4)),
+        pytest.param("hopper", 6, ("saturation", "leg_joint", 0.5), marks=pytest.mark.long),
+        pytest.param("puck", 6, ("magnet", "0.2", 0.4), marks=pytest.mark.long),
         ("hopper", 6, ("periodic_force", "x", 90.0)),
     ],
 )

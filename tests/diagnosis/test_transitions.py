@@ -60,6 +60,7 @@ def test_what_a_model_misses_in_single_rows_is_not_taken_for_noise_of_the_state(
     assert size(errors[~kicked]) < 0.85
 
 
+@pytest.mark.long
 def test_what_curvature_adds_on_average_does_not_pass_for_a_bias(worlds):
     """The puck slides on and off its contacts within the noise; nothing is wrong."""
     sensors = ["bias[qpos.z]", "bias[qvel.z]"]
@@ -78,7 +79,10 @@ def test_what_curvature_adds_on_average_does_not_pass_for_a_bias(worlds):
     assert np.abs(np.mean(found, axis=0)).max() < 1.7
 
 
-@pytest.mark.parametrize(("seed", "n_episodes", "part"), [(17, 6, 0), ((66, 1801680240), 20, 33)])
+@pytest.mark.parametrize(
+    ("seed", "n_episodes", "part"),
+    [(17, 6, 0), pytest.param((66, 1801680240), 20, 33, marks=pytest.mark.long)],
+)
 def test_impacts_do_not_pass_for_noise(worlds, seed, n_episodes, part):
     """The noise of the height once came out a twentieth, that of its rate 5 times the truth.
 

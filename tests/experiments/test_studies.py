@@ -38,9 +38,15 @@ def test_nothing_is_named_that_does_not_gain_on_the_other_drop():
 
 
 @NO_DATA
-@pytest.mark.long
-def test_friction_of_the_cube_is_named_and_tilt_is_not():
-    study = study_cube_tosses(n_fit=5, n_test=12)
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"n_test": 6, "effects": ["contact_friction[all]", "tilt[x]"]},
+        pytest.param({"n_test": 12}, marks=pytest.mark.long, id="all"),
+    ],
+)
+def test_friction_of_the_cube_is_named_and_tilt_is_not(options):
+    study = study_cube_tosses(n_fit=5, **options)
     causes = {cause.family: cause for cause in study.diagnosis.causes_}
     # Much is left, but nothing that explains a tenth of it.
     assert set(causes) <= {"contact_friction", "restitution"}
@@ -49,26 +55,40 @@ def test_friction_of_the_cube_is_named_and_tilt_is_not():
 
 
 @NO_DATA
-def test_dry_friction_of_the_pendulums_motor_is_named_and_gains_on_other_pieces():
-    effects = [
-        "dry_friction[hinge]",
-        "damping[hinge]",
-        "gain[motor]",
-        "mass[weight]",
-        "delay[action]",
-        "bias[qpos.hinge]",
-    ]
-    study = study_pendulum(effects=effects)
+@pytest.mark.filterwarnings(
+    "ignore:The noise found in qpos.hinge:UserWarning"
+)  # Two effects leave something.
+@pytest.mark.parametrize(
+    "others",
+    [
+        [],
+        pytest.param(
+            ["gain[motor]", "mass[weight]", "delay[action]", "bias[qpos.hinge]"], marks=pytest.mark.long
+        ),
+    ],
+)
+def test_dry_friction_of_the_pendulums_motor_is_named_and_gains_on_other_pieces(others):
+    study = study_pendulum(effects=["dry_friction[hinge]", "damping[hinge]", *others])
     causes = {cause.name: cause for cause in study.diagnosis.causes_}
     assert 0.15 < causes["dry_friction[hinge]"].value < 0.3
     assert not {"delay[action]", "bias[qpos.hinge]"} & set(causes)
     assert study.gain.ratio > 3
 
 
-def test_demo_finds_what_the_world_hides_or_an_alias_of_it_and_compares_every_method():
-    # Of the simulator's effects those that push sideways or shorten the way, so that the test is short.
-    effects = ["tilt[x]", "tilt[y]", "wind[x]", "wind[y]", "contact_friction[slide]", "mass[puck]"]
-    study = study_hidden_puck(n_shots=60, random_state=0, effects=effects)
+@pytest.mark.parametrize(
+    ("n_shots", "effects"),
+    [
+        (40, ["tilt[y]", "contact_friction[slide]"]),
+        # Of the simulator's effects those that push sideways or shorten the way.
+        pytest.param(
+            60,
+            ["tilt[x]", "tilt[y]", "wind[x]", "wind[y]", "contact_friction[slide]", "mass[puck]"],
+            marks=pytest.mark.long,
+        ),
+    ],
+)
+def test_demo_finds_what_the_world_hides_or_an_alias_of_it_and_compares_every_method(n_shots, effects):
+    study = study_hidden_puck(n_shots=n_shots, random_state=0, effects=effects)
     truth = make_hidden_puck(random_state=0)
     assert study.truth == truth.truth_sentence
     (name,) = truth.truth

@@ -1,0 +1,244 @@
+"""Change lines of the numerical core, one at a time, and list those that its tests do not notice.
+
+The commit's hash draws the lines and what becomes of each: a comparison, an operator, a sign, a number, min for max.
+Each changed line meets the tests of its own folder, the long ones left out, in a copy of the commit; the tree itself
+stays as it is. A run that fails, or takes much longer than that of the commit, has caught the change. Some changes are
+none, as ``<`` for ``<=`` where equality has no chance: look at the survivors before adding a test.
+
+    python benchmarks/mutations.py                      # 50 lines; an hour or two
+    python benchmarks/mutations.py --lines 5 --only transport
+"""
+
+import argparse
+import ast
+import copy
+import io
+import os
+import random
+import subprocess
+import sys
+import tarfile
+import tempfile
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from queue import Queue
+
+ROOT = Path(__file__).resolve().parent.parent
+# Beside these is what shows and reads: it has tests of its own kind.
+NOT_NUMERICAL = {"cli", "plotting", "experiments", "datasets", "logs", "report", "envs"}
+OTHER_WAY = {
+    ast.Lt: ast.LtE,
+    ast.LtE: ast.Lt,
+    ast.Gt: ast.GtE,
+    ast.GtE: ast.Gt,
+    ast.Eq: ast.NotEq,
+    ast.NotEq: ast.Eq,
+    ast.Is: ast.IsNot,
+    ast.IsNot: ast.Is,
+    ast.In: ast.NotIn,
+    ast.NotIn: ast.In,
+    ast.Add: ast.Sub,
+    ast.Sub: ast.Add,
+    ast.Mult: ast.Div,
+    ast.Div: ast.Mult,
+    ast.Pow: ast.Mult,
+    ast.MatMult: ast.Mult,
+    ast.FloorDiv: ast.Div,
+    ast.Mod: ast.Mult,
+    ast.And: ast.Or,
+    ast.Or: ast.And,
+}
+OTHER_NAME = {
+    "min": "max",
+    "max": "min",
+    "any": "all",
+    "all": "any",
+    "minimum": "maximum",
+    "maximum": "minimum",
+}
+
+
+@dataclass(frozen=True)
+class Mutation:
+    """One changed expression of one line."""
+
+    path: str
+    line: int
+    before: str
+    after: str
+    source: str
+
+
+def mutations(path, source):
+    """Return every change of an expression that stands on one line, by line."""
+    found = {}
+    tree = ast.parse(source)
+    lines = source.splitlines(keepends=True)
+    for node in _expressions(tree):
+        if node.lineno != node.end_lineno:
+            continue
+        for changed in _changes(node):
+            raw = lines[node.lineno - 1].encode()
+            before = raw[node.col_offset : node.end_col_offset].decode()
+            after = f"({ast.unparse(changed)})"
+            line = raw[: node.col_offset] + after.encode() + raw[node.end_col_offset :]
+            text = "".join([*lines[: node.lineno - 1], line.decode(), *lines[node.lineno :]])
+            found.setdefault(node.lineno, []).append(Mutation(path, node.lineno, before, after, text))
+    return found
+
+
+def folder_of_tests(path, root):
+    """Return the tests of a module's own folder; loose modules have a file of tests, or are the transport's."""
+    _, *folders, module = Path(path).with_suffix("").parts
+    for candidate in (*(f"tests/{folder}" for folder in folders), f"tests/test_{module}.py"):
+        if (root / candidate).exists():
+            return candidate
+    return "tests/transport"
+
+
+def drawn(root, seed, n_lines, only=None):
+    """Return one mutation of each of `n_lines` lines of the numerical core, drawn by the seed."""
+    candidates = []
+    for file in sorted((root / "skat").rglob("*.py")):
+        path = file.relative_to(root)
+        if NOT_NUMERICAL & set(path.parts) or (only and only not in str(path)):
+            continue
+        candidates += mutations(str(path), file.read_text("utf-8")).values()
+    generator = random.Random(seed)
+    if not candidates:
+        raise SystemExit(f"No line to change in a path with {only!r}.")
+    return [generator.choice(line) for line in generator.sample(candidates, min(n_lines, len(candidates)))]
+
+
+def main():
+    """Draw, try and list."""
+    arguments = _arguments()
+    commit = _git("rev-parse", "HEAD").decode().strip()
+    report = [f"commit {commit}"]
+    with tempfile.TemporaryDirectory() as folder:
+        copies = Queue()
+        for number in range(arguments.jobs):
+            copies.put(_checked_out(commit, Path(folder) / str(number)))
+        chosen = drawn(Path(folder) / "0", commit, arguments.lines, arguments.only)
+        seconds = {}
+        for tests in sorted({folder_of_tests(each.path, ROOT) for each in chosen}):
+            began = time.monotonic()
+            code = _run(Path(folder) / "0", tests, 3600)
+            if code:
+                raise SystemExit(f"{tests} fails (exit code {code}) before anything is changed.")
+            seconds[tests] = time.monotonic() - began
+            _say(report, f"{tests} unchanged: {seconds[tests]:.0f} s", arguments.output)
+
+        def caught(mutation):
+            place, tests = copies.get(), folder_of_tests(mutation.path, ROOT)
+            file = place / mutation.path
+            source = file.read_text("utf-8")
+            try:
+                file.write_text(mutation.source, "utf-8")
+                # Some changes make a loop endless: that is noticed, too.
+                return _run(place, tests, 60 + 3 * seconds[tests]) != 0
+            finally:
+                file.write_text(source, "utf-8")
+                copies.put(place)
+
+        survivors = 0
+        with ThreadPoolExecutor(arguments.jobs) as pool:
+            for mutation, noticed in zip(chosen, pool.map(caught, chosen)):
+                survivors += not noticed
+                word = "caught  " if noticed else "SURVIVED"
+                _say(
+                    report,
+                    f"{word} {mutation.path}:{mutation.line}: {mutation.before} -> {mutation.after}",
+                    arguments.output,
+                )
+    share = 1 - survivors / len(chosen)
+    _say(report, f"{len(chosen) - survivors} of {len(chosen)} caught ({share:.0%})", arguments.output)
+    sys.exit(share < arguments.least)
+
+
+def _expressions(tree):
+    """Yield the expressions that compute: not annotations, not the texts of errors, nothing for types alone."""
+    for name, value in ast.iter_fields(tree):
+        if name in ("annotation", "returns", "decorator_list"):
+            continue
+        for child in value if isinstance(value, list) else [value]:
+            if not isinstance(child, ast.AST) or isinstance(child, ast.Raise | ast.JoinedStr | ast.Assert):
+                continue
+            if isinstance(child, ast.Call) and getattr(child.func, "attr", "") == "warn":
+                continue
+            if isinstance(child, ast.expr):
+                yield child
+            yield from _expressions(child)
+
+
+def _changes(node):
+    changed = copy.deepcopy(node)
+    if isinstance(node, ast.Compare) and type(node.ops[0]) in OTHER_WAY:
+        changed.ops[0] = OTHER_WAY[type(node.ops[0])]()
+    elif isinstance(node, ast.BinOp | ast.BoolOp) and type(node.op) in OTHER_WAY:
+        changed.op = OTHER_WAY[type(node.op)]()
+    elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.Not):
+        changed = changed.operand
+    elif isinstance(node, ast.Constant) and type(node.value) is bool:
+        changed.value = not node.value
+    elif isinstance(node, ast.Constant) and type(node.value) in (int, float):
+        changed.value = node.value + 1
+    elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load) and node.id in OTHER_NAME:
+        changed.id = OTHER_NAME[node.id]
+    elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load) and node.attr in OTHER_NAME:
+        changed.attr = OTHER_NAME[node.attr]
+    else:
+        return
+    yield changed
+
+
+def _run(place, tests, limit):
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-m", "not long", tests]
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(place),
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "OMP_NUM_THREADS": "1",
+        "MPLBACKEND": "agg",
+    }
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    try:
+        return subprocess.run(command, cwd=place, env=environment, timeout=limit, **quiet).returncode
+    except subprocess.TimeoutExpired:
+        return 124
+
+
+def _checked_out(commit, place):
+    place.mkdir()
+    with tarfile.open(fileobj=io.BytesIO(_git("archive", commit))) as archive:
+        archive.extractall(place, filter="data")
+    return place
+
+
+def _git(*arguments):
+    return subprocess.run(["git", "-C", str(ROOT), *arguments], check=True, capture_output=True).stdout
+
+
+def _say(report, line, output):
+    print(line, flush=True)
+    report.append(line)
+    if output:
+        Path(output).write_text("\n".join([*report, ""]), "utf-8")
+
+
+def _arguments():
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--lines", type=int, default=50)
+    parser.add_argument("--only", help="a piece of the paths to draw from")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--least", type=float, default=0.85, help="exit code 1 if a smaller share is caught")
+    parser.add_argument("--output", help="a file for what is printed")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,51 @@
+"""The script that changes lines changes one at a time, and draws them by the commit."""
+
+import ast
+import runpy
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+SOURCE = '''def spread(x: int = 3, *, least=1.0):
+    """Return -1 or more than 2 * x."""
+    if x < 0 and not least:
+        raise ValueError(f"x must be above {-1 + 1}")
+    high = max(x, 2)
+    return -high ** 2 @ x
+'''
+
+
+@pytest.fixture(scope="module")
+def script():
+    return runpy.run_path(str(ROOT / "benchmarks" / "mutations.py"))
+
+
+def test_each_mutation_changes_one_line_and_is_python(script):
+    lines = SOURCE.splitlines()
+    for number, changes in script["mutations"]("x.py", SOURCE).items():
+        for change in changes:
+            changed = change.source.splitlines()
+            assert [
+                k + 1 for k, pair in enumerate(zip(lines, changed, strict=True)) if pair[0] != pair[1]
+            ] == [number]
+            assert ast.dump(ast.parse(change.source)) != ast.dump(ast.parse(SOURCE))
+
+
+def test_numbers_signs_operators_and_names_are_changed_and_texts_are_not(script):
+    found = script["mutations"]("x.py", SOURCE)
+    assert sorted(found) == [1, 3, 5, 6]
+    assert {(m.before, m.after) for m in found[1]} == {("3", "(4)"), ("1.0", "(2.0)")}
+    assert {m.after for m in found[3]} == {"(x < 0 or not least)", "(x <= 0)", "(least)", "(1)"}
+    assert {m.after for m in found[5]} == {"(min)", "(3)"}
+
+
+def test_the_seed_draws_the_lines(script):
+    first, again, other = (script["drawn"](ROOT, seed, 20, "gaussian") for seed in ("a", "a", "b"))
+    assert first == again != other
+    assert len({(each.path, each.line) for each in first}) == 20
+
+
+def test_every_module_of_the_core_has_tests(script):
+    for each in script["drawn"](ROOT, "all", 10**6):
+        assert (ROOT / script["folder_of_tests"](each.path, ROOT)).exists()
