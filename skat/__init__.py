@@ -1,7 +1,13 @@
 """Carry simulated samples onto measured ones, and find out what the simulation gets wrong."""
 
-from skat.baselines import CORAL, ExactTransport, IdentityTransport
-from skat.transport import AffineTransport, ConditionalAffineTransport, ProcrustesAffineTransport
+from skat.transport import (
+    CORAL,
+    AffineTransport,
+    ConditionalAffineTransport,
+    ExactTransport,
+    IdentityTransport,
+    ProcrustesAffineTransport,
+)
 
 __version__ = "0.1.0"
 

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from skat.gaussian import EPS, AffineMap, optimal_map, root_of_factor
-from skat.moments import triangle
+from skat.gaussian import AffineMap, optimal_map, root_of_factor
+from skat.gaussian.maps import EPS
+from skat.gaussian.moments import triangle
 
 __all__ = ["conditional_map", "regression"]
 

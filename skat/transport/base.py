@@ -19,9 +19,9 @@ from skat._compat import (
     is_numpy_namespace,
     supported_float_dtypes,
 )
-from skat.backends import is_dask
-from skat.samples import weight_of_each_side
-from skat.wasserstein import affinity
+from skat.gaussian.backends import is_dask
+from skat.metrics.samples import weight_of_each_side
+from skat.metrics.wasserstein import affinity
 
 __all__ = ["BaseTransport", "Samples", "on_host", "same_length"]
 

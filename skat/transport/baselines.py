@@ -3,10 +3,10 @@
 import numpy as np
 from scipy.spatial import KDTree
 
-from skat.base import BaseTransport, on_host
 from skat.gaussian import AffineMap, coral_map, root_of_moments
-from skat.moment_transport import MomentTransport
-from skat.wasserstein import optimal_plan
+from skat.metrics.wasserstein import optimal_plan
+from skat.transport.base import BaseTransport, on_host
+from skat.transport.moment_transport import MomentTransport, Solution
 
 __all__ = ["CORAL", "ExactTransport", "IdentityTransport"]
 
@@ -36,10 +36,10 @@ class IdentityTransport(MomentTransport):
 
     def _solve(self, source, target, scale):
         origin = np.zeros(source.n_features)
-        return AffineMap(np.eye(source.n_features), origin, origin), source.n_features
+        return Solution(AffineMap(np.eye(source.n_features), origin, origin), source.n_features)
 
     def _solve_back(self, source, target, scale):
-        return self._solve(source, target, scale)[0]
+        return self._solve(source, target, scale).affine
 
 
 class CORAL(MomentTransport):
@@ -78,13 +78,13 @@ class CORAL(MomentTransport):
     def _solve(self, source, target, scale):
         source_root, target_root = root_of_moments(source), root_of_moments(target)
         rank = min(source_root.shape[1], target_root.shape[1])
-        return AffineMap.between(coral_map(source_root, target_root), source, target), rank
+        return Solution(AffineMap.between(coral_map(source_root, target_root), source, target), rank)
 
     def _solve_back(self, source, target, scale):
-        affine, rank = self._solve(target, source, scale)
-        if root_of_moments(source).shape[1] > rank:
+        solution = self._solve(target, source, scale)
+        if root_of_moments(source).shape[1] > solution.rank:
             raise np.linalg.LinAlgError("the target has the lower rank.")
-        return affine
+        return solution.affine
 
 
 class ExactTransport(BaseTransport):

@@ -3,7 +3,7 @@
 import numpy as np
 from sklearn.utils import check_array
 
-from skat.moments import row_moments
+from skat.gaussian.moments import row_moments
 
 __all__ = [
     "one_sample",

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from skat.samples import one_sample, row_weight, twice_the_spread, two_samples
+from skat.metrics.samples import one_sample, row_weight, twice_the_spread, two_samples
 
 __all__ = ["affinity", "optimal_plan", "refuse_large_cost", "wasserstein_distance"]
 

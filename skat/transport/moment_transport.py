@@ -1,6 +1,8 @@
 """Transports by an affine map that is a function of the two domains' moments."""
 
 import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -8,20 +10,38 @@ from sklearn.base import clone
 from sklearn.exceptions import NotFittedError
 from sklearn.utils.validation import has_fit_parameter
 
-from skat.backends import apply_map, is_dask, moments_of, to_namespace
-from skat.base import BaseTransport, on_host
-from skat.gaussian import covariance_root, distance_of_roots, root_of_moments
-from skat.moments import Moments
-from skat.shrinkage import shrunk_towards
+from skat.gaussian import AffineMap, Moments, covariance_root, distance_of_roots, root_of_moments
+from skat.gaussian.backends import apply_map, is_dask, moments_of, to_namespace
+from skat.transport.base import BaseTransport, on_host
+from skat.transport.shrinkage import shrunk_towards
 
-__all__ = ["MomentTransport"]
+__all__ = ["MomentTransport", "Solution"]
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A map that a transport has found, in units of the metric's scale.
+
+    Attributes
+    ----------
+    affine : AffineMap
+        The map.
+    rank : int
+        Rank of its linear part.
+    attributes : mapping of str to ndarray
+        What else the estimator shows of it.
+    """
+
+    affine: AffineMap
+    rank: int
+    attributes: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 class MomentTransport(BaseTransport):
     """A transport by an affine map that is a function of moments.
 
-    A subclass implements ``_solve(source, target, scale)``, which returns the map and its rank, and
-    ``_solve_back(source, target, scale)``, which returns the way back; both in units of the metric's scale.
+    A subclass implements ``_solve(source, target, scale)``, which returns a `Solution`, and
+    ``_solve_back(source, target, scale)``, which returns the way back, in the same units.
     """
 
     _array_api = True
@@ -198,7 +218,8 @@ class MomentTransport(BaseTransport):
         scale = self._scale_of(target)
         self._learned, self._back = (source, target, scale), None
         scaled = self._scaled()
-        affine, self.rank_ = self._solve(*scaled, scale)
+        solution = self._solve(*scaled, scale)
+        affine, self.rank_ = solution.affine, solution.rank
         self._map = affine if self.metric_scale is None else affine.scaled(scale)
         for name, value in {
             "coef_": self._map.coef,
@@ -207,13 +228,10 @@ class MomentTransport(BaseTransport):
             "target_mean_": target.mean,
             "source_covariance_": source.covariance,
             "target_covariance_": target.covariance,
-            **self._more_attributes(),
+            **solution.attributes,
         }.items():
             setattr(self, name, to_namespace(value, like))
         self.wasserstein_distance_ = self._distance(scaled[0], scaled[1], affine)
-
-    def _more_attributes(self):
-        return {}
 
     def _scaled(self):
         """Return the moments in units of the metric's scale."""

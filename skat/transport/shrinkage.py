@@ -3,7 +3,7 @@
 import numpy as np
 
 from skat.gaussian import check_that_source_reaches_target, root_of_moments, spectrum
-from skat.moments import Moments
+from skat.gaussian.moments import Moments
 
 __all__ = ["shrinkage_intensity", "shrunk_towards"]
 

@@ -26,9 +26,9 @@ from joblib import Parallel, delayed
 from sklearn.utils import check_random_state, check_scalar
 
 from skat.gaussian import AffineMap, optimal_map, root_of_moments, row_moments
-from skat.marginals import halves, marginal_squares, orders
-from skat.samples import twice_the_spread, two_samples, two_weights
-from skat.wasserstein import affinity, wasserstein_distance
+from skat.metrics.marginals import halves, marginal_squares, orders
+from skat.metrics.samples import twice_the_spread, two_samples, two_weights
+from skat.metrics.wasserstein import affinity, wasserstein_distance
 
 __all__ = [
     "AffinityEstimate",

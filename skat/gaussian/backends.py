@@ -11,7 +11,7 @@ from skat._compat import (
     is_numpy_namespace,
     supported_float_dtypes,
 )
-from skat.moments import Moments, row_moments
+from skat.gaussian.moments import Moments, row_moments
 
 __all__ = ["apply_map", "beside", "is_dask", "moments_of", "to_namespace"]
 

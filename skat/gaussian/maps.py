@@ -11,12 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import bandwidth, lapack, solve_triangular
 
-from skat.moments import Moments, row_moments, triangle
-from skat.threads import shared
+from skat.gaussian.moments import triangle
+from skat.gaussian.threads import shared
 
 __all__ = [
     "AffineMap",
-    "Moments",
     "accurate_svd",
     "check_that_source_reaches_target",
     "coefficient_distance",
@@ -27,7 +26,6 @@ __all__ = [
     "optimal_map",
     "root_of_factor",
     "root_of_moments",
-    "row_moments",
     "spectrum",
     "transport_map",
 ]

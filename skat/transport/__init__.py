@@ -1,0 +1,15 @@
+"""Estimators that carry rows of a source domain onto a target domain."""
+
+from skat.transport.affine import AffineTransport
+from skat.transport.baselines import CORAL, ExactTransport, IdentityTransport
+from skat.transport.conditional import ConditionalAffineTransport
+from skat.transport.procrustes import ProcrustesAffineTransport
+
+__all__ = [
+    "CORAL",
+    "AffineTransport",
+    "ConditionalAffineTransport",
+    "ExactTransport",
+    "IdentityTransport",
+    "ProcrustesAffineTransport",
+]

@@ -1,0 +1,72 @@
+"""The optimal affine map between two normal approximations, as an estimator."""
+
+from skat.gaussian import AffineMap, coefficient_distance, optimal_map, root_of_moments
+from skat.transport.moment_transport import MomentTransport, Solution
+
+__all__ = ["AffineTransport"]
+
+
+class AffineTransport(MomentTransport):
+    r"""Carry source rows to target rows by the optimal map between their normal approximations.
+
+    .. math:: T(x) = m_t + A (x - m_s), \quad
+              A = C_t^{1/2} (C_t^{1/2} C_s C_t^{1/2})^{-1/2} C_t^{1/2}
+
+    It gives the carried rows exactly the target's mean and covariance, with the least mean squared
+    displacement of all maps that do. It is the map of these data in these units: optimal transport
+    depends on units, see `metric_scale`.
+
+    Parameters
+    ----------
+    covariance : {"empirical", "shrunk"} or estimator, default="empirical"
+        How the covariances are estimated. ``"shrunk"`` draws the target's towards the source's, for few
+        target rows. A covariance estimator of scikit-learn is fitted to each side.
+    metric_scale : None, "target" or array-like of shape (n_features,), default=None
+        Lengths, in the features' units, in which displacement is measured; ``"target"`` takes the target's
+        standard deviations (1 for constant columns), which makes the map independent of units.
+
+    Attributes
+    ----------
+    coef_ : array of shape (n_features, n_features)
+        The linear part: ``transform(X)`` is ``X @ coef_.T + intercept_``.
+    intercept_ : array of shape (n_features,)
+        The constant part.
+    source_mean_, target_mean_ : array of shape (n_features,)
+        Means of the two domains.
+    source_covariance_, target_covariance_ : array of shape (n_features, n_features)
+        Covariances as estimated; empirical ones divide by the sum of the weights.
+    wasserstein_distance_ : float
+        Distance between the two normal approximations, in units of `metric_scale` where that is given.
+    rank_ : int
+        Rank of `coef_`.
+    shrinkage_ : float
+        With ``covariance="shrunk"``: from 0 (the target's own covariance) to 1 (the source's).
+    n_features_in_ : int
+        Number of columns.
+    feature_names_in_ : ndarray of shape (n_features,)
+        Names of the columns, where `X` has them.
+
+    References
+    ----------
+    .. [1] Mallasto et al. (2021). Affine Transport for Sim-to-Real Domain Adaptation. Section III.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skat import AffineTransport
+    >>> simulated = np.array([[0.0], [1.0], [2.0]])
+    >>> measured = np.array([[1.0], [3.0], [5.0]])
+    >>> AffineTransport().fit(simulated, measured).transform([[4.0]])
+    array([[9.]])
+    """
+
+    def _solve(self, source, target, scale):
+        source_root, target_root = root_of_moments(source), root_of_moments(target)
+        coef = optimal_map(source_root, target_root)
+        return Solution(AffineMap.between(coef, source, target), target_root.shape[1])
+
+    def _solve_back(self, source, target, scale):
+        return self._solve(target, source, scale).affine
+
+    def _distance(self, source, target, affine):
+        return coefficient_distance(source, target, affine.coef)
