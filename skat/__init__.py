@@ -7,6 +7,7 @@ from skat.transport import (
     ExactTransport,
     IdentityTransport,
     ProcrustesAffineTransport,
+    ResidualTransport,
 )
 
 __version__ = "0.1.0"
@@ -18,5 +19,6 @@ __all__ = [
     "ExactTransport",
     "IdentityTransport",
     "ProcrustesAffineTransport",
+    "ResidualTransport",
     "__version__",
 ]

@@ -13,7 +13,7 @@ from skat._compat import (
 )
 from skat.gaussian.moments import Moments, row_moments
 
-__all__ = ["apply_map", "beside", "is_dask", "moments_of", "to_namespace"]
+__all__ = ["apply_map", "beside", "is_dask", "moments_of", "on_host", "to_namespace"]
 
 
 def is_dask(X):
@@ -90,6 +90,14 @@ def beside(X, y):
         return da.concatenate([X, y.rechunk({0: X.chunks[0]})], axis=1)
     xp, _, _ = get_namespace_and_device(X, y)
     return np.hstack([X, y]) if is_numpy_namespace(xp) else xp.concat([X, y], axis=1)
+
+
+def on_host(array):
+    """Return any array as one in NumPy."""
+    if is_dask(array):
+        array = array.compute()
+    xp, is_array_api, _ = get_namespace_and_device(array)
+    return np.asarray(convert_to_numpy(array, xp) if is_array_api else array)
 
 
 def to_namespace(array, like):

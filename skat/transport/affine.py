@@ -1,6 +1,7 @@
 """The optimal affine map between two normal approximations, as an estimator."""
 
 from skat.gaussian import AffineMap, coefficient_distance, optimal_map, root_of_moments
+from skat.gaussian.maps import reached_part
 from skat.transport.moment_transport import MomentTransport, Solution
 
 __all__ = ["AffineTransport"]
@@ -24,6 +25,10 @@ class AffineTransport(MomentTransport):
     metric_scale : None, "target" or array-like of shape (n_features,), default=None
         Lengths, in the features' units, in which displacement is measured; ``"target"`` takes the target's
         standard deviations (1 for constant columns), which makes the map independent of units.
+    rank_deficient : {"raise", "reach"}, default="raise"
+        What to do where the target varies and the source does not, so that no affine map carries one to the
+        other. ``"reach"`` carries what can be reached (the mean of the target given the source, under the optimal
+        coupling of the normal approximations), and warns of the share of variance that is missing.
 
     Attributes
     ----------
@@ -41,6 +46,9 @@ class AffineTransport(MomentTransport):
         Rank of `coef_`.
     shrinkage_ : float
         With ``covariance="shrunk"``: from 0 (the target's own covariance) to 1 (the source's).
+    unreached_ : float
+        Share of the target's variance, in units of `metric_scale`, that the carried rows lack; zero but with
+        ``rank_deficient="reach"``.
     n_features_in_ : int
         Number of columns.
     feature_names_in_ : ndarray of shape (n_features,)
@@ -62,11 +70,15 @@ class AffineTransport(MomentTransport):
 
     def _solve(self, source, target, scale):
         source_root, target_root = root_of_moments(source), root_of_moments(target)
-        coef = optimal_map(source_root, target_root)
-        return Solution(AffineMap.between(coef, source, target), target_root.shape[1])
+        coef = optimal_map(source_root, target_root, reach=self._reaches)
+        rank, unreached = target_root.shape[1], 0.0
+        if self._reaches:
+            rank, unreached = reached_part(coef, source_root, target_root)
+        return Solution(AffineMap.between(coef, source, target), rank, unreached)
 
     def _solve_back(self, source, target, scale):
-        return self._solve(target, source, scale).affine
+        coef = optimal_map(root_of_moments(target), root_of_moments(source))
+        return AffineMap.between(coef, target, source)
 
     def _distance(self, source, target, affine):
         return coefficient_distance(source, target, affine.coef)

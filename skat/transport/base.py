@@ -13,17 +13,16 @@ from skat._compat import (
     check_n_features,
     check_same_namespace,
     check_sample_weight,
-    convert_to_numpy,
     feature_names,
     get_namespace_and_device,
     is_numpy_namespace,
     supported_float_dtypes,
 )
-from skat.gaussian.backends import is_dask
+from skat.gaussian.backends import is_dask, on_host
 from skat.metrics.samples import weight_of_each_side
 from skat.metrics.wasserstein import affinity
 
-__all__ = ["BaseTransport", "Samples", "on_host", "same_length"]
+__all__ = ["BaseTransport", "Samples", "same_length"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -396,11 +395,3 @@ def _checked_weight(weight, rows):
     return check_sample_weight(
         on_host(weight), np.empty((rows.shape[0], 1)), ensure_non_negative=True, dtype=np.float64
     )
-
-
-def on_host(array):
-    """Return any array as one in NumPy."""
-    if is_dask(array):
-        array = array.compute()
-    xp, is_array_api, _ = get_namespace_and_device(array)
-    return np.asarray(convert_to_numpy(array, xp) if is_array_api else array)

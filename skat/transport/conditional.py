@@ -30,13 +30,21 @@ class ConditionalAffineTransport(MomentTransport):
         exactly, the regression needs no shrinkage and is worse off with it.
     metric_scale : None, "target" or array-like of shape (n_features,), default=None
         As for `AffineTransport`.
+    shrinkage : {"source"} or None, default=None
+        ``"source"``, for few target rows: the target's slope is the source's plus a ridge correction, whose
+        penalty for each column generalised cross-validation chooses, and the covariance of its residuals is
+        drawn towards the source's as by ``covariance="shrunk"``. Only with ``covariance="empirical"``.
+
+    rank_deficient : {"raise", "reach"}, default="reach"
+        As for `AffineTransport`. Here the default is to reach, because a simulator that is linear and free of noise
+        leaves no residual to carry, and the target's mean given the context is then all that a map can give.
 
     Attributes
     ----------
     coef_, intercept_, source_mean_, target_mean_, source_covariance_, target_covariance_
         As for `AffineTransport`; the target's mean and covariance are reached exactly where the contexts have
         the same.
-    wasserstein_distance_, rank_, shrinkage_, n_features_in_, feature_names_in_
+    wasserstein_distance_, rank_, unreached_, shrinkage_, n_features_in_, feature_names_in_
         As for `AffineTransport`.
 
     Examples
@@ -48,9 +56,28 @@ class ConditionalAffineTransport(MomentTransport):
     array([[1. , 1.5]])
     """
 
-    def __init__(self, *, context, covariance="empirical", metric_scale=None):
-        super().__init__(covariance=covariance, metric_scale=metric_scale)
+    def __init__(
+        self,
+        *,
+        context,
+        covariance="empirical",
+        metric_scale=None,
+        shrinkage=None,
+        rank_deficient="reach",
+    ):
+        super().__init__(covariance=covariance, metric_scale=metric_scale, rank_deficient=rank_deficient)
         self.context = context
+        self.shrinkage = shrinkage
+
+    def _check_parameters(self):
+        super()._check_parameters()
+        if self.shrinkage not in (None, "source"):
+            raise ValueError(f'shrinkage must be None or "source"; it is {self.shrinkage!r}.')
+        if self.shrinkage == "source" and self.covariance != "empirical":
+            raise ValueError(
+                'shrinkage="source" draws slope and residuals towards the source by itself; with '
+                f'covariance={self.covariance!r} they would be drawn twice. Use covariance="empirical".'
+            )
 
     def _see_columns(self, X, rows):
         """Resolve the context while the container with its names is at hand."""
@@ -87,7 +114,10 @@ class ConditionalAffineTransport(MomentTransport):
         self._context = tuple(chosen.tolist())
 
     def _solve(self, source, target, scale):
-        return Solution(*conditional_map(source, target, np.array(self._context)))
+        context = np.array(self._context)
+        return Solution(
+            *conditional_map(source, target, context, shrinkage=self.shrinkage, reach=self._reaches)
+        )
 
     def _solve_back(self, source, target, scale):
         return conditional_map(target, source, np.array(self._context))[0]

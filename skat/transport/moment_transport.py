@@ -10,9 +10,10 @@ from sklearn.base import clone
 from sklearn.exceptions import NotFittedError
 from sklearn.utils.validation import has_fit_parameter
 
-from skat.gaussian import AffineMap, Moments, covariance_root, distance_of_roots, root_of_moments
-from skat.gaussian.backends import apply_map, is_dask, moments_of, to_namespace
-from skat.transport.base import BaseTransport, on_host
+from skat.gaussian import AffineMap, Moments, covariance_root, distance_of_roots, root_of_moments, spectrum
+from skat.gaussian.backends import apply_map, is_dask, moments_of, on_host, to_namespace
+from skat.gaussian.maps import EPS
+from skat.transport.base import BaseTransport
 from skat.transport.shrinkage import shrunk_towards
 
 __all__ = ["MomentTransport", "Solution"]
@@ -28,12 +29,15 @@ class Solution:
         The map.
     rank : int
         Rank of its linear part.
+    unreached : float
+        Share of the target's variance that the carried rows do not have, for the source does not vary there.
     attributes : mapping of str to ndarray
         What else the estimator shows of it.
     """
 
     affine: AffineMap
     rank: int
+    unreached: float = 0.0
     attributes: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
@@ -47,10 +51,16 @@ class MomentTransport(BaseTransport):
     _array_api = True
     _moments: Any = None
     _missing: Any = None
+    rank_deficient = "raise"
 
-    def __init__(self, *, covariance="empirical", metric_scale=None):
+    def __init__(self, *, covariance="empirical", metric_scale=None, rank_deficient="raise"):
         self.covariance = covariance
         self.metric_scale = metric_scale
+        self.rank_deficient = rank_deficient
+
+    @property
+    def _reaches(self):
+        return self.rank_deficient == "reach"
 
     def partial_fit(self, X=None, y=None, sample_weight=None, sample_domain=None):
         """Add rows of either domain, or of both.
@@ -121,6 +131,7 @@ class MomentTransport(BaseTransport):
         sides = (source, target) if isinstance(self.covariance, str) else self._estimated(samples)
         self._learn(sides, _given(samples))
         self._warn_of_few_rows()
+        self._warn_of_unreached()
 
     def _check_parameters(self):
         names = ("empirical", "shrunk")
@@ -213,13 +224,18 @@ class MomentTransport(BaseTransport):
     def _learn(self, sides, like):
         """Set the fitted attributes, as arrays of the library that `like` is of."""
         source, target = sides
+        outside = 0.0
         if isinstance(self.covariance, str) and self.covariance == "shrunk":
-            target, self.shrinkage_ = shrunk_towards(target, source, self._pairs())
+            whole = target
+            target, self.shrinkage_ = shrunk_towards(whole, source, self._pairs(), reach=self._reaches)
+            if self._reaches:
+                outside = _share_outside(source, whole)
         scale = self._scale_of(target)
         self._learned, self._back = (source, target, scale), None
         scaled = self._scaled()
         solution = self._solve(*scaled, scale)
         affine, self.rank_ = solution.affine, solution.rank
+        self.unreached_ = max(outside, solution.unreached)
         self._map = affine if self.metric_scale is None else affine.scaled(scale)
         for name, value in {
             "coef_": self._map.coef,
@@ -275,6 +291,15 @@ class MomentTransport(BaseTransport):
                 stacklevel=4,
             )
 
+    def _warn_of_unreached(self):
+        if self.unreached_ > 0:
+            warnings.warn(
+                f"{100 * self.unreached_:.2g} % of the target's variance cannot be reached: the target varies where "
+                "the source does not, and the carried rows will not vary there.",
+                UserWarning,
+                stacklevel=4,
+            )
+
     def _carry(self, X, keep=None):
         return apply_map(self._map, X, keep=keep, check=self._refuse_rows)
 
@@ -299,6 +324,17 @@ def _merged(first, second):
     if first is None or second is None:
         return second if first is None else first
     return first + second
+
+
+def _share_outside(source, target):
+    """Return the share of the target's variance in directions in which the source does not vary."""
+    directions = spectrum(root_of_moments(source))[0]
+    if directions.shape[1] == source.n_features:
+        return 0.0
+    factor = target.covariance_factor()
+    outside = factor - (factor @ directions) @ directions.T
+    share = float(np.square(outside).sum() / np.square(factor).sum())
+    return share if share > len(directions) * EPS else 0.0
 
 
 def _given(samples):

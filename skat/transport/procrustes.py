@@ -37,6 +37,8 @@ class ProcrustesAffineTransport(MomentTransport):
         not share, so that ``"shrunk"`` leaves pairs without noise as they are.
     metric_scale : None, "target" or array-like of shape (n_features,), default=None
         Lengths in which errors and displacement are measured, as for `AffineTransport`.
+    rank_deficient : {"raise", "reach"}, default="raise"
+        As for `AffineTransport`.
 
     Attributes
     ----------
@@ -44,7 +46,7 @@ class ProcrustesAffineTransport(MomentTransport):
         Q or R above; orthogonal, or a partial isometry where a covariance is singular.
     coef_, intercept_, source_mean_, target_mean_, source_covariance_, target_covariance_
         As for `AffineTransport`.
-    wasserstein_distance_, rank_, shrinkage_, n_features_in_, feature_names_in_
+    wasserstein_distance_, rank_, unreached_, shrinkage_, n_features_in_, feature_names_in_
         As for `AffineTransport`.
 
     References
@@ -61,8 +63,16 @@ class ProcrustesAffineTransport(MomentTransport):
            [ 1.,  0.]])
     """
 
-    def __init__(self, *, alignment="whitened", center=True, covariance="empirical", metric_scale=None):
-        super().__init__(covariance=covariance, metric_scale=metric_scale)
+    def __init__(
+        self,
+        *,
+        alignment="whitened",
+        center=True,
+        covariance="empirical",
+        metric_scale=None,
+        rank_deficient="raise",
+    ):
+        super().__init__(covariance=covariance, metric_scale=metric_scale, rank_deficient=rank_deficient)
         self.alignment = alignment
         self.center = center
 
@@ -109,7 +119,7 @@ class ProcrustesAffineTransport(MomentTransport):
     def _solve(self, source, target, scale):
         alignment = self._aligned(source, target, scale, warn=self._warns)
         affine = AffineMap.between(alignment.coef, source, target)
-        return Solution(affine, alignment.rank, {"rotation_": alignment.rotation})
+        return Solution(affine, alignment.rank, alignment.unreached, {"rotation_": alignment.rotation})
 
     def _solve_back(self, source, target, scale):
         alignment = self._aligned(source, target, scale, warn=False)
@@ -132,6 +142,7 @@ class ProcrustesAffineTransport(MomentTransport):
                 stacklevel=5,
             )
         roots = {"source_rounding": source.rounding, "target_rounding": target.rounding}
+        roots["reach"] = self._reaches
         if not (isinstance(self.covariance, str) and self.covariance == "empirical"):
             roots |= {"source_root": root_of_moments(source), "target_root": root_of_moments(target)}
         if self.alignment == "raw":
