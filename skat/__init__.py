@@ -6,8 +6,10 @@ from skat.transport import (
     ConditionalAffineTransport,
     ExactTransport,
     IdentityTransport,
+    MultiSourceTransport,
     ProcrustesAffineTransport,
     ResidualTransport,
+    TargetRows,
 )
 
 __version__ = "0.1.0"
@@ -18,7 +20,9 @@ __all__ = [
     "ConditionalAffineTransport",
     "ExactTransport",
     "IdentityTransport",
+    "MultiSourceTransport",
     "ProcrustesAffineTransport",
     "ResidualTransport",
+    "TargetRows",
     "__version__",
 ]

@@ -3,13 +3,15 @@
 import numpy as np
 from sklearn.utils.metadata_routing import UNCHANGED, MetadataRequest
 
+from skat.gaussian.backends import on_host
 from skat.metrics.affinity import affinity_score
-from skat.metrics.samples import row_weight, two_samples
+from skat.metrics.domains import domain_signs
+from skat.metrics.samples import one_sample, row_weight, two_samples
 
 __all__ = ["affinity_scorer", "paired_error_scorer"]
 
 
-def paired_error_scorer(estimator, X, y, *, sample_weight=None):
+def paired_error_scorer(estimator, X, y=None, *, sample_weight=None, sample_domain=None):
     r"""Score a fitted transport by the mean distance between transported rows and their partners, negated.
 
     .. math:: -\frac1n \sum_k \|T(x_k) - y_k\|
@@ -24,9 +26,12 @@ def paired_error_scorer(estimator, X, y, *, sample_weight=None):
     X : array-like of shape (n_samples, n_features)
         Source rows.
     y : array-like of shape (n_samples, n_features)
-        The target row of each.
+        The target row of each; ignored with `sample_domain`.
     sample_weight : array-like of shape (n_samples,), default=None
-        Weights of the pairs.
+        Weights of the pairs; with `sample_domain` of all rows, those of the source rows counting.
+    sample_domain : array-like of shape (n_samples,), default=None
+        For rows of both domains, stacked in `X`: the k-th source row belongs to the k-th target row. Metadata routing
+        hands it on without being asked. In the labels that `AffineTransport` understands without `source_domain`.
 
     Returns
     -------
@@ -51,7 +56,13 @@ def paired_error_scorer(estimator, X, y, *, sample_weight=None):
     >>> paired_error_scorer(FunctionTransformer(), [[0.0, 0.0]], [[3.0, 4.0]])
     -5.0
     """
-    carried, target = two_samples(_carried(estimator, X), y)
+    if sample_domain is None:
+        carried = _carried(estimator, X)
+    else:
+        rows, carried, is_source = _by_domain(estimator, X, sample_domain)
+        carried, y = carried[is_source], rows[~is_source]
+        sample_weight = None if sample_weight is None else on_host(sample_weight)[is_source]
+    carried, target = two_samples(carried, y)
     if len(carried) != len(target):
         raise ValueError(
             f"a paired error needs the target row of every source row; there are {len(carried)} source and "
@@ -61,7 +72,17 @@ def paired_error_scorer(estimator, X, y, *, sample_weight=None):
     return -float(np.average(errors, weights=row_weight(sample_weight, len(errors))))
 
 
-def affinity_scorer(score=affinity_score, **options):
+def _routing_of_pairs():
+    routing = MetadataRequest(owner="paired_error_scorer")
+    routing.score.add_request(param="sample_domain", alias=True)
+    return routing
+
+
+# A scorer that is a function can ask for metadata only so.
+setattr(paired_error_scorer, "get_metadata_routing", _routing_of_pairs)  # noqa: B010
+
+
+def affinity_scorer(score=affinity_score, *, source_domain=None, **options):
     """Return a scorer of fitted transports by an affinity score.
 
     For ``scoring=affinity_scorer()``. It calls ``estimator.transform(X)`` and compares the result with `y`.
@@ -74,6 +95,8 @@ def affinity_scorer(score=affinity_score, **options):
     score : callable, default=affinity_score
         ``score(X_transported, y, **options)`` to a number, greater is better: `affinity_score`,
         `debiased_affinity_score`, `affinity_upper_bound`, `affinity_estimate` or one of your own.
+    source_domain : label or list of labels, default=None
+        The labels of source rows in `sample_domain`, as for `AffineTransport`.
     **options
         Further keyword arguments for it.
 
@@ -104,13 +127,14 @@ def affinity_scorer(score=affinity_score, **options):
             f"score must be a function of transported rows and target rows; it is {score!r}. "
             "Give one, such as skat.metrics.affinity_score."
         )
-    return _AffinityScorer(score, options)
+    return _AffinityScorer(score, options, source_domain)
 
 
 class _AffinityScorer:
-    def __init__(self, score, options):
+    def __init__(self, score, options, source_domain):
         self._score = score
         self._options = options
+        self._source_domain = source_domain
         self._requested = {}
 
     def __repr__(self):
@@ -124,19 +148,17 @@ class _AffinityScorer:
             if sample_weight is not None:
                 options["sample_weight"] = sample_weight
         else:
-            domain = np.asarray(sample_domain)
-            is_source, is_target = domain > 0, domain < 0
-            if domain.shape != (len(X),) or not (is_source.any() and is_target.any()):
+            _, carried, is_source = _by_domain(estimator, X, sample_domain, self._source_domain)
+            if is_source.all() or not is_source.any():
                 raise ValueError(
-                    f"sample_domain must have one number per row ({len(X)}), some positive (source) and some "
-                    f"negative (target); its shape is {domain.shape}, with {int(is_source.sum())} positive "
-                    f"and {int(is_target.sum())} negative. Stratify the folds by domain."
+                    "a score compares source rows with target rows; of these rows "
+                    f"{int(is_source.sum())} are source and {int((~is_source).sum())} target. Stratify the folds by "
+                    "domain."
                 )
-            carried = np.asarray(_carried(estimator, X, sample_domain=domain))
-            carried, y = carried[is_source], carried[is_target]
+            carried, y = carried[is_source], carried[~is_source]
             if sample_weight is not None:
-                weight = np.asarray(sample_weight)
-                options["sample_weight"] = (weight[is_source], weight[is_target])
+                weight = on_host(sample_weight)
+                options["sample_weight"] = (weight[is_source], weight[~is_source])
         return float(self._score(carried, y, **options))
 
     def set_score_request(self, *, sample_weight=UNCHANGED, sample_domain=UNCHANGED):
@@ -151,6 +173,13 @@ class _AffinityScorer:
         for name, alias in {"sample_weight": None, "sample_domain": True, **self._requested}.items():
             routing.score.add_request(param=name, alias=alias)
         return routing
+
+
+def _by_domain(estimator, X, sample_domain, source_domain=None):
+    """Return the rows in NumPy, the same carried over, and which of them are source rows."""
+    rows, labels = one_sample(X, "X"), on_host(sample_domain)
+    is_source = domain_signs(labels, len(rows), source_domain) > 0
+    return rows, one_sample(_carried(estimator, X, sample_domain=labels), "X_transported"), is_source
 
 
 def _carried(estimator, X, **keywords):

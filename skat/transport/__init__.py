@@ -5,6 +5,8 @@ from skat.transport.baselines import CORAL, ExactTransport, IdentityTransport, K
 from skat.transport.conditional import ConditionalAffineTransport
 from skat.transport.procrustes import ProcrustesAffineTransport
 from skat.transport.residual import ResidualTransport
+from skat.transport.several import MultiSourceTransport
+from skat.transport.splitting import TargetRows
 
 __all__ = [
     "CORAL",
@@ -13,6 +15,8 @@ __all__ = [
     "ExactTransport",
     "IdentityTransport",
     "KernelAlignment",
+    "MultiSourceTransport",
     "ProcrustesAffineTransport",
     "ResidualTransport",
+    "TargetRows",
 ]

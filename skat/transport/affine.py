@@ -29,6 +29,12 @@ class AffineTransport(MomentTransport):
         What to do where the target varies and the source does not, so that no affine map carries one to the
         other. ``"reach"`` carries what can be reached (the mean of the target given the source, under the optimal
         coupling of the normal approximations), and warns of the share of variance that is missing.
+    unlabelled : {"raise", "source", "target"}, default="raise"
+        After a fit to stacked rows: what rows are that come to ``transform`` without a domain. ``"target"`` returns
+        them as they are, so that a pipeline fitted to both domains predicts measured rows.
+    source_domain : label or list of labels, default=None
+        The labels of source rows in `sample_domain`, where these are not numbers of either sign nor "sim" and
+        "real": all other rows are target rows.
 
     Attributes
     ----------

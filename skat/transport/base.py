@@ -19,6 +19,7 @@ from skat._compat import (
     supported_float_dtypes,
 )
 from skat.gaussian.backends import is_dask, on_host
+from skat.metrics.domains import domain_signs
 from skat.metrics.samples import weight_of_each_side
 from skat.metrics.wasserstein import affinity
 
@@ -54,6 +55,10 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
 
     _array_api = False
 
+    def __init__(self, *, unlabelled="raise", source_domain=None):
+        self.unlabelled = unlabelled
+        self.source_domain = source_domain
+
     # The domain has to reach every step that tells source rows from target rows, so it is asked for by
     # default.
     __metadata_request__fit = {"sample_domain": True}
@@ -76,7 +81,8 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
             as so many repetitions of its row, except with ``covariance="shrunk"``, where the effective number of
             rows (Kish), which does not change if all weights are doubled, sets the shrinkage.
         sample_domain : array-like of shape (n_samples,), default=None
-            Positive for source rows and negative for target rows of a stacked `X`.
+            Which rows of a stacked `X` are source and which are target rows: numbers, positive and negative;
+            the words "sim" and "real"; or labels of any kind, with the parameter `source_domain`.
 
         Returns
         -------
@@ -122,8 +128,8 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         X : array-like of shape (n_samples, n_features)
             Rows.
         sample_domain : array-like of shape (n_samples,), default=None
-            Positive for source rows; rows with a negative value are target rows and are returned unchanged.
-            None means that all are source rows, which is an error after a stacked fit.
+            As for `fit`; target rows are returned unchanged. None means that all are source rows or, after a
+            stacked fit, what the parameter `unlabelled` says.
 
         Returns
         -------
@@ -136,7 +142,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
             If rows are not finite, have other columns than at fit, or if `sample_domain` is missing.
         """
         self._check_is_fitted()
-        if sample_domain is None and self._stacked:
+        if sample_domain is None and self._stacked and self.unlabelled == "raise":
             raise ValueError(
                 f"this {type(self).__name__} was fitted to stacked rows, so transform cannot tell which rows "
                 "of X are "
@@ -144,14 +150,18 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
                 "row, "
                 "returned unchanged), or fit it with two arrays, fit(X_source, X_target), after which every "
                 "row is a "
-                "source row."
+                'source row, or say once for all what rows without a domain are: unlabelled="target" or "source".'
             )
         X = self._rows(X, "X", reset=False)
         if hasattr(self, "coef_") and not is_dask(X):
             check_same_namespace(X, self, attribute="coef_", method="transform")
         if sample_domain is None:
+            if self._stacked and self.unlabelled == "target":
+                if is_dask(X):
+                    return X
+                return self._carry(X, keep=np.ones(X.shape[0], dtype=bool))
             return self._carry(X)
-        return self._carry(X, keep=_domain(sample_domain, X) < 0)
+        return self._carry(X, keep=self._domain(sample_domain, X) < 0)
 
     def inverse_transform(self, X):
         """Carry target rows back.
@@ -258,7 +268,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
 
     def _split(self, X, sample_weight, sample_domain, *, either):
         """Return the samples of stacked rows."""
-        domain = _domain(sample_domain, X)
+        domain = self._domain(sample_domain, X)
         weight = _checked_weight(sample_weight, X)
         if is_dask(X):
             one = 1.0 if weight is None else weight
@@ -282,6 +292,15 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
             weights.append(None if weight is None else weight[mask])
         source, target = parts
         return Samples(source, target, weights[0], weights[1], stacked=True)
+
+    def _domain(self, sample_domain, X):
+        """Return a number for each row, positive for source rows and negative for target rows."""
+        if is_dask(sample_domain):
+            if self.source_domain is not None:
+                raise ValueError("with dask give numbers, positive for source rows, and no source_domain.")
+            return sample_domain
+        n_rows = None if is_dask(X) else X.shape[0]
+        return domain_signs(on_host(sample_domain), n_rows, self.source_domain)
 
     def _refuse_flat_target(self, y):
         shape = y.shape if hasattr(y, "shape") else np.asarray(y).shape
@@ -351,31 +370,6 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
                 "float64. Drop or fill those rows."
             )
         raise ValueError(f"the squares of {names} exceed the range of float64. Choose larger units.")
-
-
-def _domain(sample_domain, X):
-    """Return the domain of each row, validated."""
-    if is_dask(sample_domain):
-        return sample_domain
-    domain = on_host(sample_domain)
-    if domain.ndim != 1 or not np.issubdtype(domain.dtype, np.number):
-        raise ValueError(
-            "sample_domain must be a 1-D array of numbers, positive for source and negative for target rows; "
-            "it has "
-            f"shape {domain.shape} and type {domain.dtype}."
-        )
-    if not is_dask(X) and len(domain) != X.shape[0]:
-        raise ValueError(
-            f"sample_domain must have one value per row; it has {len(domain)}, X {X.shape[0]} rows."
-        )
-    undecided = np.count_nonzero(~((domain > 0) | (domain < 0)))
-    if undecided:
-        raise ValueError(
-            f"sample_domain must be positive for source and negative for target rows; {undecided} of "
-            f"{len(domain)} "
-            "values are zero or NaN."
-        )
-    return domain
 
 
 def same_length(source, target):

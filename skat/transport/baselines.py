@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import KDTree
 from sklearn.base import BaseEstimator, TransformerMixin
 
-from skat.gaussian import AffineMap, coral_map, root_of_moments
+from skat.gaussian import AffineMap, coral_map, root_of_moments, spectrum
 from skat.gaussian.backends import on_host
 from skat.metrics.wasserstein import optimal_plan
 from skat.transport.affine import AffineTransport
@@ -18,6 +18,11 @@ __all__ = ["CORAL", "ExactTransport", "IdentityTransport", "KernelAlignment"]
 
 class IdentityTransport(MomentTransport):
     """Return every row as it is: the raw simulation.
+
+    Parameters
+    ----------
+    unlabelled, source_domain
+        As for `AffineTransport`.
 
     Attributes
     ----------
@@ -36,8 +41,8 @@ class IdentityTransport(MomentTransport):
     covariance = "empirical"
     metric_scale = None
 
-    def __init__(self):
-        pass
+    def __init__(self, *, unlabelled="raise", source_domain=None):
+        BaseTransport.__init__(self, unlabelled=unlabelled, source_domain=source_domain)
 
     def _solve(self, source, target, scale):
         origin = np.zeros(source.n_features)
@@ -54,7 +59,13 @@ class CORAL(MomentTransport):
 
     CORrelation ALignment with the means aligned as well, and without the identity that the authors' code adds
     to both covariances: that would make the map depend on units and miss the target's covariance. Where the
-    source has the lower rank, that many of the target's largest principal directions are matched.
+    source has the lower rank, that many of the target's largest principal directions are matched, and a warning
+    says which share of its variance is missed.
+
+    Parameters
+    ----------
+    unlabelled, source_domain
+        As for `AffineTransport`.
 
     Attributes
     ----------
@@ -77,13 +88,18 @@ class CORAL(MomentTransport):
     covariance = "empirical"
     metric_scale = None
 
-    def __init__(self):
-        pass
+    def __init__(self, *, unlabelled="raise", source_domain=None):
+        BaseTransport.__init__(self, unlabelled=unlabelled, source_domain=source_domain)
 
     def _solve(self, source, target, scale):
         source_root, target_root = root_of_moments(source), root_of_moments(target)
         rank = min(source_root.shape[1], target_root.shape[1])
-        return Solution(AffineMap.between(coral_map(source_root, target_root), source, target), rank)
+        unreached = 0.0
+        if rank < target_root.shape[1]:
+            kept = np.square(spectrum(target_root)[1])
+            unreached = float(kept[rank:].sum() / kept.sum())
+        affine = AffineMap.between(coral_map(source_root, target_root), source, target)
+        return Solution(affine, rank, unreached)
 
     def _solve_back(self, source, target, scale):
         solution = self._solve(target, source, scale)
@@ -98,6 +114,11 @@ class ExactTransport(BaseTransport):
     A row that was fitted goes to the mean of the target rows that the plan sends it to (barycentric
     projection). Any other row goes where the nearest fitted row goes, with its offset from that row, as in
     ``ot.da.EMDTransport``.
+
+    Parameters
+    ----------
+    unlabelled, source_domain
+        As for `AffineTransport`.
 
     Attributes
     ----------
@@ -120,8 +141,8 @@ class ExactTransport(BaseTransport):
            [5.5]])
     """
 
-    def __init__(self):
-        pass
+    def __init__(self, *, unlabelled="raise", source_domain=None):
+        BaseTransport.__init__(self, unlabelled=unlabelled, source_domain=source_domain)
 
     def _fit(self, samples):
         source = self._finite(on_host(samples.source), "X")
@@ -183,6 +204,8 @@ class KernelAlignment(BaseTransport):
         columns.
     random_state : int, RandomState instance or None, default=None
         Which rows the features are made of.
+    unlabelled, source_domain
+        As for `AffineTransport`.
 
     Attributes
     ----------
@@ -212,7 +235,10 @@ class KernelAlignment(BaseTransport):
     True
     """
 
-    def __init__(self, n_components=100, *, gamma=None, random_state=None):
+    def __init__(
+        self, n_components=100, *, gamma=None, random_state=None, unlabelled="raise", source_domain=None
+    ):
+        super().__init__(unlabelled=unlabelled, source_domain=source_domain)
         self.n_components = n_components
         self.gamma = gamma
         self.random_state = random_state

@@ -38,6 +38,8 @@ class ConditionalAffineTransport(MomentTransport):
     rank_deficient : {"raise", "reach"}, default="reach"
         As for `AffineTransport`. Here the default is to reach, because a simulator that is linear and free of noise
         leaves no residual to carry, and the target's mean given the context is then all that a map can give.
+    unlabelled, source_domain
+        As for `AffineTransport`.
 
     Attributes
     ----------
@@ -64,8 +66,16 @@ class ConditionalAffineTransport(MomentTransport):
         metric_scale=None,
         shrinkage=None,
         rank_deficient="reach",
+        unlabelled="raise",
+        source_domain=None,
     ):
-        super().__init__(covariance=covariance, metric_scale=metric_scale, rank_deficient=rank_deficient)
+        super().__init__(
+            covariance=covariance,
+            metric_scale=metric_scale,
+            rank_deficient=rank_deficient,
+            unlabelled=unlabelled,
+            source_domain=source_domain,
+        )
         self.context = context
         self.shrinkage = shrinkage
 

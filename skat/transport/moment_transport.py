@@ -53,7 +53,16 @@ class MomentTransport(BaseTransport):
     _missing: Any = None
     rank_deficient = "raise"
 
-    def __init__(self, *, covariance="empirical", metric_scale=None, rank_deficient="raise"):
+    def __init__(
+        self,
+        *,
+        covariance="empirical",
+        metric_scale=None,
+        rank_deficient="raise",
+        unlabelled="raise",
+        source_domain=None,
+    ):
+        super().__init__(unlabelled=unlabelled, source_domain=source_domain)
         self.covariance = covariance
         self.metric_scale = metric_scale
         self.rank_deficient = rank_deficient

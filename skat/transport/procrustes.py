@@ -39,6 +39,8 @@ class ProcrustesAffineTransport(MomentTransport):
         Lengths in which errors and displacement are measured, as for `AffineTransport`.
     rank_deficient : {"raise", "reach"}, default="raise"
         As for `AffineTransport`.
+    unlabelled, source_domain
+        As for `AffineTransport`.
 
     Attributes
     ----------
@@ -71,8 +73,16 @@ class ProcrustesAffineTransport(MomentTransport):
         covariance="empirical",
         metric_scale=None,
         rank_deficient="raise",
+        unlabelled="raise",
+        source_domain=None,
     ):
-        super().__init__(covariance=covariance, metric_scale=metric_scale, rank_deficient=rank_deficient)
+        super().__init__(
+            covariance=covariance,
+            metric_scale=metric_scale,
+            rank_deficient=rank_deficient,
+            unlabelled=unlabelled,
+            source_domain=source_domain,
+        )
         self.alignment = alignment
         self.center = center
 

@@ -39,6 +39,8 @@ class ResidualTransport(BaseTransport):
         the square: beyond some 5,000 rows give another, as ``make_pipeline(StandardScaler(), Nystroem(), RidgeCV())``.
     cv : int or cross-validation splitter, default=3
         Folds of the cross-fitting. An int is of consecutive rows, so that neighbours in time stay together.
+    unlabelled, source_domain
+        As for `AffineTransport`.
 
     Attributes
     ----------
@@ -69,7 +71,8 @@ class ResidualTransport(BaseTransport):
     True
     """
 
-    def __init__(self, transport=None, regressor=None, *, cv=3):
+    def __init__(self, transport=None, regressor=None, *, cv=3, unlabelled="raise", source_domain=None):
+        super().__init__(unlabelled=unlabelled, source_domain=source_domain)
         self.transport = transport
         self.regressor = regressor
         self.cv = cv

@@ -128,7 +128,9 @@ def test_every_bad_input_has_an_error_of_its_own(transport):
         (lambda: fit(X, y, sample_domain=np.ones(60)), "marks none of the 60 rows as target"),
         (lambda: fit(X, y, sample_domain=np.zeros(60)), "60 of 60 values are zero or NaN"),
         (lambda: fit(X, y, sample_domain=np.ones(59)), "it has 59, X 60 rows"),
-        (lambda: fit(X, y, sample_domain=["source"] * 60), "1-D array of numbers"),
+        (lambda: fit(X, y, sample_domain=["sim"] * 60), "marks none of the 60 rows as target"),
+        (lambda: fit(X, y, sample_domain=["hot"] * 60), r"numbers, .*source_domain='hot'"),
+        (lambda: fit(X, y, sample_domain=np.ones((60, 1))), "1-D array of one label per row"),
         (
             lambda: fit(X, np.vstack([y, y]), sample_weight=np.ones(60)),
             r"60 source rows and 120.*Give a tuple",
