@@ -26,6 +26,8 @@ SERIAL_ELEMENTS = 2**12
 class Moments:
     r"""Weight, mean and scatter of a set of rows; ``a + b`` are the moments of both sets together.
 
+    ``a * w`` are those of rows of so much less or more weight.
+
     The scatter :math:`\sum_k w_k (x_k - m)(x_k - m)^T` is held either as that matrix or, where forming it
     would lose digits, as a factor :math:`F` with :math:`F^T F` the scatter. The two are never mixed up: a sum
     with a factor in it is a factor.
@@ -146,6 +148,47 @@ class Moments:
             scatter=None if self.scatter is None else self.scatter[indices][:, indices],
             factor=None if self.factor is None else self.factor[:, indices],
         )
+
+    def __mul__(self, factor: Any):
+        """Return the moments of the rows with every weight times a positive factor: older rows fade so."""
+        if not isinstance(factor, int | float | np.number):
+            return NotImplemented
+        factor = float(factor)
+        if not 0 < factor < np.inf:
+            raise ValueError(f"weights are multiplied by a positive number; it is {factor!r}.")
+        return replace(
+            self,
+            weight=self.weight * factor,
+            squared_weight=self.squared_weight * factor**2,
+            scatter=None if self.scatter is None else self.scatter * factor,
+            factor=None if self.factor is None else self.factor * np.sqrt(factor),
+        )
+
+    __rmul__ = __mul__
+
+    def __getstate__(self):
+        # A symmetric matrix or a triangle, of which half the numbers do.
+        state: dict[str, Any] = dict(vars(self))
+        n_features = self.n_features
+        if self.scatter is not None:
+            state["scatter"] = self.scatter[np.triu_indices(n_features)]
+        elif self.factor.shape[0] >= n_features and self.is_finite:
+            state["factor"] = triangle(self.factor)[np.triu_indices(n_features)]
+        return state
+
+    def __setstate__(self, state):
+        state = dict(state)
+        n_features = len(state["mean"])
+        upper = np.triu_indices(n_features)
+        if state["scatter"] is not None:
+            scatter = np.zeros((n_features, n_features))
+            scatter[upper] = state["scatter"]
+            state["scatter"] = np.triu(scatter, 1).T + scatter
+        elif state["factor"].ndim == 1:
+            factor = np.zeros((n_features, n_features))
+            factor[upper] = state["factor"]
+            state["factor"] = factor
+        vars(self).update(state)
 
     def __add__(self, other):
         if not isinstance(other, Moments):

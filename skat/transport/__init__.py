@@ -6,6 +6,7 @@ from skat.transport.conditional import ConditionalAffineTransport
 from skat.transport.procrustes import ProcrustesAffineTransport
 from skat.transport.residual import ResidualTransport
 from skat.transport.several import MultiSourceTransport
+from skat.transport.shift import importance_weights
 from skat.transport.splitting import TargetRows
 
 __all__ = [
@@ -19,4 +20,5 @@ __all__ = [
     "ProcrustesAffineTransport",
     "ResidualTransport",
     "TargetRows",
+    "importance_weights",
 ]

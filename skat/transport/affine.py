@@ -29,6 +29,10 @@ class AffineTransport(MomentTransport):
         What to do where the target varies and the source does not, so that no affine map carries one to the
         other. ``"reach"`` carries what can be reached (the mean of the target given the source, under the optimal
         coupling of the normal approximations), and warns of the share of variance that is missing.
+    outside : {"ignore", "warn", "raise"}, default="ignore"
+        What ``transform`` does where more source rows lie outside the support of the fitted ones than chance would
+        put there: where as many are beyond the distance that one in a hundred of the fitted law exceeds as come in
+        one of a thousand samples of it. `in_support` says which rows these are.
     unlabelled : {"raise", "source", "target"}, default="raise"
         After a fit to stacked rows: what rows are that come to ``transform`` without a domain. ``"target"`` returns
         them as they are, so that a pipeline fitted to both domains predicts measured rows.

@@ -38,7 +38,7 @@ class ConditionalAffineTransport(MomentTransport):
     rank_deficient : {"raise", "reach"}, default="reach"
         As for `AffineTransport`. Here the default is to reach, because a simulator that is linear and free of noise
         leaves no residual to carry, and the target's mean given the context is then all that a map can give.
-    unlabelled, source_domain
+    outside, unlabelled, source_domain
         As for `AffineTransport`.
 
     Attributes
@@ -66,6 +66,7 @@ class ConditionalAffineTransport(MomentTransport):
         metric_scale=None,
         shrinkage=None,
         rank_deficient="reach",
+        outside="ignore",
         unlabelled="raise",
         source_domain=None,
     ):
@@ -73,6 +74,7 @@ class ConditionalAffineTransport(MomentTransport):
             covariance=covariance,
             metric_scale=metric_scale,
             rank_deficient=rank_deficient,
+            outside=outside,
             unlabelled=unlabelled,
             source_domain=source_domain,
         )

@@ -39,7 +39,7 @@ class ProcrustesAffineTransport(MomentTransport):
         Lengths in which errors and displacement are measured, as for `AffineTransport`.
     rank_deficient : {"raise", "reach"}, default="raise"
         As for `AffineTransport`.
-    unlabelled, source_domain
+    outside, unlabelled, source_domain
         As for `AffineTransport`.
 
     Attributes
@@ -73,6 +73,7 @@ class ProcrustesAffineTransport(MomentTransport):
         covariance="empirical",
         metric_scale=None,
         rank_deficient="raise",
+        outside="ignore",
         unlabelled="raise",
         source_domain=None,
     ):
@@ -80,6 +81,7 @@ class ProcrustesAffineTransport(MomentTransport):
             covariance=covariance,
             metric_scale=metric_scale,
             rank_deficient=rank_deficient,
+            outside=outside,
             unlabelled=unlabelled,
             source_domain=source_domain,
         )

@@ -126,6 +126,16 @@ class ResidualTransport(BaseTransport):
             carried = np.where(np.asarray(keep)[:, np.newaxis], rows, carried)
         return carried.astype(np.float32 if on_host(X).dtype == np.float32 else np.float64)
 
+    def support_distance(self, X):
+        """Return how far rows are from the fitted ones, as of `transport_`."""
+        self._check_is_fitted()
+        return self.transport_.support_distance(X)
+
+    def in_support(self, X, *, level=0.99):
+        """Return which rows lie where the fitted ones do, as of `transport_`."""
+        self._check_is_fitted()
+        return self.transport_.in_support(X, level=level)
+
     def _carry_back(self, X):
         raise np.linalg.LinAlgError(
             "a transport that a regression corrects has no inverse. Take that of transport_, or fit one with the "

@@ -179,8 +179,9 @@ class MultiSourceTransport(BaseTransport):
             mask = np.array([other == label for other in labels], dtype=bool)
             if mask.any():
                 moved = safe_indexing(X, np.flatnonzero(mask))
-                if self._to_middle[label] is not None:
-                    moved = self._to_middle[label](rows[mask])
+                to_middle = self._to_middle[label]
+                if to_middle is not None:
+                    moved = to_middle(rows[mask])
                 carried[mask] = on_host(transport.transform(moved))
         return carried
 
