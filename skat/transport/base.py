@@ -9,6 +9,7 @@ from sklearn.utils import assert_all_finite, check_array
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from skat._compat import (
+    StrOptions,
     check_feature_names,
     check_n_features,
     check_same_namespace,
@@ -23,7 +24,7 @@ from skat.metrics.domains import domain_signs
 from skat.metrics.samples import weight_of_each_side
 from skat.metrics.wasserstein import affinity
 
-__all__ = ["BaseTransport", "Samples", "same_length"]
+__all__ = ["BaseTransport", "Samples", "is_flat", "same_length"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +55,10 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
     """
 
     _array_api = False
+    _parameter_constraints = {
+        "unlabelled": [StrOptions({"raise", "source", "target"})],
+        "source_domain": "no_validation",
+    }
 
     def __init__(self, *, unlabelled="raise", source_domain=None):
         self.unlabelled = unlabelled
@@ -95,6 +100,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
             If the target is missing, if rows are too few or not finite, if columns differ, or if no map of
             the required kind exists.
         """
+        self._validate_params()
         samples = self._samples(X, y, sample_weight, sample_domain, reset=True)
         for rows, name in ((samples.source, "source"), (samples.target, "target")):
             if not is_dask(rows) and rows.shape[0] < 2:
@@ -213,6 +219,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         tags.target_tags.required = True
         tags.target_tags.two_d_labels = True
         tags.array_api_support = self._array_api
+        tags.transformer_tags.preserves_dtype = ["float64", "float32"]
         return tags
 
     def _check_is_fitted(self):
@@ -243,6 +250,8 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
                 "rows, fit(X, sample_domain=d) with d positive for source rows and negative for target rows."
             )
         source = self._rows(X, "X", reset=reset)
+        if is_flat(y):
+            self._refuse_flat_target(y, source, sample_weight)
         if reset:
             self._see_columns(X, source)
         target = self._target(y)
@@ -302,18 +311,24 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         n_rows = None if is_dask(X) else X.shape[0]
         return domain_signs(on_host(sample_domain), n_rows, self.source_domain)
 
-    def _refuse_flat_target(self, y):
-        shape = y.shape if hasattr(y, "shape") else np.asarray(y).shape
-        if len(shape) == 1:
-            raise ValueError(
-                f"{type(self).__name__} needs target rows: y must be 2-D with the columns of X; it is 1-D, "
-                "of "
-                f"shape {tuple(shape)}. If these are labels and X holds both domains, pass sample_domain=... "
-                "too."
-            )
+    def _refuse_flat_target(self, y, source=None, sample_weight=None):
+        """Raise for a y of one dimension; but first for what is wrong with the source, if anything is."""
+        if source is not None and not is_dask(source):
+            if source.shape[0] < 2:
+                self._refuse_few_rows(source.shape[0], "source")
+            assert_all_finite(source, estimator_name=type(self).__name__, input_name="X")
+            if not isinstance(sample_weight, tuple):
+                _checked_weight(sample_weight, source)
+        columns = "" if source is None else f", n_features = {source.shape[1]}"
+        shape = tuple(y.shape if hasattr(y, "shape") else np.asarray(y).shape)
+        raise ValueError(
+            f"{type(self).__name__} needs target rows: y must be 2-D with the columns of X{columns}; it is 1-D, of "
+            f"shape {shape}. If these are labels and X holds both domains, pass sample_domain=... too."
+        )
 
     def _target(self, y):
-        self._refuse_flat_target(y)
+        if is_flat(y):
+            self._refuse_flat_target(y)
         self._check_target_names(y)
         y = self._rows(y, "y", reset=None)
         if y.shape[1] != self.n_features_in_:
@@ -370,6 +385,12 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
                 "float64. Drop or fill those rows."
             )
         raise ValueError(f"the squares of {names} exceed the range of float64. Choose larger units.")
+
+
+def is_flat(y):
+    """Whether a target is of one dimension, as labels are."""
+    shape = y.shape if hasattr(y, "shape") else np.asarray(y).shape
+    return len(shape) == 1
 
 
 def same_length(source, target):

@@ -1,11 +1,13 @@
 """What a transport has to beat, with the interface of the transports."""
 
 import warnings
+from numbers import Integral, Real
 
 import numpy as np
 from scipy.spatial import KDTree
 from sklearn.base import BaseEstimator, TransformerMixin
 
+from skat._compat import Interval
 from skat.gaussian import AffineMap, coral_map, root_of_moments, spectrum
 from skat.gaussian.backends import on_host
 from skat.metrics.wasserstein import optimal_plan
@@ -40,6 +42,7 @@ class IdentityTransport(MomentTransport):
 
     covariance = "empirical"
     metric_scale = None
+    _parameter_constraints = BaseTransport._parameter_constraints
 
     def __init__(self, *, unlabelled="raise", source_domain=None):
         BaseTransport.__init__(self, unlabelled=unlabelled, source_domain=source_domain)
@@ -87,6 +90,7 @@ class CORAL(MomentTransport):
 
     covariance = "empirical"
     metric_scale = None
+    _parameter_constraints = BaseTransport._parameter_constraints
 
     def __init__(self, *, unlabelled="raise", source_domain=None):
         BaseTransport.__init__(self, unlabelled=unlabelled, source_domain=source_domain)
@@ -234,6 +238,13 @@ class KernelAlignment(BaseTransport):
     >>> bool(np.linalg.norm(carried - target, axis=1).mean() < 0.4)  # 0.5 before
     True
     """
+
+    _parameter_constraints = {
+        **BaseTransport._parameter_constraints,
+        "n_components": [Interval(Integral, 1, None, closed="left")],
+        "gamma": [None, Interval(Real, 0, None, closed="neither")],
+        "random_state": ["random_state"],
+    }
 
     def __init__(
         self, n_components=100, *, gamma=None, random_state=None, unlabelled="raise", source_domain=None

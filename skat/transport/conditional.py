@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from skat._compat import column_indices
+from skat._compat import StrOptions, column_indices
 from skat.transport.moment_transport import MomentTransport, Solution
 from skat.transport.regression import conditional_map
 
@@ -24,7 +24,8 @@ class ConditionalAffineTransport(MomentTransport):
     ----------
     context : int, str, slice, list, array of bool or callable
         An int k: the first k columns (not the k-th, as in `~sklearn.compose.ColumnTransformer`). Anything
-        else selects columns as there: positions or names in a list, a slice, a mask, or a callable of `X`.
+        else selects columns as there: positions or names in a list, one name, a slice, a mask, or a callable of `X`
+        as of `~sklearn.compose.make_column_selector`.
     covariance : {"empirical", "shrunk"} or estimator, default="empirical"
         As for `AffineTransport`, for all columns together. Where the context determines the rest almost
         exactly, the regression needs no shrinkage and is worse off with it.
@@ -58,6 +59,12 @@ class ConditionalAffineTransport(MomentTransport):
     array([[1. , 1.5]])
     """
 
+    _parameter_constraints = {
+        **MomentTransport._parameter_constraints,
+        "context": "no_validation",
+        "shrinkage": [None, StrOptions({"source"})],
+    }
+
     def __init__(
         self,
         *,
@@ -83,8 +90,6 @@ class ConditionalAffineTransport(MomentTransport):
 
     def _check_parameters(self):
         super()._check_parameters()
-        if self.shrinkage not in (None, "source"):
-            raise ValueError(f'shrinkage must be None or "source"; it is {self.shrinkage!r}.')
         if self.shrinkage == "source" and self.covariance != "empirical":
             raise ValueError(
                 'shrinkage="source" draws slope and residuals towards the source by itself; with '

@@ -11,10 +11,11 @@ from sklearn.base import clone
 from sklearn.exceptions import NotFittedError
 from sklearn.utils.validation import has_fit_parameter
 
+from skat._compat import HasMethods, StrOptions
 from skat.gaussian import AffineMap, Moments, covariance_root, distance_of_roots, root_of_moments, spectrum
 from skat.gaussian.backends import apply_map, is_dask, moments_of, on_host, to_namespace
 from skat.gaussian.maps import EPS
-from skat.transport.base import BaseTransport
+from skat.transport.base import BaseTransport, is_flat
 from skat.transport.shift import MOST_CALIBRATING_ROWS, Distances, Support
 from skat.transport.shrinkage import shrunk_towards
 
@@ -55,6 +56,13 @@ class MomentTransport(BaseTransport):
     """
 
     _array_api = True
+    _parameter_constraints = {
+        **BaseTransport._parameter_constraints,
+        "covariance": [StrOptions({"empirical", "shrunk"}), HasMethods("fit")],
+        "metric_scale": [None, StrOptions({"target"}), "array-like"],
+        "rank_deficient": [StrOptions({"raise", "reach"})],
+        "outside": [StrOptions({"ignore", "warn", "raise"})],
+    }
     _moments: Any = None
     _missing: Any = None
     rank_deficient = "raise"
@@ -112,6 +120,7 @@ class MomentTransport(BaseTransport):
         ValueError
             As for `fit`; and with a covariance estimator, which needs all rows at once.
         """
+        self._validate_params()
         self._check_parameters()
         if not isinstance(self.covariance, str):
             raise ValueError(
@@ -136,7 +145,8 @@ class MomentTransport(BaseTransport):
     def _part(self, X, y, sample_weight, sample_domain, *, reset):
         """Return validated samples of which either side may be missing."""
         if X is None:
-            self._refuse_flat_target(y)
+            if is_flat(y):
+                self._refuse_flat_target(y)
             target = self._rows(y, "y", reset=reset)
             if reset:
                 self._see_columns(y, target)
@@ -163,18 +173,11 @@ class MomentTransport(BaseTransport):
         self._warn_of_unreached()
 
     def _check_parameters(self):
-        names = ("empirical", "shrunk")
-        if isinstance(self.covariance, str):
-            if self.covariance not in names:
-                raise ValueError(
-                    f"covariance must be one of {names} or a covariance estimator of scikit-learn; "
-                    f"it is {self.covariance!r}."
-                )
-        elif isinstance(self.covariance, type) or not hasattr(self.covariance, "fit"):
+        """Look at what `_parameter_constraints` cannot say."""
+        if isinstance(self.covariance, type):
             raise ValueError(
-                f"covariance must be one of {names} or an instance of a covariance estimator of "
-                "scikit-learn; "
-                f"it is {self.covariance!r}."
+                "covariance must be an instance of a covariance estimator, not its class; give "
+                f"{self.covariance.__name__}()."
             )
 
     def _sets_of_rows(self, samples):
@@ -372,10 +375,6 @@ class MomentTransport(BaseTransport):
         if self.metric_scale is None:
             return np.ones(target.n_features)
         if isinstance(self.metric_scale, str):
-            if self.metric_scale != "target":
-                raise ValueError(
-                    f'metric_scale must be None, "target" or an array of lengths, not {self.metric_scale!r}.'
-                )
             deviation = np.sqrt(target.variance)
             return np.where(deviation > 0, deviation, 1.0)
         scale = np.asarray(self.metric_scale, dtype=np.float64)

@@ -4,6 +4,7 @@ import warnings
 
 import numpy as np
 
+from skat._compat import StrOptions
 from skat.gaussian import AffineMap, root_of_moments
 from skat.gaussian.backends import beside
 from skat.transport.alignment import look_shuffled, raw_alignment, whitened_alignment
@@ -65,6 +66,12 @@ class ProcrustesAffineTransport(MomentTransport):
            [ 1.,  0.]])
     """
 
+    _parameter_constraints = {
+        **MomentTransport._parameter_constraints,
+        "alignment": [StrOptions({"whitened", "raw"})],
+        "center": ["boolean"],
+    }
+
     def __init__(
         self,
         *,
@@ -90,8 +97,6 @@ class ProcrustesAffineTransport(MomentTransport):
 
     def _check_parameters(self):
         super()._check_parameters()
-        if self.alignment not in ("whitened", "raw"):
-            raise ValueError(f'alignment must be "whitened" or "raw"; it is {self.alignment!r}.')
         if not self.center and self.alignment != "raw":
             raise ValueError(
                 'center=False belongs to alignment="raw", the letter of Algorithm 1; whitening is by '

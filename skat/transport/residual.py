@@ -6,6 +6,7 @@ import numpy as np
 from sklearn.base import clone
 from sklearn.utils.validation import has_fit_parameter
 
+from skat._compat import HasMethods
 from skat.gaussian.backends import is_dask, on_host
 from skat.transport.base import BaseTransport, same_length
 from skat.transport.procrustes import ProcrustesAffineTransport
@@ -70,6 +71,13 @@ class ResidualTransport(BaseTransport):
     >>> bool(abs(carried[0, 0] - 0.5 - np.sin(1.0)) < 0.02)
     True
     """
+
+    _parameter_constraints = {
+        **BaseTransport._parameter_constraints,
+        "transport": [None, HasMethods(["fit", "transform"])],
+        "regressor": [None, HasMethods(["fit", "predict"])],
+        "cv": ["cv_object"],
+    }
 
     def __init__(self, transport=None, regressor=None, *, cv=3, unlabelled="raise", source_domain=None):
         super().__init__(unlabelled=unlabelled, source_domain=source_domain)

@@ -3,7 +3,7 @@
 import numpy as np
 from sklearn.base import clone
 
-from skat._compat import safe_indexing
+from skat._compat import HasMethods, StrOptions, safe_indexing
 from skat.gaussian import AffineMap, covariance_root, optimal_map, row_moments
 from skat.gaussian.backends import is_dask, on_host
 from skat.transport.affine import AffineTransport
@@ -57,6 +57,13 @@ class MultiSourceTransport(BaseTransport):
     array([5., 7., 5., 7., 5., 7.])
     """
 
+    _parameter_constraints = {
+        "transport": [None, HasMethods(["fit", "transform"])],
+        "by": [StrOptions({"each", "barycentre"})],
+        "target_domain": "no_validation",
+        "unlabelled": [StrOptions({"raise", "target"})],
+    }
+
     def __init__(self, transport=None, *, by="each", target_domain=None, unlabelled="raise"):
         self.transport = transport
         self.by = by
@@ -88,10 +95,7 @@ class MultiSourceTransport(BaseTransport):
         ValueError
             If the domains are missing, or hold no target or no source.
         """
-        if self.by not in ("each", "barycentre"):
-            raise ValueError(f'by must be "each" or "barycentre"; it is {self.by!r}.')
-        if self.unlabelled not in ("raise", "target"):
-            raise ValueError(f'unlabelled must be "raise" or "target" here; it is {self.unlabelled!r}.')
+        self._validate_params()
         if sample_domain is None:
             raise ValueError(
                 f"{type(self).__name__} has to know the domain of every row: fit(X, sample_domain=labels)."

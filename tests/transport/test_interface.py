@@ -7,12 +7,14 @@ import pandas as pd
 import pytest
 from sklearn import config_context
 from sklearn.base import clone
+from sklearn.compose import make_column_selector
 from sklearn.covariance import GraphicalLasso, LedoitWolf
 from sklearn.exceptions import NotFittedError
 from sklearn.linear_model import Ridge
 from sklearn.model_selection import GridSearchCV, cross_validate, learning_curve
 from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import StandardScaler
+from sklearn.utils._param_validation import InvalidParameterError
 
 from skat import (
     CORAL,
@@ -21,8 +23,10 @@ from skat import (
     ExactTransport,
     IdentityTransport,
     ProcrustesAffineTransport,
+    ResidualTransport,
 )
 from skat.metrics import affinity_scorer, paired_error_scorer
+from skat.transport import KernelAlignment
 
 TRANSPORTS = [
     AffineTransport(),
@@ -35,6 +39,7 @@ TRANSPORTS = [
     CORAL(),
     ExactTransport(),
     IdentityTransport(),
+    ResidualTransport(regressor=Ridge()),
 ]
 each_transport = pytest.mark.parametrize("transport", TRANSPORTS, ids=str)
 
@@ -150,7 +155,7 @@ def test_transform_refuses_what_fit_would(transport):
     with pytest.raises(ValueError, match="Input X contains NaN"):
         fitted.transform(spoilt)
     with pytest.raises(ValueError, match="Input X contains NaN"):
-        fitted.inverse_transform(spoilt)
+        (fitted.transform if isinstance(fitted, ResidualTransport) else fitted.inverse_transform)(spoilt)
     with pytest.raises(ValueError, match="3 features"):
         fitted.transform(X[:, :2])
     with pytest.raises(NotFittedError):
@@ -160,17 +165,29 @@ def test_transform_refuses_what_fit_would(transport):
 def test_parameters_that_make_no_sense_are_told_so():
     X, y = pairs()
     for transport, message in [
-        (AffineTransport(covariance="robust"), r"\('empirical', 'shrunk'\).*'robust'"),
-        (AffineTransport(covariance=LedoitWolf), "an instance of"),
-        (AffineTransport(metric_scale="source"), 'None, "target" or an array'),
+        (
+            AffineTransport(covariance="robust"),
+            "'covariance' parameter .* a str among .*Got 'robust'",
+        ),
+        (AffineTransport(covariance=LedoitWolf), r"not its class; give LedoitWolf\(\)"),
+        (AffineTransport(metric_scale="source"), "'metric_scale' parameter .* Got 'source'"),
         (AffineTransport(metric_scale=[1.0, -1.0, 2.0]), "one positive length per feature, 3"),
-        (ProcrustesAffineTransport(alignment="none"), '"whitened" or "raw"'),
+        (ProcrustesAffineTransport(alignment="none"), "'alignment' parameter .* Got 'none'"),
         (ProcrustesAffineTransport(center=False), 'alignment="raw"'),
         (ConditionalAffineTransport(context=3), "less than the number of columns"),
         (ConditionalAffineTransport(context=[]), "names 0 of 3"),
+        (ConditionalAffineTransport(context=1, shrinkage="target"), "'shrinkage' parameter"),
+        (ConditionalAffineTransport(context=1, shrinkage="source", covariance="shrunk"), "drawn twice"),
+        (AffineTransport(unlabelled="real"), "'unlabelled' parameter .* Got 'real'"),
+        (AffineTransport(rank_deficient="drop"), "'rank_deficient' parameter"),
+        (AffineTransport(outside="stop"), "'outside' parameter"),
+        (ResidualTransport(regressor="ridge"), "'regressor' parameter"),
+        (KernelAlignment(gamma=-1.0), "'gamma' parameter"),
     ]:
         with pytest.raises(ValueError, match=message):
             transport.fit(X, y)
+    with pytest.raises(InvalidParameterError):
+        AffineTransport(covariance="robust").fit(X, y)
 
 
 def test_weights_are_repetitions():
@@ -248,7 +265,16 @@ def test_shuffled_pairs_warn_nearly_always_and_true_ones_never():
 
 @pytest.mark.parametrize(
     "context",
-    [2, [0, 1], ["x", "y"], slice(0, 2), [True, True, False], lambda X: [0, 1], lambda X: X.columns != "v"],
+    [
+        2,
+        [0, 1],
+        ["x", "y"],
+        slice(0, 2),
+        [True, True, False],
+        lambda X: [0, 1],
+        lambda X: X.columns != "v",
+        make_column_selector("x|y"),
+    ],
 )
 def test_context_is_understood_in_every_form(context):
     X, y = (pd.DataFrame(rows, columns=["x", "y", "v"]) for rows in pairs())
