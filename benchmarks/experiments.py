@@ -62,6 +62,10 @@ def main():
     parser.add_argument("--pieces", type=Path, default=Path("build/experiments"))
     parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS)
     parser.add_argument("--sizes", type=int, nargs="+", default=SIZES)
+    parser.add_argument(
+        "--methods", nargs="+", help="Some of a robot's methods; the table's name ends in _some."
+    )
+    parser.add_argument("--scored", type=int, default=500, help="Rows that rho is of.")
     arguments = parser.parse_args()
     arguments.results.mkdir(exist_ok=True)
     for name in arguments.names:
@@ -73,7 +77,8 @@ def main():
             path = arguments.results / f"experiments_{name}{suffix}.csv"
             table.to_csv(path, index=False, float_format="%.4g")
             print(f"\n{path.name}\n{table.to_string(index=False)}")
-        if name in ROBOTS and not arguments.small:
+        whole = not arguments.small and not arguments.methods and {*arguments.sizes} == {*SIZES}
+        if name in ROBOTS and whole:
             for line, holds in bounds(tables[""], tables["_covariance"], name):
                 print(f"{'holds' if holds else 'DOES NOT HOLD'}: {line}")
         seconds, cpu_seconds = time.perf_counter() - began, time.process_time() - began_cpu
@@ -99,18 +104,27 @@ def robots(name, arguments):
         size: over_seeds([piece(name, size, seed, arguments) for seed in arguments.seeds])
         for size in sorted(arguments.sizes)
     }
+    medians = pd.concat([robot_medians(table, size) for size, table in tables.items()])
+    if arguments.methods:
+        return {"_some": medians}
     return {
-        "": pd.concat([robot_medians(table, size) for size, table in tables.items()]),
+        "": medians,
         "_covariance": pd.concat([covariances(table, size) for size, table in tables.items()]),
     }
 
 
 def piece(robot, size, seed, arguments):
     """Return the table of one seed and number of rows, from its file where it has been made."""
-    path = arguments.pieces / f"{robot}_{size}_{seed}{'_small' if arguments.small else ''}.csv"
+    cut = ("_small" if arguments.small else "") + ("_some" if arguments.methods else "")
+    path = arguments.pieces / f"{robot}_{size}_{seed}{cut}.csv"
     if not path.exists():
-        methods = [name for name, method in METHODS.items() if seed == SEEDS[0] or not method.slow]
+        methods = [
+            name
+            for name, method in METHODS.items()
+            if name in (arguments.methods or METHODS) and (seed == SEEDS[0] or not method.slow)
+        ]
         options = {"conditions": SMALL_WORLDS, "n_test": 500} if arguments.small else {}
+        options["n_scored"] = arguments.scored
         table = domain_matrix(
             robot, n_transitions=size, methods=methods, n_repeats=1, random_state=seed, **options
         )
