@@ -11,7 +11,7 @@ from skat._compat import (
     is_numpy_namespace,
     supported_float_dtypes,
 )
-from skat.gaussian.moments import Moments, row_moments
+from skat.gaussian.moments import Moments, SideBySide, row_moments
 
 __all__ = ["apply_map", "beside", "is_dask", "moments_of", "on_host", "to_namespace"]
 
@@ -89,7 +89,7 @@ def beside(X, y):
         X, y = _dask_array(X), _dask_array(y)
         return da.concatenate([X, y.rechunk({0: X.chunks[0]})], axis=1)
     xp, _, _ = get_namespace_and_device(X, y)
-    return np.hstack([X, y]) if is_numpy_namespace(xp) else xp.concat([X, y], axis=1)
+    return SideBySide(X, y) if is_numpy_namespace(xp) else xp.concat([X, y], axis=1)
 
 
 def on_host(array):
@@ -113,9 +113,10 @@ def to_namespace(array, like):
 def _eager_moments(rows, weight):
     if rows is None:
         return None
-    xp, _, device = get_namespace_and_device(rows)
-    if not is_numpy_namespace(xp):
-        return _device_moments(rows, weight, xp, device)
+    if not isinstance(rows, SideBySide):
+        xp, _, device = get_namespace_and_device(rows)
+        if not is_numpy_namespace(xp):
+            return _device_moments(rows, weight, xp, device)
     if weight is not None and not np.any(weight):
         return None
     return row_moments(rows, weight)

@@ -98,15 +98,14 @@ class AffineMap:
 
         def carry(starts):
             buffer = np.empty((min(size, len(rows)), rows.shape[1]))
+            product = None if carried.dtype == np.float64 else np.empty(buffer.shape)
             for start in starts:
                 block, image = rows[start : start + size], carried[start : start + size]
                 centred = buffer[: len(block)]
                 np.subtract(block, self.source_mean, out=centred)
-                if image.dtype == np.float64:
-                    np.matmul(centred, transposed, out=image)
-                    image += self.target_mean
-                else:
-                    image[...] = centred @ transposed + self.target_mean
+                wide = image if product is None else product[: len(block)]
+                np.matmul(centred, transposed, out=wide)
+                np.add(wide, self.target_mean, out=image, casting="same_kind")
                 if self.untouched is not None:
                     image[:, self.untouched] = block[:, self.untouched]
 

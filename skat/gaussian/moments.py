@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import lapack
 
-__all__ = ["Moments", "row_moments", "triangle"]
+__all__ = ["Moments", "SideBySide", "row_moments", "triangle"]
 
 # A product X'X squares the condition of X. Beyond this condition of the correlation matrix it costs more than
 # about ten digits of the smallest direction, and the rows go through QR instead.
@@ -20,6 +20,39 @@ SMALLEST_SPREAD = 1e-140
 BLOCK_ELEMENTS = 2**18
 # BLAS works on pieces of this size without threads, whose start costs more than such a piece.
 SERIAL_ELEMENTS = 2**12
+
+
+class SideBySide:
+    """Two arrays of as many rows, read as one array with the columns of both, which is never made.
+
+    Parameters
+    ----------
+    first, second : ndarray of shape (n_rows, n_features)
+    """
+
+    ndim = 2
+
+    def __init__(self, first, second):
+        self.parts = first, second
+        self.shape = first.shape[0], first.shape[1] + second.shape[1]
+        self.dtype = np.result_type(first, second)
+
+    def __len__(self):
+        return self.shape[0]
+
+    def __getitem__(self, rows):
+        first, second = (part[rows] for part in self.parts)
+        if first.ndim == 1:
+            return np.concatenate([first, second])
+        return SideBySide(first, second)
+
+    def less(self, shift, out=None):
+        """Return the rows, as float64, less a vector."""
+        out = np.empty(self.shape) if out is None else out
+        middle = self.parts[0].shape[1]
+        np.subtract(self.parts[0], shift[:middle], out=out[:, :middle])
+        np.subtract(self.parts[1], shift[middle:], out=out[:, middle:])
+        return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,6 +311,13 @@ def _sum_with_remainder(large, small):
     return rounded, small - (rounded - large)
 
 
+def _less(rows, shift, out=None):
+    """Return a block of rows, as float64, less a vector."""
+    if isinstance(rows, SideBySide):
+        return rows.less(shift, out)
+    return np.subtract(rows, shift, out=out, dtype=np.float64)
+
+
 def _blocks(n_rows, n_features):
     size = max(BLOCK_ELEMENTS // n_features, n_features, 256)
     return [slice(start, min(start + size, n_rows)) for start in range(0, n_rows, size)]
@@ -292,7 +332,7 @@ def _near_mean(rows, weight):
 def _mean_about(rows, weight, shift):
     total = np.zeros(rows.shape[1])
     for block in _blocks(*rows.shape):
-        shifted = np.subtract(rows[block], shift, dtype=np.float64)
+        shifted = _less(rows[block], shift)
         total += shifted.sum(axis=0) if weight is None else weight[block] @ shifted
     return total / (len(rows) if weight is None else weight.sum())
 
@@ -306,7 +346,7 @@ def _scatter_about(rows, weight, shift):
     scatter, total = np.zeros((n_features, n_features)), np.zeros(n_features)
     for block in blocks:
         shifted = buffer[: block.stop - block.start]
-        np.subtract(rows[block], shift, out=shifted)
+        _less(rows[block], shift, shifted)
         if weight is None:
             total += ones[: len(shifted)] @ shifted
         else:
@@ -332,7 +372,7 @@ def _row_factor(rows, weight, mean):
     factor = np.empty((0, n_features))
     for start in range(0, n_rows, size):
         block = slice(start, start + size)
-        centred = np.subtract(rows[block], mean, dtype=np.float64)
+        centred = _less(rows[block], mean)
         if weight is not None:
             centred *= np.sqrt(weight[block])[:, np.newaxis]
         factor = _compressed(np.vstack([factor, centred]) if len(factor) else centred, at_most=2 * n_features)

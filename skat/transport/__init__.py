@@ -2,6 +2,7 @@
 
 from skat.transport.affine import AffineTransport
 from skat.transport.baselines import CORAL, ExactTransport, IdentityTransport, KernelAlignment
+from skat.transport.batched import BatchedMaps, fit_batched
 from skat.transport.conditional import ConditionalAffineTransport
 from skat.transport.procrustes import ProcrustesAffineTransport
 from skat.transport.residual import ResidualTransport
@@ -12,6 +13,7 @@ from skat.transport.splitting import TargetRows
 __all__ = [
     "CORAL",
     "AffineTransport",
+    "BatchedMaps",
     "ConditionalAffineTransport",
     "ExactTransport",
     "IdentityTransport",
@@ -20,5 +22,6 @@ __all__ = [
     "ProcrustesAffineTransport",
     "ResidualTransport",
     "TargetRows",
+    "fit_batched",
     "importance_weights",
 ]

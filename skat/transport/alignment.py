@@ -186,13 +186,20 @@ def look_shuffled(source_factor, target_factor, n_rows):
     bool
         False where pairs are so few that even those which agree exactly would not show it.
     """
-    source_scores, target_scores = _principal(source_factor)[0], _principal(target_factor)[0]
+    source_scores, target_scores = _basis(source_factor), _basis(target_factor)
     p, q, size = source_scores.shape[1], target_scores.shape[1], n_rows - 1
     if size <= max(p, q, 1):
         return False
     variance = 2 * p * q * (size - p) * (size - q) / (size**2 * (size - 1) * (size + 2))
     least = p * q / size + LEAST_CORRELATION * np.sqrt(variance)
     return bool(np.square(target_scores.T @ source_scores).sum() < least <= min(p, q))
+
+
+def _basis(factor):
+    """Return orthonormal columns that span those of a factor."""
+    if root_of_factor(factor).shape[1] == factor.shape[1]:
+        return np.linalg.qr(factor)[0]
+    return _principal(factor)[0]
 
 
 def _principal(factor, root=None, rounding=None):

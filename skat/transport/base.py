@@ -20,9 +20,10 @@ from skat._compat import (
     supported_float_dtypes,
 )
 from skat.gaussian.backends import is_dask, on_host
+from skat.metrics.affinity import affinity_estimate
 from skat.metrics.domains import domain_signs
 from skat.metrics.samples import weight_of_each_side
-from skat.metrics.wasserstein import affinity
+from skat.metrics.wasserstein import affinity, is_large_cost
 
 __all__ = ["BaseTransport", "Samples", "is_flat", "same_length"]
 
@@ -196,8 +197,9 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         .. math:: \rho = 1 - \frac{W_2(T X, Y)}{\sqrt{2 \operatorname{tr} \Sigma(Y)}}
 
         It is not clipped: on rows that were not fitted it may be negative. Time grows with the cube of the
-        number of rows and memory with its square, up to 8 GB; see `skat.metrics` for estimates at scale and
-        for what the score does not tell.
+        number of rows and memory with its square. Where that would be more than 8 GB, beyond 31,600 rows of
+        each, it is the score of `~skat.metrics.affinity_estimate` (with ``random_state=0``) instead, an estimate of
+        what infinitely many rows would score and so not to be compared with scores of fewer rows.
 
         Parameters
         ----------
@@ -212,6 +214,9 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         self._check_is_fitted()
         samples = self._samples(X, y, sample_weight, sample_domain, reset=False)
         carried, target = (on_host(rows) for rows in (self._carry(samples.source), samples.target))
+        unweighted = samples.source_weight is None and samples.target_weight is None
+        if unweighted and is_large_cost(len(carried), len(target)):
+            return affinity_estimate(carried, target, random_state=0).score
         return affinity(carried, target, x_weight=samples.source_weight, y_weight=samples.target_weight)
 
     def __sklearn_tags__(self):
