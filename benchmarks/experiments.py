@@ -6,7 +6,7 @@ Run from the root of the repository::
     python benchmarks/experiments.py hopper puck          # some of it
     python benchmarks/experiments.py --small              # a cut of two minutes, for a look
 
-A robot's table is made in pieces, one for each seed and number of rows, which are kept in ``--pieces`` and not made
+A robot's table is made in pieces, one for each seed, number of rows and world to carry from, which are kept in ``--pieces`` and not made
 again, so that a run that was ended goes on where it was. Pieces of several runs at once may lie in one folder.
 
 Each experiment writes ``benchmarks/results/experiments_<name>.csv``; the pucks' also
@@ -31,7 +31,7 @@ from skat import ProcrustesAffineTransport
 from skat.experiments import domain_matrix, in_columns_of_paper, puck_learning_curve, puck_table
 from skat.experiments.methods import METHODS, RegressionTransport
 from skat.experiments.puck import SIMULATIONS
-from skat.experiments.robots import COVARIANCE_MEASURES, MEASURES
+from skat.experiments.robots import CONDITIONS, COVARIANCE_MEASURES, MEASURES
 
 RESULTS = Path(__file__).parent / "results"
 SEEDS = (0, 1, 2)
@@ -101,7 +101,7 @@ def robots(name, arguments):
     """Return medians over the ordered pairs of worlds, and those of the covariance by every measure."""
     arguments.pieces.mkdir(parents=True, exist_ok=True)
     tables = {
-        size: over_seeds([piece(name, size, seed, arguments) for seed in arguments.seeds])
+        size: over_seeds([seed_table(name, size, seed, arguments) for seed in arguments.seeds])
         for size in sorted(arguments.sizes)
     }
     medians = pd.concat([robot_medians(table, size) for size, table in tables.items()])
@@ -113,20 +113,32 @@ def robots(name, arguments):
     }
 
 
-def piece(robot, size, seed, arguments):
-    """Return the table of one seed and number of rows, from its file where it has been made."""
+def seed_table(robot, size, seed, arguments):
+    """Return the table of one seed and number of rows, in pieces from the files of those that have been made."""
+    conditions = SMALL_WORLDS if arguments.small else CONDITIONS
+    return pd.concat([piece(robot, size, seed, source, conditions, arguments) for source in conditions])
+
+
+def piece(robot, size, seed, source, conditions, arguments):
+    """Return the part of a table in which rows of one world are carried."""
     cut = ("_small" if arguments.small else "") + ("_some" if arguments.methods else "")
-    path = arguments.pieces / f"{robot}_{size}_{seed}{cut}.csv"
+    path = arguments.pieces / f"{robot}_{size}_{seed}_{source}{cut}.csv"
     if not path.exists():
         methods = [
             name
             for name, method in METHODS.items()
             if name in (arguments.methods or METHODS) and (seed == SEEDS[0] or not method.slow)
         ]
-        options = {"conditions": SMALL_WORLDS, "n_test": 500} if arguments.small else {}
-        options["n_scored"] = arguments.scored
         table = domain_matrix(
-            robot, n_transitions=size, methods=methods, n_repeats=1, random_state=seed, **options
+            robot,
+            n_transitions=size,
+            methods=methods,
+            n_repeats=1,
+            random_state=seed,
+            sources=[source],
+            conditions=conditions,
+            n_test=500 if arguments.small else 2000,
+            n_scored=arguments.scored,
         )
         unfinished = path.with_suffix(".part")
         table.to_csv(unfinished, index=False)
