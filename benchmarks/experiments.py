@@ -6,14 +6,21 @@ Run from the root of the repository::
     python benchmarks/experiments.py hopper puck          # some of it
     python benchmarks/experiments.py --small              # a cut of two minutes, for a look
 
+A robot's table is made in pieces, one for each seed, number of rows and world to carry from, which are kept in
+``--pieces`` and not made
+again, so that a run that was ended goes on where it was. Pieces of several runs at once may lie in one folder.
+
 Each experiment writes ``benchmarks/results/experiments_<name>.csv``; the pucks' also
 ``experiments_puck_paper.csv``, in the columns of the paper, and a robot's ``experiments_<robot>_covariance.csv``,
 which compares a transport and regressions by every measure of covariance. "between" asks whether any map between
 least squares and a transport would keep the covariance better with few rows. Bounds that the medians of a robot are
-to keep are printed with whether they hold. The seed is 0 throughout.
+to keep are printed with whether they hold. The seed is 0 throughout, and
+0, 1, 2 for the robots.
 """
 
 import argparse
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -23,11 +30,12 @@ from sklearn.linear_model import LinearRegression
 
 from skat import ProcrustesAffineTransport
 from skat.experiments import domain_matrix, in_columns_of_paper, puck_learning_curve, puck_table
-from skat.experiments.methods import RegressionTransport
+from skat.experiments.methods import METHODS, RegressionTransport
 from skat.experiments.puck import SIMULATIONS
-from skat.experiments.robots import COVARIANCE_MEASURES
+from skat.experiments.robots import CONDITIONS, COVARIANCE_MEASURES, MEASURES
 
 RESULTS = Path(__file__).parent / "results"
+SEEDS = (0, 1, 2)
 ROBOTS = ("hopper", "halfcheetah", "ant")
 SIZES = (2000, 200)
 SMALL_WORLDS = ("normal", "heavy", "inverted")
@@ -52,43 +60,107 @@ def main():
     parser.add_argument("names", nargs="*", default=names, help=f"Which: {', '.join(names)}")
     parser.add_argument("--small", action="store_true")
     parser.add_argument("--results", type=Path, default=RESULTS)
+    parser.add_argument("--pieces", type=Path, default=Path("build/experiments"))
+    parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS)
+    parser.add_argument("--sizes", type=int, nargs="+", default=SIZES)
+    parser.add_argument(
+        "--methods", nargs="+", help="Some of a robot's methods; the table's name ends in _some."
+    )
+    parser.add_argument("--scored", type=int, default=500, help="Rows that rho is of.")
     arguments = parser.parse_args()
     arguments.results.mkdir(exist_ok=True)
     for name in arguments.names:
         if name not in names:
             parser.error(f"unknown experiment {name!r}. There are: {', '.join(names)}")
         began, began_cpu = time.perf_counter(), time.process_time()
-        tables = tables_of(name, arguments.small)
+        tables = tables_of(name, arguments)
         for suffix, table in tables.items():
             path = arguments.results / f"experiments_{name}{suffix}.csv"
             table.to_csv(path, index=False, float_format="%.4g")
             print(f"\n{path.name}\n{table.to_string(index=False)}")
-        if name in ROBOTS and not arguments.small:
+        whole = not arguments.small and not arguments.methods and {*arguments.sizes} == {*SIZES}
+        if name in ROBOTS and whole:
             for line, holds in bounds(tables[""], tables["_covariance"], name):
                 print(f"{'holds' if holds else 'DOES NOT HOLD'}: {line}")
         seconds, cpu_seconds = time.perf_counter() - began, time.process_time() - began_cpu
         print(f"{name}: {seconds:.0f} s, {cpu_seconds:.0f} s of processor time", flush=True)
 
 
-def tables_of(name, small):
+def tables_of(name, arguments):
     """Return the tables of an experiment by what their files' names end in."""
+    small = arguments.small
     if name == "puck":
         return pucks(small)
     if name == "learning_curve":
         return {"": curves(small)}
     if name == "between":
         return {"": between(small)}
-    return {"": diagnoses(small)} if name == "diagnosis" else robots(name, small)
+    return {"": diagnoses(small)} if name == "diagnosis" else robots(name, arguments)
 
 
-def robots(name, small):
+def robots(name, arguments):
     """Return medians over the ordered pairs of worlds, and those of the covariance by every measure."""
-    options = {"conditions": SMALL_WORLDS, "n_repeats": 1, "n_test": 500} if small else {}
-    tables = {size: domain_matrix(name, n_transitions=size, **options) for size in SIZES}
+    arguments.pieces.mkdir(parents=True, exist_ok=True)
+    tables = {
+        size: over_seeds([seed_table(name, size, seed, arguments) for seed in arguments.seeds])
+        for size in sorted(arguments.sizes)
+    }
+    medians = pd.concat([robot_medians(table, size) for size, table in tables.items()])
+    if arguments.methods:
+        return {"_some": medians}
     return {
-        "": pd.concat([robot_medians(table, size) for size, table in tables.items()]),
+        "": medians,
         "_covariance": pd.concat([covariances(table, size) for size, table in tables.items()]),
     }
+
+
+def seed_table(robot, size, seed, arguments):
+    """Return the table of one seed and number of rows, in pieces from the files of those that have been made."""
+    conditions = SMALL_WORLDS if arguments.small else CONDITIONS
+    return pd.concat([piece(robot, size, seed, source, conditions, arguments) for source in conditions])
+
+
+def piece(robot, size, seed, source, conditions, arguments):
+    """Return the part of a table in which rows of one world are carried."""
+    cut = ("_small" if arguments.small else "") + ("_some" if arguments.methods else "")
+    path = arguments.pieces / f"{robot}_{size}_{seed}_{source}{cut}.csv"
+    if not path.exists():
+        methods = [
+            name
+            for name, method in METHODS.items()
+            if name in (arguments.methods or METHODS) and (seed == SEEDS[0] or not method.slow)
+        ]
+        table = domain_matrix(
+            robot,
+            n_transitions=size,
+            methods=methods,
+            n_repeats=1,
+            random_state=seed,
+            sources=[source],
+            conditions=conditions,
+            n_test=500 if arguments.small else 2000,
+            n_scored=arguments.scored,
+        )
+        unfinished = path.with_suffix(".part")
+        table.to_csv(unfinished, index=False)
+        unfinished.rename(path)
+        print(f"{path} at {commit()}: {' '.join(sys.argv)}", flush=True)
+    return pd.read_csv(path)
+
+
+def over_seeds(tables):
+    """Return means over the seeds, and the standard deviation of the error from seed to seed."""
+    groups = pd.concat(tables).groupby(["source", "target", "method"], sort=False)
+    means = groups[[*MEASURES]].mean()
+    return means.assign(error_after_std=groups["error_after"].std()).reset_index()
+
+
+def commit():
+    """Return what the code is at, as Git or the builder of a copy says."""
+    if (given := Path("COMMIT")).exists():
+        return given.read_text().strip()
+    said = subprocess.run(["git", "describe", "--always", "--dirty"], capture_output=True, text=True)
+    return said.stdout.strip() or "unknown commit"
 
 
 class Between(TransformerMixin, BaseEstimator):

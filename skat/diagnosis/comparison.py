@@ -10,11 +10,16 @@ from sklearn.base import clone
 from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted
 
-from skat.baselines import CORAL, ExactTransport
 from skat.diagnosis.gains import FEWEST_PIECES
 from skat.diagnosis.log import check_log
 from skat.diagnosis.open_loop import Episodes
-from skat.transport import AffineTransport, ConditionalAffineTransport, ProcrustesAffineTransport
+from skat.transport import (
+    CORAL,
+    AffineTransport,
+    ConditionalAffineTransport,
+    ExactTransport,
+    ProcrustesAffineTransport,
+)
 
 NOMINAL, EXTENDED = "nominal simulation", "extended simulation"
 TRANSPORTS = (

@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from sklearn.base import BaseEstimator, TransformerMixin, clone
@@ -18,7 +18,9 @@ from skat import (
     ExactTransport,
     IdentityTransport,
     ProcrustesAffineTransport,
+    ResidualTransport,
 )
+from skat.transport import KernelAlignment
 
 RIDGE_PENALTIES = np.logspace(-3, 5, 17)
 
@@ -119,34 +121,60 @@ def _shrunk(transport, **parameters):
     return lambda context: transport(covariance="shrunk", **parameters)
 
 
+def _in_units_of_target(method):
+    """Return the method with ``metric_scale="target"``, or None where it knows no units."""
+    if not {"metric_scale", "transport__metric_scale"} & set(method.make(1).get_params()):
+        return None
+
+    def make(context):
+        transport = method.make(context)
+        name = "metric_scale" if hasattr(transport, "metric_scale") else "transport__metric_scale"
+        return transport.set_params(**{name: "target"})
+
+    return replace(method, name=f"{method.name}_scaled", make=make)
+
+
+RAW_METHODS = (
+    Method("none", lambda context: IdentityTransport()),
+    Method("affine", lambda context: AffineTransport()),
+    Method("affine_shrunk", _shrunk(AffineTransport)),
+    Method("procrustes_raw", lambda context: ProcrustesAffineTransport(alignment="raw")),
+    Method("procrustes_whitened", lambda context: ProcrustesAffineTransport(alignment="whitened")),
+    Method("procrustes_whitened_shrunk", _shrunk(ProcrustesAffineTransport, alignment="whitened")),
+    Method("conditional", lambda context: ConditionalAffineTransport(context=context)),
+    Method(
+        "conditional_disjoint", lambda context: ConditionalAffineTransport(context=context), disjoint=True
+    ),
+    Method(
+        "conditional_disjoint_shrunk",
+        lambda context: ConditionalAffineTransport(context=context, covariance="shrunk"),
+        disjoint=True,
+    ),
+    Method(
+        "conditional_disjoint_to_source",
+        lambda context: ConditionalAffineTransport(context=context, shrinkage="source"),
+        disjoint=True,
+    ),
+    Method("residual", lambda context: ResidualTransport(ProcrustesAffineTransport())),
+    Method("kernel_alignment", lambda context: KernelAlignment(random_state=0)),
+    Method("coral", lambda context: CORAL()),
+    Method("exact_transport", lambda context: ExactTransport(), slow=True),
+    Method("least_squares", lambda context: RegressionTransport(LinearRegression(), context=context)),
+    Method("ridge_on_residual", _ridge_on_residual),
+    Method(
+        "target_only",
+        lambda context: RegressionTransport(LinearRegression(), context=context, predictors="context"),
+    ),
+)
+# Two residual transports in every repeat would take as long as all the others.
+SLOW_WHEN_SCALED = {"residual"}
 METHODS = {
     method.name: method
-    for method in (
-        Method("none", lambda context: IdentityTransport()),
-        Method("affine", lambda context: AffineTransport()),
-        Method("affine_shrunk", _shrunk(AffineTransport)),
-        Method("procrustes_raw", lambda context: ProcrustesAffineTransport(alignment="raw")),
-        Method("procrustes_whitened", lambda context: ProcrustesAffineTransport(alignment="whitened")),
-        Method("procrustes_whitened_shrunk", _shrunk(ProcrustesAffineTransport, alignment="whitened")),
-        Method("conditional", lambda context: ConditionalAffineTransport(context=context)),
-        Method(
-            "conditional_disjoint", lambda context: ConditionalAffineTransport(context=context), disjoint=True
-        ),
-        Method(
-            "conditional_disjoint_shrunk",
-            lambda context: ConditionalAffineTransport(context=context, covariance="shrunk"),
-            disjoint=True,
-        ),
-        Method("coral", lambda context: CORAL()),
-        Method("exact_transport", lambda context: ExactTransport(), slow=True),
-        Method("least_squares", lambda context: RegressionTransport(LinearRegression(), context=context)),
-        Method("ridge_on_residual", _ridge_on_residual),
-        Method(
-            "target_only",
-            lambda context: RegressionTransport(LinearRegression(), context=context, predictors="context"),
-        ),
-    )
+    for raw in RAW_METHODS
+    for method in (raw, _in_units_of_target(raw))
+    if method is not None
 }
+METHODS |= {name: replace(METHODS[name], slow=True) for name in (f"{raw}_scaled" for raw in SLOW_WHEN_SCALED)}
 DIAGNOSIS = "diagnosis"
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from sklearn.utils import check_scalar
 
 from skat.gaussian import row_moments
+from skat.metrics.samples import one_sample
 from skat.plotting.style import AFTER, BEFORE, MEASURED, column_of, new_axes, trim
-from skat.samples import one_sample
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

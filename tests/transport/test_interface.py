@@ -7,12 +7,14 @@ import pandas as pd
 import pytest
 from sklearn import config_context
 from sklearn.base import clone
+from sklearn.compose import make_column_selector
 from sklearn.covariance import GraphicalLasso, LedoitWolf
 from sklearn.exceptions import NotFittedError
 from sklearn.linear_model import Ridge
 from sklearn.model_selection import GridSearchCV, cross_validate, learning_curve
 from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import StandardScaler
+from sklearn.utils._param_validation import InvalidParameterError
 
 from skat import (
     CORAL,
@@ -21,8 +23,10 @@ from skat import (
     ExactTransport,
     IdentityTransport,
     ProcrustesAffineTransport,
+    ResidualTransport,
 )
 from skat.metrics import affinity_scorer, paired_error_scorer
+from skat.transport import KernelAlignment
 
 TRANSPORTS = [
     AffineTransport(),
@@ -35,6 +39,7 @@ TRANSPORTS = [
     CORAL(),
     ExactTransport(),
     IdentityTransport(),
+    ResidualTransport(regressor=Ridge()),
 ]
 each_transport = pytest.mark.parametrize("transport", TRANSPORTS, ids=str)
 
@@ -128,7 +133,9 @@ def test_every_bad_input_has_an_error_of_its_own(transport):
         (lambda: fit(X, y, sample_domain=np.ones(60)), "marks none of the 60 rows as target"),
         (lambda: fit(X, y, sample_domain=np.zeros(60)), "60 of 60 values are zero or NaN"),
         (lambda: fit(X, y, sample_domain=np.ones(59)), "it has 59, X 60 rows"),
-        (lambda: fit(X, y, sample_domain=["source"] * 60), "1-D array of numbers"),
+        (lambda: fit(X, y, sample_domain=["sim"] * 60), "marks none of the 60 rows as target"),
+        (lambda: fit(X, y, sample_domain=["hot"] * 60), r"numbers, .*source_domain='hot'"),
+        (lambda: fit(X, y, sample_domain=np.ones((60, 1))), "1-D array of one label per row"),
         (
             lambda: fit(X, np.vstack([y, y]), sample_weight=np.ones(60)),
             r"60 source rows and 120.*Give a tuple",
@@ -148,7 +155,7 @@ def test_transform_refuses_what_fit_would(transport):
     with pytest.raises(ValueError, match="Input X contains NaN"):
         fitted.transform(spoilt)
     with pytest.raises(ValueError, match="Input X contains NaN"):
-        fitted.inverse_transform(spoilt)
+        (fitted.transform if isinstance(fitted, ResidualTransport) else fitted.inverse_transform)(spoilt)
     with pytest.raises(ValueError, match="3 features"):
         fitted.transform(X[:, :2])
     with pytest.raises(NotFittedError):
@@ -158,17 +165,29 @@ def test_transform_refuses_what_fit_would(transport):
 def test_parameters_that_make_no_sense_are_told_so():
     X, y = pairs()
     for transport, message in [
-        (AffineTransport(covariance="robust"), r"\('empirical', 'shrunk'\).*'robust'"),
-        (AffineTransport(covariance=LedoitWolf), "an instance of"),
-        (AffineTransport(metric_scale="source"), 'None, "target" or an array'),
+        (
+            AffineTransport(covariance="robust"),
+            "'covariance' parameter .* a str among .*Got 'robust'",
+        ),
+        (AffineTransport(covariance=LedoitWolf), r"not its class; give LedoitWolf\(\)"),
+        (AffineTransport(metric_scale="source"), "'metric_scale' parameter .* Got 'source'"),
         (AffineTransport(metric_scale=[1.0, -1.0, 2.0]), "one positive length per feature, 3"),
-        (ProcrustesAffineTransport(alignment="none"), '"whitened" or "raw"'),
+        (ProcrustesAffineTransport(alignment="none"), "'alignment' parameter .* Got 'none'"),
         (ProcrustesAffineTransport(center=False), 'alignment="raw"'),
         (ConditionalAffineTransport(context=3), "less than the number of columns"),
         (ConditionalAffineTransport(context=[]), "names 0 of 3"),
+        (ConditionalAffineTransport(context=1, shrinkage="target"), "'shrinkage' parameter"),
+        (ConditionalAffineTransport(context=1, shrinkage="source", covariance="shrunk"), "drawn twice"),
+        (AffineTransport(unlabelled="real"), "'unlabelled' parameter .* Got 'real'"),
+        (AffineTransport(rank_deficient="drop"), "'rank_deficient' parameter"),
+        (AffineTransport(outside="stop"), "'outside' parameter"),
+        (ResidualTransport(regressor="ridge"), "'regressor' parameter"),
+        (KernelAlignment(gamma=-1.0), "'gamma' parameter"),
     ]:
         with pytest.raises(ValueError, match=message):
             transport.fit(X, y)
+    with pytest.raises(InvalidParameterError):
+        AffineTransport(covariance="robust").fit(X, y)
 
 
 def test_weights_are_repetitions():
@@ -246,7 +265,16 @@ def test_shuffled_pairs_warn_nearly_always_and_true_ones_never():
 
 @pytest.mark.parametrize(
     "context",
-    [2, [0, 1], ["x", "y"], slice(0, 2), [True, True, False], lambda X: [0, 1], lambda X: X.columns != "v"],
+    [
+        2,
+        [0, 1],
+        ["x", "y"],
+        slice(0, 2),
+        [True, True, False],
+        lambda X: [0, 1],
+        lambda X: X.columns != "v",
+        make_column_selector("x|y"),
+    ],
 )
 def test_context_is_understood_in_every_form(context):
     X, y = (pd.DataFrame(rows, columns=["x", "y", "v"]) for rows in pairs())

@@ -184,5 +184,5 @@ def test_scorers_say_what_is_wrong():
         paired_error_scorer(AffineTransport().fit(X, y), X, y[:100])
     with pytest.raises(TypeError, match="it is 'rho'"):
         affinity_scorer("rho")
-    with pytest.raises(ValueError, match=r"120 positive and 0 negative\. Stratify"):
+    with pytest.raises(ValueError, match=r"120 are source and 0 target\. Stratify"):
         affinity_scorer()(AffineTransport().fit(X, y), X, sample_domain=np.ones(120))

@@ -278,3 +278,22 @@ def test_numbers_that_no_statistic_can_be_made_of_are_refused(function, paramete
     rows = np.random.default_rng(0).normal(size=(40, 2))
     with pytest.raises(ValueError, match=rf"{parameter} == {value}, must be >= "):
         function(rows, rows, **{parameter: value})
+
+
+def test_a_test_of_more_rows_than_a_third_of_those_fitted_warns():
+    rng = np.random.default_rng(0)
+    X, y = rng.normal(size=(2, 40, 2))
+    affinity_test(X, y, n_fitted=120, n_permutations=1, random_state=0)
+    with pytest.warns(UserWarning, match="fitted to 119 rows and 40 are tested"):
+        affinity_test(X, y, n_fitted=119, n_permutations=1, random_state=0)
+
+
+def test_p_values_of_held_out_rows_are_uniform_for_heavy_tails_too():
+    rng = np.random.default_rng(0)
+    p_values = [
+        affinity_test(*rng.standard_t(3, size=(2, 15, 2)), n_permutations=9, random_state=seed).p_value
+        for seed in range(200)
+    ]
+    # Ten values, each as likely as the others: chi-square of 9 degrees of freedom, below 27.9 in 999 of 1,000.
+    counts = np.bincount(np.round(10 * np.array(p_values)).astype(int), minlength=11)[1:]
+    assert (np.square(counts - 20) / 20).sum() < 27.9

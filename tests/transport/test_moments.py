@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skat.gaussian import covariance_root, root_of_moments
-from skat.moments import Moments, row_moments
+from skat.gaussian.moments import Moments, row_moments
 
 seeds = st.integers(0, 2**32 - 1)
 

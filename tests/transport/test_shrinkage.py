@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from skat import AffineTransport, ProcrustesAffineTransport
 from skat.gaussian import transport_map
-from skat.moments import row_moments
-from skat.shrinkage import shrinkage_intensity, shrunk_towards
+from skat.gaussian.moments import row_moments
+from skat.transport.shrinkage import shrinkage_intensity, shrunk_towards
 from tests.transport.reference import relative_error
 
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from skat import AffineTransport, ConditionalAffineTransport, ProcrustesAffineTransport
 from skat.gaussian import gaussian_wasserstein_distance, transport_map
-from skat.wasserstein import affinity, wasserstein_distance
+from skat.metrics.wasserstein import affinity, wasserstein_distance
 from tests.transport.reference import relative_error
 
 seeds = st.integers(0, 2**32 - 1)

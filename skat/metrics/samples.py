@@ -3,7 +3,8 @@
 import numpy as np
 from sklearn.utils import check_array
 
-from skat.moments import row_moments
+from skat._compat import convert_to_numpy, get_namespace_and_device, is_numpy_namespace
+from skat.gaussian.moments import row_moments
 
 __all__ = [
     "one_sample",
@@ -17,7 +18,13 @@ __all__ = [
 
 def one_sample(rows, name):
     """Return rows as a finite array (n_rows, n_features) of float64."""
-    return check_array(rows, dtype=np.float64, input_name=name)
+    return check_array(_in_numpy(rows), dtype=np.float64, input_name=name)
+
+
+def _in_numpy(array):
+    """Return an array of another library, or on another device, as one in NumPy; anything else as it is."""
+    xp, is_array_api, _ = get_namespace_and_device(array)
+    return convert_to_numpy(array, xp) if is_array_api and not is_numpy_namespace(xp) else array
 
 
 def two_samples(X, y, name="X_transported"):
@@ -35,7 +42,7 @@ def row_weight(weight, n_rows, name="sample_weight"):
     """Return weights as an array (n_rows,), not negative and of positive sum; None as it is."""
     if weight is None:
         return None
-    weight = np.asarray(weight, dtype=np.float64)
+    weight = np.asarray(_in_numpy(weight), dtype=np.float64)
     if weight.shape != (n_rows,):
         raise ValueError(
             f"{name} must have one weight per row, shape ({n_rows},); its shape is {weight.shape}."

@@ -3,12 +3,12 @@
 import numpy as np
 
 from skat.gaussian import check_that_source_reaches_target, root_of_moments, spectrum
-from skat.moments import Moments
+from skat.gaussian.moments import Moments
 
 __all__ = ["shrinkage_intensity", "shrunk_towards"]
 
 
-def shrunk_towards(target, source, pairs=None):
+def shrunk_towards(target, source, pairs=None, *, reach=False):
     r"""Return target moments with the covariance shrunk towards the source's, and by how much.
 
     In coordinates that whiten the source, so that nothing depends on units, the root of the target's
@@ -28,6 +28,8 @@ def shrunk_towards(target, source, pairs=None):
         Moments of the rows of each domain.
     pairs : Moments, default=None
         Moments of the same rows side by side, the source's columns first, where they are pairs.
+    reach : bool, default=False
+        Whether to leave out what the target varies where the source does not.
 
     Returns
     -------
@@ -39,10 +41,10 @@ def shrunk_towards(target, source, pairs=None):
     Raises
     ------
     numpy.linalg.LinAlgError
-        If the target varies where the source does not.
+        If the target varies where the source does not, unless `reach`.
     """
     directions, spread = spectrum(root_of_moments(source))
-    if len(spread) < source.n_features:
+    if len(spread) < source.n_features and not reach:
         check_that_source_reaches_target((directions.T @ spectrum(root_of_moments(target))[0]).T)
     factor = (target if pairs is None else pairs).covariance_factor()
     whitened = factor[:, -source.n_features :] @ directions / spread

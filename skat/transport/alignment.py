@@ -11,6 +11,7 @@ from skat.gaussian import (
     root_of_factor,
     spectrum,
 )
+from skat.gaussian.maps import reached_part
 
 __all__ = ["Alignment", "look_shuffled", "raw_alignment", "whitened_alignment"]
 
@@ -33,12 +34,15 @@ class Alignment:
         Orthogonal; a partial isometry where a covariance is singular.
     rank : int
         Rank of the map.
+    unreached : float
+        Share of the target's variance that the map does not reach.
     """
 
     coef: np.ndarray
     inverse_coef: np.ndarray | None
     rotation: np.ndarray
     rank: int
+    unreached: float = 0.0
 
 
 def whitened_alignment(
@@ -49,6 +53,7 @@ def whitened_alignment(
     target_root=None,
     source_rounding=None,
     target_rounding=None,
+    reach=False,
 ):
     r"""Return the map of least squared error over the pairs that carries one covariance exactly to the other.
 
@@ -68,6 +73,8 @@ def whitened_alignment(
         Roots of covariances that are estimated otherwise; None takes those of the factors.
     source_rounding, target_rounding : ndarray of shape (n_features,), default=None
         As in `root_of_factor`.
+    reach : bool, default=False
+        Whether to carry what can be reached where the target has the higher rank.
 
     Returns
     -------
@@ -76,12 +83,12 @@ def whitened_alignment(
     Raises
     ------
     numpy.linalg.LinAlgError
-        If the target has the higher rank.
+        If the target has the higher rank, unless `reach`.
     """
     source_scores, source_spread, source_directions = _principal(source_factor, source_root, source_rounding)
     target_scores, target_spread, target_directions = _principal(target_factor, target_root, target_rounding)
     source_rank, target_rank = len(source_spread), len(target_spread)
-    if source_rank < target_rank:
+    if source_rank < target_rank and not reach:
         check_that_source_reaches_target(np.eye(target_rank, source_rank))
     pull = np.square(target_spread)[:, np.newaxis] * (target_scores.T @ source_scores)
     left, _, right = accurate_svd(pull)
@@ -90,7 +97,14 @@ def whitened_alignment(
     inverse = None
     if source_rank == target_rank:
         inverse = ((source_directions * source_spread) @ turn.T / target_spread) @ target_directions.T
-    return Alignment(coef, inverse, target_directions @ turn @ source_directions.T, target_rank)
+    unreached = 0.0
+    if source_rank < target_rank:
+        # Rows of the turn outside its range are zero.
+        unreached = 1.0 - float(
+            np.square(target_spread[:, np.newaxis] * turn).sum() / np.square(target_spread).sum()
+        )
+    rotation = target_directions @ turn @ source_directions.T
+    return Alignment(coef, inverse, rotation, min(source_rank, target_rank), unreached)
 
 
 def raw_alignment(
@@ -102,6 +116,7 @@ def raw_alignment(
     source_rounding=None,
     target_rounding=None,
     mean_product=0.0,
+    reach=False,
 ):
     r"""Return the map of Algorithm 1: rotate by the polar factor of the cross-covariance, then transport.
 
@@ -118,6 +133,8 @@ def raw_alignment(
     mean_product : ndarray of shape (n_features, n_features) or 0.0
         Outer product of target and source mean, to be added to the cross-covariance as the algorithm's letter
         has it.
+    reach : bool, default=False
+        As for `whitened_alignment`.
 
     Returns
     -------
@@ -126,7 +143,7 @@ def raw_alignment(
     Raises
     ------
     numpy.linalg.LinAlgError
-        If the rotated source does not vary wherever the target does.
+        If the rotated source does not vary wherever the target does, unless `reach`.
 
     References
     ----------
@@ -140,11 +157,14 @@ def raw_alignment(
     target_root = (
         root_of_factor(target_factor, rounding=target_rounding) if target_root is None else target_root
     )
-    coef = optimal_map(source_root, target_root) @ rotation
+    carry = optimal_map(source_root, target_root, reach=reach)
+    rank, unreached = target_root.shape[1], 0.0
+    if reach:
+        rank, unreached = reached_part(carry, source_root, target_root)
     inverse = None
     if source_root.shape[1] == target_root.shape[1]:
         inverse = rotation.T @ optimal_map(target_root, source_root)
-    return Alignment(coef, inverse, rotation, target_root.shape[1])
+    return Alignment(carry @ rotation, inverse, rotation, rank, unreached)
 
 
 def look_shuffled(source_factor, target_factor, n_rows):
@@ -166,13 +186,20 @@ def look_shuffled(source_factor, target_factor, n_rows):
     bool
         False where pairs are so few that even those which agree exactly would not show it.
     """
-    source_scores, target_scores = _principal(source_factor)[0], _principal(target_factor)[0]
+    source_scores, target_scores = _basis(source_factor), _basis(target_factor)
     p, q, size = source_scores.shape[1], target_scores.shape[1], n_rows - 1
     if size <= max(p, q, 1):
         return False
     variance = 2 * p * q * (size - p) * (size - q) / (size**2 * (size - 1) * (size + 2))
     least = p * q / size + LEAST_CORRELATION * np.sqrt(variance)
     return bool(np.square(target_scores.T @ source_scores).sum() < least <= min(p, q))
+
+
+def _basis(factor):
+    """Return orthonormal columns that span those of a factor."""
+    if root_of_factor(factor).shape[1] == factor.shape[1]:
+        return np.linalg.qr(factor)[0]
+    return _principal(factor)[0]
 
 
 def _principal(factor, root=None, rounding=None):

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import lapack
 
-__all__ = ["Moments", "row_moments", "triangle"]
+__all__ = ["Moments", "SideBySide", "row_moments", "triangle"]
 
 # A product X'X squares the condition of X. Beyond this condition of the correlation matrix it costs more than
 # about ten digits of the smallest direction, and the rows go through QR instead.
@@ -22,9 +22,44 @@ BLOCK_ELEMENTS = 2**18
 SERIAL_ELEMENTS = 2**12
 
 
+class SideBySide:
+    """Two arrays of as many rows, read as one array with the columns of both, which is never made.
+
+    Parameters
+    ----------
+    first, second : ndarray of shape (n_rows, n_features)
+    """
+
+    ndim = 2
+
+    def __init__(self, first, second):
+        self.parts = first, second
+        self.shape = first.shape[0], first.shape[1] + second.shape[1]
+        self.dtype = np.result_type(first, second)
+
+    def __len__(self):
+        return self.shape[0]
+
+    def __getitem__(self, rows):
+        first, second = (part[rows] for part in self.parts)
+        if first.ndim == 1:
+            return np.concatenate([first, second])
+        return SideBySide(first, second)
+
+    def less(self, shift, out=None):
+        """Return the rows, as float64, less a vector."""
+        out = np.empty(self.shape) if out is None else out
+        middle = self.parts[0].shape[1]
+        np.subtract(self.parts[0], shift[:middle], out=out[:, :middle])
+        np.subtract(self.parts[1], shift[middle:], out=out[:, middle:])
+        return out
+
+
 @dataclass(frozen=True, eq=False)
 class Moments:
     r"""Weight, mean and scatter of a set of rows; ``a + b`` are the moments of both sets together.
+
+    ``a * w`` are those of rows of so much less or more weight.
 
     The scatter :math:`\sum_k w_k (x_k - m)(x_k - m)^T` is held either as that matrix or, where forming it
     would lose digits, as a factor :math:`F` with :math:`F^T F` the scatter. The two are never mixed up: a sum
@@ -147,6 +182,47 @@ class Moments:
             factor=None if self.factor is None else self.factor[:, indices],
         )
 
+    def __mul__(self, factor: Any):
+        """Return the moments of the rows with every weight times a positive factor: older rows fade so."""
+        if not isinstance(factor, int | float | np.number):
+            return NotImplemented
+        factor = float(factor)
+        if not 0 < factor < np.inf:
+            raise ValueError(f"weights are multiplied by a positive number; it is {factor!r}.")
+        return replace(
+            self,
+            weight=self.weight * factor,
+            squared_weight=self.squared_weight * factor**2,
+            scatter=None if self.scatter is None else self.scatter * factor,
+            factor=None if self.factor is None else self.factor * np.sqrt(factor),
+        )
+
+    __rmul__ = __mul__
+
+    def __getstate__(self):
+        # A symmetric matrix or a triangle, of which half the numbers do.
+        state: dict[str, Any] = dict(vars(self))
+        n_features = self.n_features
+        if self.scatter is not None:
+            state["scatter"] = self.scatter[np.triu_indices(n_features)]
+        elif self.factor.shape[0] >= n_features and self.is_finite:
+            state["factor"] = triangle(self.factor)[np.triu_indices(n_features)]
+        return state
+
+    def __setstate__(self, state):
+        state = dict(state)
+        n_features = len(state["mean"])
+        upper = np.triu_indices(n_features)
+        if state["scatter"] is not None:
+            scatter = np.zeros((n_features, n_features))
+            scatter[upper] = state["scatter"]
+            state["scatter"] = np.triu(scatter, 1).T + scatter
+        elif state["factor"].ndim == 1:
+            factor = np.zeros((n_features, n_features))
+            factor[upper] = state["factor"]
+            state["factor"] = factor
+        vars(self).update(state)
+
     def __add__(self, other):
         if not isinstance(other, Moments):
             return NotImplemented
@@ -235,6 +311,13 @@ def _sum_with_remainder(large, small):
     return rounded, small - (rounded - large)
 
 
+def _less(rows, shift, out=None):
+    """Return a block of rows, as float64, less a vector."""
+    if isinstance(rows, SideBySide):
+        return rows.less(shift, out)
+    return np.subtract(rows, shift, out=out, dtype=np.float64)
+
+
 def _blocks(n_rows, n_features):
     size = max(BLOCK_ELEMENTS // n_features, n_features, 256)
     return [slice(start, min(start + size, n_rows)) for start in range(0, n_rows, size)]
@@ -249,7 +332,7 @@ def _near_mean(rows, weight):
 def _mean_about(rows, weight, shift):
     total = np.zeros(rows.shape[1])
     for block in _blocks(*rows.shape):
-        shifted = np.subtract(rows[block], shift, dtype=np.float64)
+        shifted = _less(rows[block], shift)
         total += shifted.sum(axis=0) if weight is None else weight[block] @ shifted
     return total / (len(rows) if weight is None else weight.sum())
 
@@ -263,7 +346,7 @@ def _scatter_about(rows, weight, shift):
     scatter, total = np.zeros((n_features, n_features)), np.zeros(n_features)
     for block in blocks:
         shifted = buffer[: block.stop - block.start]
-        np.subtract(rows[block], shift, out=shifted)
+        _less(rows[block], shift, shifted)
         if weight is None:
             total += ones[: len(shifted)] @ shifted
         else:
@@ -289,7 +372,7 @@ def _row_factor(rows, weight, mean):
     factor = np.empty((0, n_features))
     for start in range(0, n_rows, size):
         block = slice(start, start + size)
-        centred = np.subtract(rows[block], mean, dtype=np.float64)
+        centred = _less(rows[block], mean)
         if weight is not None:
             centred *= np.sqrt(weight[block])[:, np.newaxis]
         factor = _compressed(np.vstack([factor, centred]) if len(factor) else centred, at_most=2 * n_features)

@@ -11,9 +11,9 @@ from skat._compat import (
     is_numpy_namespace,
     supported_float_dtypes,
 )
-from skat.moments import Moments, row_moments
+from skat.gaussian.moments import Moments, SideBySide, row_moments
 
-__all__ = ["apply_map", "beside", "is_dask", "moments_of", "to_namespace"]
+__all__ = ["apply_map", "beside", "is_dask", "moments_of", "on_host", "to_namespace"]
 
 
 def is_dask(X):
@@ -89,7 +89,15 @@ def beside(X, y):
         X, y = _dask_array(X), _dask_array(y)
         return da.concatenate([X, y.rechunk({0: X.chunks[0]})], axis=1)
     xp, _, _ = get_namespace_and_device(X, y)
-    return np.hstack([X, y]) if is_numpy_namespace(xp) else xp.concat([X, y], axis=1)
+    return SideBySide(X, y) if is_numpy_namespace(xp) else xp.concat([X, y], axis=1)
+
+
+def on_host(array):
+    """Return any array as one in NumPy."""
+    if is_dask(array):
+        array = array.compute()
+    xp, is_array_api, _ = get_namespace_and_device(array)
+    return np.asarray(convert_to_numpy(array, xp) if is_array_api else array)
 
 
 def to_namespace(array, like):
@@ -105,9 +113,10 @@ def to_namespace(array, like):
 def _eager_moments(rows, weight):
     if rows is None:
         return None
-    xp, _, device = get_namespace_and_device(rows)
-    if not is_numpy_namespace(xp):
-        return _device_moments(rows, weight, xp, device)
+    if not isinstance(rows, SideBySide):
+        xp, _, device = get_namespace_and_device(rows)
+        if not is_numpy_namespace(xp):
+            return _device_moments(rows, weight, xp, device)
     if weight is not None and not np.any(weight):
         return None
     return row_moments(rows, weight)

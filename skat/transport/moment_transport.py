@@ -1,38 +1,96 @@
 """Transports by an affine map that is a function of the two domains' moments."""
 
 import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from scipy.stats import binom
 from sklearn.base import clone
 from sklearn.exceptions import NotFittedError
 from sklearn.utils.validation import has_fit_parameter
 
-from skat.backends import apply_map, is_dask, moments_of, to_namespace
-from skat.base import BaseTransport, on_host
-from skat.gaussian import covariance_root, distance_of_roots, root_of_moments
-from skat.moments import Moments
-from skat.shrinkage import shrunk_towards
+from skat._compat import HasMethods, StrOptions
+from skat.gaussian import AffineMap, Moments, covariance_root, distance_of_roots, root_of_moments, spectrum
+from skat.gaussian.backends import apply_map, is_dask, moments_of, on_host, to_namespace
+from skat.gaussian.maps import EPS
+from skat.transport.base import BaseTransport, is_flat
+from skat.transport.shift import MOST_CALIBRATING_ROWS, Distances, Support
+from skat.transport.shrinkage import shrunk_towards
 
-__all__ = ["MomentTransport"]
+__all__ = ["MomentTransport", "Solution"]
+
+LEVEL, RARE = 0.99, 1e-3
+# What has faded so far is gone, and zero weight would be no moments.
+LEAST_FACTOR = 1e-100
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A map that a transport has found, in units of the metric's scale.
+
+    Attributes
+    ----------
+    affine : AffineMap
+        The map.
+    rank : int
+        Rank of its linear part.
+    unreached : float
+        Share of the target's variance that the carried rows do not have, for the source does not vary there.
+    attributes : mapping of str to ndarray
+        What else the estimator shows of it.
+    """
+
+    affine: AffineMap
+    rank: int
+    unreached: float = 0.0
+    attributes: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 class MomentTransport(BaseTransport):
     """A transport by an affine map that is a function of moments.
 
-    A subclass implements ``_solve(source, target, scale)``, which returns the map and its rank, and
-    ``_solve_back(source, target, scale)``, which returns the way back; both in units of the metric's scale.
+    A subclass implements ``_solve(source, target, scale)``, which returns a `Solution`, and
+    ``_solve_back(source, target, scale)``, which returns the way back, in the same units.
     """
 
     _array_api = True
+    _parameter_constraints = {
+        **BaseTransport._parameter_constraints,
+        "covariance": [StrOptions({"empirical", "shrunk"}), HasMethods("fit")],
+        "metric_scale": [None, StrOptions({"target"}), "array-like"],
+        "rank_deficient": [StrOptions({"raise", "reach"})],
+        "outside": [StrOptions({"ignore", "warn", "raise"})],
+    }
     _moments: Any = None
     _missing: Any = None
+    rank_deficient = "raise"
+    outside = "ignore"
+    _support: Any = None
+    _distances: Any = None
 
-    def __init__(self, *, covariance="empirical", metric_scale=None):
+    def __init__(
+        self,
+        *,
+        covariance="empirical",
+        metric_scale=None,
+        rank_deficient="raise",
+        outside="ignore",
+        unlabelled="raise",
+        source_domain=None,
+    ):
+        self.outside = outside
+        super().__init__(unlabelled=unlabelled, source_domain=source_domain)
         self.covariance = covariance
         self.metric_scale = metric_scale
+        self.rank_deficient = rank_deficient
 
-    def partial_fit(self, X=None, y=None, sample_weight=None, sample_domain=None):
+    @property
+    def _reaches(self):
+        return self.rank_deficient == "reach"
+
+    def partial_fit(self, X=None, y=None, sample_weight=None, sample_domain=None, half_life=None):
         """Add rows of either domain, or of both.
 
         The map is the one that `fit` would find on all rows so far. It exists once both domains have rows and
@@ -48,6 +106,9 @@ class MomentTransport(BaseTransport):
             As for `fit`.
         sample_domain : array-like of shape (n_samples,), default=None
             As for `fit`.
+        half_life : float, default=None
+            For a world that changes: number of rows of a domain after which what came before counts half. None
+            forgets nothing. A domain that gets no rows in a call forgets nothing, either.
 
         Returns
         -------
@@ -59,6 +120,7 @@ class MomentTransport(BaseTransport):
         ValueError
             As for `fit`; and with a covariance estimator, which needs all rows at once.
         """
+        self._validate_params()
         self._check_parameters()
         if not isinstance(self.covariance, str):
             raise ValueError(
@@ -70,15 +132,21 @@ class MomentTransport(BaseTransport):
         first = self._moments is None
         samples = self._part(X, y, sample_weight, sample_domain, reset=first)
         collected = self._collect(samples)
-        self._moments = collected if first else tuple(map(_merged, self._moments, collected))
+        if half_life is not None and not 0 < half_life < np.inf:
+            raise ValueError(f"half_life must be a positive number of rows; it is {half_life!r}.")
+        earlier = (None,) * len(collected) if first else self._moments
+        self._moments = tuple(_merged(old, new, half_life) for old, new in zip(earlier, collected))
         self._stacked = sample_domain is not None or (not first and self._stacked)
         self._learn_if_possible(_given(samples))
+        if self._missing is None and samples.source is not None:
+            self._calibrate(samples, self._distances)
         return self
 
     def _part(self, X, y, sample_weight, sample_domain, *, reset):
         """Return validated samples of which either side may be missing."""
         if X is None:
-            self._refuse_flat_target(y)
+            if is_flat(y):
+                self._refuse_flat_target(y)
             target = self._rows(y, "y", reset=reset)
             if reset:
                 self._see_columns(y, target)
@@ -100,21 +168,16 @@ class MomentTransport(BaseTransport):
         self._warns, self._missing = True, None
         sides = (source, target) if isinstance(self.covariance, str) else self._estimated(samples)
         self._learn(sides, _given(samples))
+        self._calibrate(samples, None)
         self._warn_of_few_rows()
+        self._warn_of_unreached()
 
     def _check_parameters(self):
-        names = ("empirical", "shrunk")
-        if isinstance(self.covariance, str):
-            if self.covariance not in names:
-                raise ValueError(
-                    f"covariance must be one of {names} or a covariance estimator of scikit-learn; "
-                    f"it is {self.covariance!r}."
-                )
-        elif isinstance(self.covariance, type) or not hasattr(self.covariance, "fit"):
+        """Look at what `_parameter_constraints` cannot say."""
+        if isinstance(self.covariance, type):
             raise ValueError(
-                f"covariance must be one of {names} or an instance of a covariance estimator of "
-                "scikit-learn; "
-                f"it is {self.covariance!r}."
+                "covariance must be an instance of a covariance estimator, not its class; give "
+                f"{self.covariance.__name__}()."
             )
 
     def _sets_of_rows(self, samples):
@@ -193,27 +256,112 @@ class MomentTransport(BaseTransport):
     def _learn(self, sides, like):
         """Set the fitted attributes, as arrays of the library that `like` is of."""
         source, target = sides
+        outside = 0.0
         if isinstance(self.covariance, str) and self.covariance == "shrunk":
-            target, self.shrinkage_ = shrunk_towards(target, source, self._pairs())
+            whole = target
+            target, self.shrinkage_ = shrunk_towards(whole, source, self._pairs(), reach=self._reaches)
+            if self._reaches:
+                outside = _share_outside(source, whole)
         scale = self._scale_of(target)
-        self._learned, self._back = (source, target, scale), None
+        self._learned, self._back, self._support = (source, target, scale), None, None
         scaled = self._scaled()
-        affine, self.rank_ = self._solve(*scaled, scale)
+        solution = self._solve(*scaled, scale)
+        affine, self.rank_ = solution.affine, solution.rank
+        self.unreached_ = max(outside, solution.unreached)
         self._map = affine if self.metric_scale is None else affine.scaled(scale)
         for name, value in {
             "coef_": self._map.coef,
             "intercept_": self._map.intercept,
             "source_mean_": source.mean,
             "target_mean_": target.mean,
-            "source_covariance_": source.covariance,
-            "target_covariance_": target.covariance,
-            **self._more_attributes(),
+            **solution.attributes,
         }.items():
             setattr(self, name, to_namespace(value, like))
         self.wasserstein_distance_ = self._distance(scaled[0], scaled[1], affine)
 
-    def _more_attributes(self):
-        return {}
+    @property
+    def source_covariance_(self):
+        """Covariance of the source rows, as estimated."""
+        return to_namespace(self._learned_side(0).covariance, self.coef_)
+
+    @property
+    def target_covariance_(self):
+        """Covariance of the target rows, as estimated."""
+        return to_namespace(self._learned_side(1).covariance, self.coef_)
+
+    def _learned_side(self, side):
+        if not hasattr(self, "coef_"):
+            raise AttributeError(
+                f"this {type(self).__name__} has not been fitted and knows no covariance yet."
+            )
+        return self._learned[side]
+
+    def support_distance(self, X):
+        """Return how far rows are from the source rows that were fitted, in standard deviations.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            Source rows.
+
+        Returns
+        -------
+        ndarray of shape (n_samples,)
+            Mahalanobis distance from the source's mean; infinite off the plane in which the fitted rows lie.
+        """
+        self._check_is_fitted()
+        rows = np.asarray(on_host(self._rows(X, "X", reset=False)), dtype=np.float64)
+        if not np.isfinite(rows).all():
+            self._refuse_infinite((rows, "X"))
+        return self._fitted_support().distance(rows)
+
+    def in_support(self, X, *, level=LEVEL):
+        """Return which rows lie where the fitted source rows do.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            Source rows.
+        level : float, default=0.99
+            Share of rows of the law that was fitted, whatever it is, that are in the support: seen from the fitted
+            rows' distances, each left out of its own yardstick. From n rows no level beyond 1 - 1 / (n + 1) can be
+            seen; it is taken for a higher one.
+
+        Returns
+        -------
+        ndarray of bool of shape (n_samples,)
+
+        Raises
+        ------
+        ValueError
+            If the level is not between 0 and 1, or the fitted rows were in dask.
+        """
+        distances = self.support_distance(X)
+        return distances <= self._fitted_support().radius(level)
+
+    def _fitted_support(self):
+        if self._support is None:
+            support = Support.of(self._learned[0])
+            self._support = support if self._distances is None else support.calibrated(self._distances.values)
+        return self._support
+
+    def _calibrate(self, samples, earlier):
+        """Look at some of the fitted rows, and before them at the distances of rows that came earlier."""
+        self._distances = self._support = None
+        if is_dask(samples.source):
+            return
+        step = -(-samples.source.shape[0] // MOST_CALIBRATING_ROWS)
+        rows = np.asarray(on_host(samples.source[::step, ...]), dtype=np.float64)
+        weight = None if samples.source_weight is None else np.asarray(on_host(samples.source_weight))[::step]
+        if weight is not None:
+            rows, weight = rows[weight > 0], weight[weight > 0]
+        source = self._learned[0]
+        if not isinstance(self.covariance, str):
+            # An estimator's moments count as one row, and its yardstick has not been bent by single ones.
+            distances = Support.of(source).distance(rows)
+        else:
+            distances = Support.of(source).left_out(rows, source, weight)
+        self._distances = Distances.of(distances, earlier)
 
     def _scaled(self):
         """Return the moments in units of the metric's scale."""
@@ -227,10 +375,6 @@ class MomentTransport(BaseTransport):
         if self.metric_scale is None:
             return np.ones(target.n_features)
         if isinstance(self.metric_scale, str):
-            if self.metric_scale != "target":
-                raise ValueError(
-                    f'metric_scale must be None, "target" or an array of lengths, not {self.metric_scale!r}.'
-                )
             deviation = np.sqrt(target.variance)
             return np.where(deviation > 0, deviation, 1.0)
         scale = np.asarray(self.metric_scale, dtype=np.float64)
@@ -257,7 +401,39 @@ class MomentTransport(BaseTransport):
                 stacklevel=4,
             )
 
+    def _warn_of_unreached(self):
+        if self.unreached_ > 0:
+            warnings.warn(
+                f"{100 * self.unreached_:.2g} % of the target's variance cannot be reached: the target varies where "
+                "the source does not, and the carried rows will not vary there.",
+                UserWarning,
+                stacklevel=4,
+            )
+
+    def _look_outside(self, X, keep):
+        """Warn or raise where more rows lie outside the support than the level lets expect."""
+        if self.outside == "ignore" or is_dask(X):
+            return
+        rows = np.asarray(on_host(X), dtype=np.float64)
+        rows = rows if keep is None else rows[~np.asarray(keep, dtype=bool)]
+        if not len(rows) or not np.isfinite(rows).all():
+            return
+        support = self._fitted_support()
+        n_outside = int((support.distance(rows) > support.radius(LEVEL)).sum())
+        # As many or more in one of a thousand samples of the fitted law.
+        if n_outside == 0 or binom.sf(n_outside - 1, len(rows), 1 - LEVEL) > RARE:
+            return
+        message = (
+            f"{n_outside} of {len(rows)} rows lie outside of what was fitted (beyond the distance that "
+            f"{100 * (1 - LEVEL):.0f} % of such rows exceed), where the map is a guess. Fit rows from there, or "
+            "look at in_support(X)."
+        )
+        if self.outside == "raise":
+            raise ValueError(message)
+        warnings.warn(message, UserWarning, stacklevel=4)
+
     def _carry(self, X, keep=None):
+        self._look_outside(X, keep)
         return apply_map(self._map, X, keep=keep, check=self._refuse_rows)
 
     def _carry_back(self, X):
@@ -277,10 +453,23 @@ class MomentTransport(BaseTransport):
         self._refuse_infinite((rows, "X"))
 
 
-def _merged(first, second):
+def _merged(first, second, half_life):
     if first is None or second is None:
         return second if first is None else first
+    if half_life is not None:
+        first = first * max(0.5 ** (second.n_rows / half_life), LEAST_FACTOR)
     return first + second
+
+
+def _share_outside(source, target):
+    """Return the share of the target's variance in directions in which the source does not vary."""
+    directions = spectrum(root_of_moments(source))[0]
+    if directions.shape[1] == source.n_features:
+        return 0.0
+    factor = target.covariance_factor()
+    outside = factor - (factor @ directions) @ directions.T
+    share = float(np.square(outside).sum() / np.square(factor).sum())
+    return share if share > len(directions) * EPS else 0.0
 
 
 def _given(samples):

@@ -5,11 +5,10 @@ from functools import partial
 
 import numpy as np
 from joblib import Parallel, delayed
-from sklearn.decomposition import FastICA
 from sklearn.exceptions import ConvergenceWarning
 from threadpoolctl import threadpool_limits
 
-from skat.moments import row_moments
+from skat.gaussian.moments import row_moments
 
 __all__ = ["halves", "marginal_squares", "orders"]
 
@@ -23,7 +22,7 @@ FEWEST_ITERATIONS, MOST_ITERATIONS, ROWS_OF_ALL_ITERATIONS = 20, 60, 200_000
 def marginal_squares(X, y, rng, n_jobs=None):
     """Return the sum of squared marginal distances for either half of the rows, in a basis from the other.
 
-    The mathematics is in the docstring of `skat.affinity.affinity_upper_bound`.
+    The mathematics is in the docstring of `skat.metrics.affinity.affinity_upper_bound`.
 
     Parameters
     ----------
@@ -110,6 +109,9 @@ def _telling_basis(X, y, rng):
 
 def _independent_basis(rows, rng):
     """Return the orthonormal basis nearest to the independent components of the rows."""
+    # Of all that scikit-learn has, this loads the most, and few calls come here.
+    from sklearn.decomposition import FastICA
+
     axes, spread = _principal(rows)
     if len(spread) < 2:
         return axes.T

@@ -4,9 +4,9 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from skat.samples import one_sample, row_weight, twice_the_spread, two_samples
+from skat.metrics.samples import one_sample, row_weight, twice_the_spread, two_samples
 
-__all__ = ["affinity", "optimal_plan", "refuse_large_cost", "wasserstein_distance"]
+__all__ = ["affinity", "is_large_cost", "optimal_plan", "refuse_large_cost", "wasserstein_distance"]
 
 LARGEST_COST_MATRIX_BYTES = 8e9
 
@@ -127,6 +127,11 @@ def affinity(X_transported, y, *, x_weight=None, y_weight=None):
     return float(1.0 - distance / np.sqrt(twice_the_spread(y, row_weight(y_weight, len(y), "y_weight"))))
 
 
+def is_large_cost(n_x, n_y):
+    """Whether the cost matrix between so many rows is larger than what is computed."""
+    return 8.0 * n_x * n_y > LARGEST_COST_MATRIX_BYTES
+
+
 def refuse_large_cost(n_x, n_y):
     """Raise where the exact transport would need a cost matrix that few machines can hold.
 
@@ -141,7 +146,7 @@ def refuse_large_cost(n_x, n_y):
         Naming the size and what needs less.
     """
     cost_bytes = 8.0 * n_x * n_y
-    if cost_bytes > LARGEST_COST_MATRIX_BYTES:
+    if is_large_cost(n_x, n_y):
         raise ValueError(
             f"the exact transport between {n_x} and {n_y} rows needs a cost matrix of "
             f"{cost_bytes / 1e9:.0f} GB; it is computed up to {LARGEST_COST_MATRIX_BYTES / 1e9:.0f} GB. Use "

@@ -11,12 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import bandwidth, lapack, solve_triangular
 
-from skat.moments import Moments, row_moments, triangle
-from skat.threads import shared
+from skat.gaussian.moments import triangle
+from skat.gaussian.threads import shared
 
 __all__ = [
     "AffineMap",
-    "Moments",
     "accurate_svd",
     "check_that_source_reaches_target",
     "coefficient_distance",
@@ -25,9 +24,10 @@ __all__ = [
     "distance_of_roots",
     "gaussian_wasserstein_distance",
     "optimal_map",
+    "reached_part",
+    "reached_rank",
     "root_of_factor",
     "root_of_moments",
-    "row_moments",
     "spectrum",
     "transport_map",
 ]
@@ -98,15 +98,14 @@ class AffineMap:
 
         def carry(starts):
             buffer = np.empty((min(size, len(rows)), rows.shape[1]))
+            product = None if carried.dtype == np.float64 else np.empty(buffer.shape)
             for start in starts:
                 block, image = rows[start : start + size], carried[start : start + size]
                 centred = buffer[: len(block)]
                 np.subtract(block, self.source_mean, out=centred)
-                if image.dtype == np.float64:
-                    np.matmul(centred, transposed, out=image)
-                    image += self.target_mean
-                else:
-                    image[...] = centred @ transposed + self.target_mean
+                wide = image if product is None else product[: len(block)]
+                np.matmul(centred, transposed, out=wide)
+                np.add(wide, self.target_mean, out=image, casting="same_kind")
                 if self.untouched is not None:
                     image[:, self.untouched] = block[:, self.untouched]
 
@@ -320,7 +319,7 @@ def root_of_factor(factor, scale=None, rounding=None):
     return directions[kept].T * values[kept] * scale[:, np.newaxis]
 
 
-def optimal_map(source_root, target_root):
+def optimal_map(source_root, target_root, *, reach=False):
     r"""Return the coefficient of the optimal map between centred normal distributions.
 
     .. math:: A = L_t U w^{-1} U^T L_t^T \quad\text{with}\quad L_t^T L_s = U w V^T
@@ -331,16 +330,20 @@ def optimal_map(source_root, target_root):
         :math:`L_s`.
     target_root : ndarray of shape (n_features, target_rank)
         :math:`L_t`.
+    reach : bool, default=False
+        Whether to carry what can be reached where the product of the roots has the lower rank, by the pairs of
+        singular vectors that it has: the mean of the target given the source under the optimal coupling, which
+        is no map then.
 
     Returns
     -------
     ndarray of shape (n_features, n_features)
-        Symmetric, positive semi-definite, of rank `target_rank`.
+        Symmetric, positive semi-definite, of rank `target_rank` or, with `reach`, of that of the product.
 
     Raises
     ------
     numpy.linalg.LinAlgError
-        If the product of the roots has a lower rank than the target.
+        If the product of the roots has a lower rank than the target, unless `reach`.
     """
     n_features = len(source_root)
     is_full = source_root.shape[1] == target_root.shape[1] == n_features
@@ -351,9 +354,12 @@ def optimal_map(source_root, target_root):
         source_directions, source_spread = spectrum(source_root)
         target_directions, target_spread = spectrum(target_root)
         angles = target_directions.T @ source_directions
-        if source_root.shape[1] < n_features:
+        if source_root.shape[1] < n_features and not reach:
             check_that_source_reaches_target(angles)
         left, values, _ = accurate_svd(target_spread[:, np.newaxis] * angles * source_spread)
+        if reach:
+            n_reached = reached_rank(angles)
+            left, values = left[:, :n_reached], values[:n_reached]
         half = target_directions @ (target_spread[:, np.newaxis] * left / np.sqrt(values))
     return half @ half.T
 
@@ -391,15 +397,44 @@ def check_that_source_reaches_target(angles):
     numpy.linalg.LinAlgError
         Naming both ranks.
     """
-    target_rank = len(angles)
-    reached = int((np.linalg.svd(angles, compute_uv=False) > SMALLEST_COSINE).sum()) if angles.size else 0
+    target_rank, reached = len(angles), reached_rank(angles)
     if reached < target_rank:
         raise np.linalg.LinAlgError(
             f"no linear map carries the source's covariance to the target's: rank(S_t) is {target_rank}, but "
             f"rank(S_t^(1/2) S_s S_t^(1/2)) only {reached}, so the target varies where the source does not. "
             "Give more source rows, drop columns that do not vary there or, up to rounding, are linear functions of "
-            "others, or use a covariance estimator of full rank."
+            "others, use a covariance estimator of full rank, or carry what can be reached, with "
+            'rank_deficient="reach".'
         )
+
+
+def reached_part(coef, source_root, target_root):
+    """Return the rank of what a map of `optimal_map` reaches, and the share of the target's variance that it does not.
+
+    Parameters
+    ----------
+    coef : ndarray of shape (n_features, n_features)
+    source_root, target_root : ndarray of shape (n_features, rank)
+
+    Returns
+    -------
+    int
+    float
+    """
+    target_rank = target_root.shape[1]
+    if target_rank == 0:
+        return 0, 0.0
+    rank = 0
+    if source_root.shape[1]:
+        rank = reached_rank(spectrum(target_root)[0].T @ spectrum(source_root)[0])
+    if rank == target_rank:
+        return rank, 0.0
+    return rank, float(max(1.0 - np.square(coef @ source_root).sum() / np.square(target_root).sum(), 0.0))
+
+
+def reached_rank(angles):
+    """Return how many directions of the target are not at right angles to every one of the source."""
+    return int((np.linalg.svd(angles, compute_uv=False) > SMALLEST_COSINE).sum()) if angles.size else 0
 
 
 def spectrum(root):

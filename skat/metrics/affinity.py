@@ -17,6 +17,7 @@ None of them measures the error of a map row by row; that is `skat.metrics.paire
 pairs.
 """
 
+import warnings
 from dataclasses import dataclass, field
 from functools import partial
 from numbers import Integral
@@ -26,9 +27,9 @@ from joblib import Parallel, delayed
 from sklearn.utils import check_random_state, check_scalar
 
 from skat.gaussian import AffineMap, optimal_map, root_of_moments, row_moments
-from skat.marginals import halves, marginal_squares, orders
-from skat.samples import twice_the_spread, two_samples, two_weights
-from skat.wasserstein import affinity, wasserstein_distance
+from skat.metrics.marginals import halves, marginal_squares, orders
+from skat.metrics.samples import twice_the_spread, two_samples, two_weights
+from skat.metrics.wasserstein import affinity, wasserstein_distance
 
 __all__ = [
     "AffinityEstimate",
@@ -137,7 +138,15 @@ class AffinityTest:
 
 
 def affinity_test(
-    X_transported, y, *, paired=False, in_sample=False, n_permutations=99, n_jobs=None, random_state=None
+    X_transported,
+    y,
+    *,
+    paired=False,
+    in_sample=False,
+    n_fitted=None,
+    n_permutations=99,
+    n_jobs=None,
+    random_state=None,
 ):
     r"""Test whether transported rows and target rows come from one law, by the affinity score.
 
@@ -161,6 +170,9 @@ def affinity_test(
         agree. Then the carried rows are moved off, before each shuffle, by as much as the moments of two
         samples differ, and after it both sides are fitted to the moments of `y`. Without it the test of such
         rows rejects too rarely.
+    n_fitted : int, default=None
+        Number of rows, on the side that had fewer, that the map was fitted to, where they are others than these.
+        With fewer than three times as many as are tested there is a warning.
     n_permutations : int, default=99
         Number of shuffles. Each costs one exact score, 0.1 s for 1,000 rows.
     n_jobs : int, default=None
@@ -181,8 +193,9 @@ def affinity_test(
     Notes
     -----
     *When it lies.* The test is exact for independent rows (or pairs) and a map from other data that is
-    exactly right. A map estimated from few other rows is itself a little wrong, and enough held-out rows will
-    show it. With `in_sample` the level is approximate and depends on the law. At 5 %, with 40 or 60 target rows
+    exactly right, whatever the law. A map estimated from few other rows is itself a little wrong, and enough held-out
+    rows will show it. Fit three times as many rows as you test, or more, and say so
+    by `n_fitted`. With `in_sample` the level is approximate and depends on the law. At 5 %, with 40 or 60 target rows
     of 2 to 10 features, 2 to 9 % of right maps are rejected for normal and exponential rows, 2 to 4 % for
     uniform, 2 to 12 % for bimodal and 6 to 14 % for heavy-tailed ones; of 40 pairs, 1 to 2 % where partners
     nearly agree and 1 to 6 % where their noise is as large as what they share. To decide by it, hold rows out.
@@ -208,6 +221,14 @@ def affinity_test(
             "Give the rows in pairs, or paired=False."
         )
     check_scalar(n_permutations, "n_permutations", Integral, min_val=1)
+    n_tested = min(len(X_transported), len(y))
+    if n_fitted is not None and not in_sample and n_fitted < 3 * n_tested:
+        warnings.warn(
+            f"the map was fitted to {n_fitted} rows and {n_tested} are tested: a right map is rejected too often "
+            "with fewer than three times as many. Fit more rows, or test fewer.",
+            UserWarning,
+            stacklevel=2,
+        )
     rng = check_random_state(random_state)
     score = affinity_score(X_transported, y)
     seeds = rng.randint(np.iinfo(np.int32).max, size=n_permutations)

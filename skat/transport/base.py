@@ -9,21 +9,23 @@ from sklearn.utils import assert_all_finite, check_array
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from skat._compat import (
+    StrOptions,
     check_feature_names,
     check_n_features,
     check_same_namespace,
     check_sample_weight,
-    convert_to_numpy,
     feature_names,
     get_namespace_and_device,
     is_numpy_namespace,
     supported_float_dtypes,
 )
-from skat.backends import is_dask
-from skat.samples import weight_of_each_side
-from skat.wasserstein import affinity
+from skat.gaussian.backends import is_dask, on_host
+from skat.metrics.affinity import affinity_estimate
+from skat.metrics.domains import domain_signs
+from skat.metrics.samples import weight_of_each_side
+from skat.metrics.wasserstein import affinity, is_large_cost
 
-__all__ = ["BaseTransport", "Samples", "on_host", "same_length"]
+__all__ = ["BaseTransport", "Samples", "is_flat", "same_length"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +56,14 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
     """
 
     _array_api = False
+    _parameter_constraints = {
+        "unlabelled": [StrOptions({"raise", "source", "target"})],
+        "source_domain": "no_validation",
+    }
+
+    def __init__(self, *, unlabelled="raise", source_domain=None):
+        self.unlabelled = unlabelled
+        self.source_domain = source_domain
 
     # The domain has to reach every step that tells source rows from target rows, so it is asked for by
     # default.
@@ -77,7 +87,8 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
             as so many repetitions of its row, except with ``covariance="shrunk"``, where the effective number of
             rows (Kish), which does not change if all weights are doubled, sets the shrinkage.
         sample_domain : array-like of shape (n_samples,), default=None
-            Positive for source rows and negative for target rows of a stacked `X`.
+            Which rows of a stacked `X` are source and which are target rows: numbers, positive and negative;
+            the words "sim" and "real"; or labels of any kind, with the parameter `source_domain`.
 
         Returns
         -------
@@ -90,6 +101,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
             If the target is missing, if rows are too few or not finite, if columns differ, or if no map of
             the required kind exists.
         """
+        self._validate_params()
         samples = self._samples(X, y, sample_weight, sample_domain, reset=True)
         for rows, name in ((samples.source, "source"), (samples.target, "target")):
             if not is_dask(rows) and rows.shape[0] < 2:
@@ -123,8 +135,8 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         X : array-like of shape (n_samples, n_features)
             Rows.
         sample_domain : array-like of shape (n_samples,), default=None
-            Positive for source rows; rows with a negative value are target rows and are returned unchanged.
-            None means that all are source rows, which is an error after a stacked fit.
+            As for `fit`; target rows are returned unchanged. None means that all are source rows or, after a
+            stacked fit, what the parameter `unlabelled` says.
 
         Returns
         -------
@@ -137,7 +149,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
             If rows are not finite, have other columns than at fit, or if `sample_domain` is missing.
         """
         self._check_is_fitted()
-        if sample_domain is None and self._stacked:
+        if sample_domain is None and self._stacked and self.unlabelled == "raise":
             raise ValueError(
                 f"this {type(self).__name__} was fitted to stacked rows, so transform cannot tell which rows "
                 "of X are "
@@ -145,14 +157,18 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
                 "row, "
                 "returned unchanged), or fit it with two arrays, fit(X_source, X_target), after which every "
                 "row is a "
-                "source row."
+                'source row, or say once for all what rows without a domain are: unlabelled="target" or "source".'
             )
         X = self._rows(X, "X", reset=False)
         if hasattr(self, "coef_") and not is_dask(X):
             check_same_namespace(X, self, attribute="coef_", method="transform")
         if sample_domain is None:
+            if self._stacked and self.unlabelled == "target":
+                if is_dask(X):
+                    return X
+                return self._carry(X, keep=np.ones(X.shape[0], dtype=bool))
             return self._carry(X)
-        return self._carry(X, keep=_domain(sample_domain, X) < 0)
+        return self._carry(X, keep=self._domain(sample_domain, X) < 0)
 
     def inverse_transform(self, X):
         """Carry target rows back.
@@ -181,8 +197,9 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         .. math:: \rho = 1 - \frac{W_2(T X, Y)}{\sqrt{2 \operatorname{tr} \Sigma(Y)}}
 
         It is not clipped: on rows that were not fitted it may be negative. Time grows with the cube of the
-        number of rows and memory with its square, up to 8 GB; see `skat.metrics` for estimates at scale and
-        for what the score does not tell.
+        number of rows and memory with its square. Where that would be more than 8 GB, beyond 31,600 rows of
+        each, it is the score of `~skat.metrics.affinity_estimate` (with ``random_state=0``) instead, an estimate of
+        what infinitely many rows would score and so not to be compared with scores of fewer rows.
 
         Parameters
         ----------
@@ -197,6 +214,9 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         self._check_is_fitted()
         samples = self._samples(X, y, sample_weight, sample_domain, reset=False)
         carried, target = (on_host(rows) for rows in (self._carry(samples.source), samples.target))
+        unweighted = samples.source_weight is None and samples.target_weight is None
+        if unweighted and is_large_cost(len(carried), len(target)):
+            return affinity_estimate(carried, target, random_state=0).score
         return affinity(carried, target, x_weight=samples.source_weight, y_weight=samples.target_weight)
 
     def __sklearn_tags__(self):
@@ -204,6 +224,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         tags.target_tags.required = True
         tags.target_tags.two_d_labels = True
         tags.array_api_support = self._array_api
+        tags.transformer_tags.preserves_dtype = ["float64", "float32"]
         return tags
 
     def _check_is_fitted(self):
@@ -234,6 +255,8 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
                 "rows, fit(X, sample_domain=d) with d positive for source rows and negative for target rows."
             )
         source = self._rows(X, "X", reset=reset)
+        if is_flat(y):
+            self._refuse_flat_target(y, source, sample_weight)
         if reset:
             self._see_columns(X, source)
         target = self._target(y)
@@ -259,7 +282,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
 
     def _split(self, X, sample_weight, sample_domain, *, either):
         """Return the samples of stacked rows."""
-        domain = _domain(sample_domain, X)
+        domain = self._domain(sample_domain, X)
         weight = _checked_weight(sample_weight, X)
         if is_dask(X):
             one = 1.0 if weight is None else weight
@@ -284,18 +307,33 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         source, target = parts
         return Samples(source, target, weights[0], weights[1], stacked=True)
 
-    def _refuse_flat_target(self, y):
-        shape = y.shape if hasattr(y, "shape") else np.asarray(y).shape
-        if len(shape) == 1:
-            raise ValueError(
-                f"{type(self).__name__} needs target rows: y must be 2-D with the columns of X; it is 1-D, "
-                "of "
-                f"shape {tuple(shape)}. If these are labels and X holds both domains, pass sample_domain=... "
-                "too."
-            )
+    def _domain(self, sample_domain, X):
+        """Return a number for each row, positive for source rows and negative for target rows."""
+        if is_dask(sample_domain):
+            if self.source_domain is not None:
+                raise ValueError("with dask give numbers, positive for source rows, and no source_domain.")
+            return sample_domain
+        n_rows = None if is_dask(X) else X.shape[0]
+        return domain_signs(on_host(sample_domain), n_rows, self.source_domain)
+
+    def _refuse_flat_target(self, y, source=None, sample_weight=None):
+        """Raise for a y of one dimension; but first for what is wrong with the source, if anything is."""
+        if source is not None and not is_dask(source):
+            if source.shape[0] < 2:
+                self._refuse_few_rows(source.shape[0], "source")
+            assert_all_finite(source, estimator_name=type(self).__name__, input_name="X")
+            if not isinstance(sample_weight, tuple):
+                _checked_weight(sample_weight, source)
+        columns = "" if source is None else f", n_features = {source.shape[1]}"
+        shape = tuple(y.shape if hasattr(y, "shape") else np.asarray(y).shape)
+        raise ValueError(
+            f"{type(self).__name__} needs target rows: y must be 2-D with the columns of X{columns}; it is 1-D, of "
+            f"shape {shape}. If these are labels and X holds both domains, pass sample_domain=... too."
+        )
 
     def _target(self, y):
-        self._refuse_flat_target(y)
+        if is_flat(y):
+            self._refuse_flat_target(y)
         self._check_target_names(y)
         y = self._rows(y, "y", reset=None)
         if y.shape[1] != self.n_features_in_:
@@ -354,29 +392,10 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         raise ValueError(f"the squares of {names} exceed the range of float64. Choose larger units.")
 
 
-def _domain(sample_domain, X):
-    """Return the domain of each row, validated."""
-    if is_dask(sample_domain):
-        return sample_domain
-    domain = on_host(sample_domain)
-    if domain.ndim != 1 or not np.issubdtype(domain.dtype, np.number):
-        raise ValueError(
-            "sample_domain must be a 1-D array of numbers, positive for source and negative for target rows; "
-            "it has "
-            f"shape {domain.shape} and type {domain.dtype}."
-        )
-    if not is_dask(X) and len(domain) != X.shape[0]:
-        raise ValueError(
-            f"sample_domain must have one value per row; it has {len(domain)}, X {X.shape[0]} rows."
-        )
-    undecided = np.count_nonzero(~((domain > 0) | (domain < 0)))
-    if undecided:
-        raise ValueError(
-            f"sample_domain must be positive for source and negative for target rows; {undecided} of "
-            f"{len(domain)} "
-            "values are zero or NaN."
-        )
-    return domain
+def is_flat(y):
+    """Whether a target is of one dimension, as labels are."""
+    shape = y.shape if hasattr(y, "shape") else np.asarray(y).shape
+    return len(shape) == 1
 
 
 def same_length(source, target):
@@ -396,11 +415,3 @@ def _checked_weight(weight, rows):
     return check_sample_weight(
         on_host(weight), np.empty((rows.shape[0], 1)), ensure_non_negative=True, dtype=np.float64
     )
-
-
-def on_host(array):
-    """Return any array as one in NumPy."""
-    if is_dask(array):
-        array = array.compute()
-    xp, is_array_api, _ = get_namespace_and_device(array)
-    return np.asarray(convert_to_numpy(array, xp) if is_array_api else array)

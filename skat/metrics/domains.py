@@ -1,0 +1,82 @@
+"""Which rows of a stacked array are source rows and which are target rows, however their domains are labelled."""
+
+import numpy as np
+
+__all__ = ["domain_signs"]
+
+WORDS = {"source": 1, "sim": 1, "simulated": 1, "simulation": 1, "target": -1, "real": -1, "measured": -1}
+
+
+def domain_signs(sample_domain, n_rows=None, source_domain=None):
+    """Return the domain of each row as a number: positive for source rows, negative for target rows.
+
+    Parameters
+    ----------
+    sample_domain : array-like of shape (n_rows,)
+        Numbers, positive for source and negative for target rows; the words "sim" and "real" (or "source",
+        "simulated", "simulation" and "target", "measured"); or labels of any kind, with `source_domain`.
+    n_rows : int, default=None
+        What their number has to be.
+    source_domain : label or list of labels, default=None
+        The labels of source rows; all others are of target rows.
+
+    Returns
+    -------
+    ndarray of shape (n_rows,)
+        The numbers as given, or 1 and -1.
+
+    Raises
+    ------
+    ValueError
+        If there is not one label for each row, or labels say nothing without `source_domain`, or are missing.
+
+    Examples
+    --------
+    >>> domain_signs(["sim", "real", "sim"])
+    array([ 1, -1,  1])
+    >>> domain_signs([0, 1, 1], source_domain=0)
+    array([ 1, -1, -1])
+    """
+    domain = np.asarray(sample_domain)
+    if domain.ndim != 1:
+        raise ValueError(
+            f"sample_domain must be a 1-D array of one label per row; it has shape {domain.shape}."
+        )
+    if n_rows is not None and len(domain) != n_rows:
+        raise ValueError(f"sample_domain must have one value per row; it has {len(domain)}, X {n_rows} rows.")
+    is_number = np.issubdtype(domain.dtype, np.number)
+    if source_domain is not None:
+        missing = np.array([label is None or label != label for label in domain.tolist()], dtype=bool)
+        if missing.any():
+            raise ValueError(
+                f"sample_domain has no label for {missing.sum()} of {len(domain)} rows. Label all."
+            )
+        wanted = np.atleast_1d(np.asarray(source_domain))
+        is_source = np.isin(domain.astype(object), wanted.astype(object))
+        if not is_source.any() and len(domain):
+            raise ValueError(
+                f"no row is of source_domain={source_domain!r}; the labels are {_some(domain)}. Name one of them."
+            )
+        return np.where(is_source, 1, -1)
+    if not is_number:
+        unknown = [label for label in dict.fromkeys(domain.tolist()) if label not in WORDS]
+        if unknown:
+            raise ValueError(
+                "sample_domain must be a 1-D array of numbers, positive for source and negative for target rows, "
+                f'or of "sim" and "real"; it holds {_some(unknown)}. For other labels say which is the source, '
+                f"by source_domain={unknown[0]!r} or another of them."
+            )
+        return np.array([WORDS[label] for label in domain.tolist()], dtype=int)
+    undecided = np.count_nonzero(~((domain > 0) | (domain < 0)))
+    if undecided:
+        raise ValueError(
+            f"sample_domain must be positive for source and negative for target rows; {undecided} of "
+            f"{len(domain)} values are zero or NaN. For labels such as 0 and 1 say which is the source, "
+            "by source_domain=0 or source_domain=1."
+        )
+    return domain
+
+
+def _some(labels):
+    different = list(dict.fromkeys(np.asarray(labels).tolist()))
+    return ", ".join(map(repr, different[:6])) + (", ..." if len(different) > 6 else "")

@@ -1,0 +1,169 @@
+"""The affine map that rows in pairs show, as an estimator."""
+
+import warnings
+
+import numpy as np
+
+from skat._compat import StrOptions
+from skat.gaussian import AffineMap, root_of_moments
+from skat.gaussian.backends import beside
+from skat.transport.alignment import look_shuffled, raw_alignment, whitened_alignment
+from skat.transport.base import same_length
+from skat.transport.moment_transport import MomentTransport, Solution
+
+__all__ = ["ProcrustesAffineTransport"]
+
+
+class ProcrustesAffineTransport(MomentTransport):
+    r"""Carry source rows to target rows by a map learned from rows in pairs.
+
+    ``alignment="whitened"`` takes, of all affine maps that give the carried rows exactly the target's mean
+    and covariance, the one with the least squared error over the pairs,
+
+    .. math:: T = C_t^{1/2} Q C_s^{-1/2}, \quad
+              Q \text{ the orthogonal polar factor of } C_t^{1/2} C_{ts} C_s^{-1/2},
+
+    which recovers every invertible affine map from noise-free pairs. ``alignment="raw"`` is Algorithm 1 of
+    the paper: the source is rotated by the polar factor of :math:`C_{ts}` and then transported.
+
+    Parameters
+    ----------
+    alignment : {"whitened", "raw"}, default="whitened"
+        Which rotation to use.
+    center : bool, default=True
+        False takes the rotation from rows that are not centred, as the letter of Algorithm 1 has it; only
+        with ``alignment="raw"``.
+    covariance : {"empirical", "shrunk"} or estimator, default="empirical"
+        As for `AffineTransport`; but of the target's sampling error only the part counts that the pairs do
+        not share, so that ``"shrunk"`` leaves pairs without noise as they are.
+    metric_scale : None, "target" or array-like of shape (n_features,), default=None
+        Lengths in which errors and displacement are measured, as for `AffineTransport`.
+    rank_deficient : {"raise", "reach"}, default="raise"
+        As for `AffineTransport`.
+    outside, unlabelled, source_domain
+        As for `AffineTransport`.
+
+    Attributes
+    ----------
+    rotation_ : array of shape (n_features, n_features)
+        Q or R above; orthogonal, or a partial isometry where a covariance is singular.
+    coef_, intercept_, source_mean_, target_mean_, source_covariance_, target_covariance_
+        As for `AffineTransport`.
+    wasserstein_distance_, rank_, unreached_, shrinkage_, n_features_in_, feature_names_in_
+        As for `AffineTransport`.
+
+    References
+    ----------
+    .. [1] Mallasto et al. (2021). Affine Transport for Sim-to-Real Domain Adaptation. Algorithm 1.
+
+    Examples
+    --------
+    >>> from skat import ProcrustesAffineTransport
+    >>> simulated = np.random.default_rng(0).normal(size=(20, 2))
+    >>> measured = simulated @ np.array([[0.0, 1.0], [-1.0, 0.0]])
+    >>> ProcrustesAffineTransport().fit(simulated, measured).coef_.round(12) + 0.0
+    array([[ 0., -1.],
+           [ 1.,  0.]])
+    """
+
+    _parameter_constraints = {
+        **MomentTransport._parameter_constraints,
+        "alignment": [StrOptions({"whitened", "raw"})],
+        "center": ["boolean"],
+    }
+
+    def __init__(
+        self,
+        *,
+        alignment="whitened",
+        center=True,
+        covariance="empirical",
+        metric_scale=None,
+        rank_deficient="raise",
+        outside="ignore",
+        unlabelled="raise",
+        source_domain=None,
+    ):
+        super().__init__(
+            covariance=covariance,
+            metric_scale=metric_scale,
+            rank_deficient=rank_deficient,
+            outside=outside,
+            unlabelled=unlabelled,
+            source_domain=source_domain,
+        )
+        self.alignment = alignment
+        self.center = center
+
+    def _check_parameters(self):
+        super()._check_parameters()
+        if not self.center and self.alignment != "raw":
+            raise ValueError(
+                'center=False belongs to alignment="raw", the letter of Algorithm 1; whitening is by '
+                'covariances, which are centred. Use center=True or alignment="raw".'
+            )
+
+    def _sets_of_rows(self, samples):
+        """Return the pairs, as rows of twice the columns."""
+        if samples.source is None or samples.target is None:
+            raise ValueError(
+                f"{type(self).__name__} learns from pairs, so each call needs source and target rows "
+                "together."
+            )
+        if not same_length(samples.source, samples.target):
+            raise ValueError(
+                f"{type(self).__name__} learns from pairs: row k of y belongs to row k of X; "
+                f"there are {samples.source.shape[0]} source rows and {samples.target.shape[0]} target "
+                "rows. Without pairs, use AffineTransport or ConditionalAffineTransport."
+            )
+        if (samples.source_weight is None) != (samples.target_weight is None) or (
+            samples.source_weight is not None
+            and not np.array_equal(samples.source_weight, samples.target_weight)
+        ):
+            raise ValueError("a pair has one weight: give one array of weights, not two that differ.")
+        return [(beside(samples.source, samples.target), samples.source_weight)]
+
+    def _sides(self):
+        (pairs,) = self._moments
+        if pairs is None:
+            return None, None
+        n_features = pairs.n_features // 2
+        return pairs.columns(slice(0, n_features)), pairs.columns(slice(n_features, None))
+
+    def _pairs(self):
+        return self._moments[0]
+
+    def _solve(self, source, target, scale):
+        alignment = self._aligned(source, target, scale, warn=self._warns)
+        affine = AffineMap.between(alignment.coef, source, target)
+        return Solution(affine, alignment.rank, alignment.unreached, {"rotation_": alignment.rotation})
+
+    def _solve_back(self, source, target, scale):
+        alignment = self._aligned(source, target, scale, warn=False)
+        if alignment.inverse_coef is None:
+            raise np.linalg.LinAlgError("the target has the lower rank")
+        return AffineMap.between(alignment.inverse_coef, target, source)
+
+    def _aligned(self, source, target, scale, *, warn):
+        (pairs,) = self._moments
+        n_features = source.n_features
+        factor = pairs.covariance_factor() / np.concatenate([scale, scale])
+        source_part, target_part = factor[:, :n_features], factor[:, n_features:]
+        if warn and look_shuffled(source_part, target_part, pairs.effective_n_rows):
+            warnings.warn(
+                "the pairs carry no correlation that shuffled rows would not show as well, so the rotation "
+                "is "
+                "arbitrary. Check that row k of y belongs to row k of X, or use AffineTransport, which needs "
+                "no pairs.",
+                UserWarning,
+                stacklevel=5,
+            )
+        roots = {"source_rounding": source.rounding, "target_rounding": target.rounding}
+        roots["reach"] = self._reaches
+        if not (isinstance(self.covariance, str) and self.covariance == "empirical"):
+            roots |= {"source_root": root_of_moments(source), "target_root": root_of_moments(target)}
+        if self.alignment == "raw":
+            if not self.center:
+                roots["mean_product"] = np.outer(target.mean, source.mean)
+            return raw_alignment(source_part, target_part, **roots)
+        return whitened_alignment(source_part, target_part, **roots)

@@ -1,0 +1,220 @@
+"""A regression of what a transport leaves, with a weight that falls to zero where it does not help."""
+
+import warnings
+
+import numpy as np
+from sklearn.base import clone
+from sklearn.utils.validation import has_fit_parameter
+
+from skat._compat import HasMethods
+from skat.gaussian.backends import is_dask, on_host
+from skat.transport.base import BaseTransport, same_length
+from skat.transport.procrustes import ProcrustesAffineTransport
+
+__all__ = ["ResidualTransport", "default_regressor"]
+
+
+class ResidualTransport(BaseTransport):
+    r"""Carry rows by a transport, and correct them by a regression of what it leaves.
+
+    .. math:: T(x) = T_0(x) + w \odot g(x)
+
+    with :math:`T_0` the transport and :math:`g` a regression of :math:`y - T_0(x)` on the source row, over rows in
+    pairs. Both are cross-fitted: each row's residual comes from a transport, and each row's prediction from a
+    regression, that has not seen the row. The weight of column j is the one of least expected squared error on
+    those predictions, drawn to zero by as much as it is uncertain (positive part of James and Stein),
+
+    .. math:: w_j = \Bigl[\hat w_j - \frac{s_j^2}{\hat w_j}\Bigr]_0^1, \qquad
+              \hat w_j = \frac{\langle r_j, g_j \rangle}{\langle g_j, g_j \rangle},
+
+    with :math:`s_j` the standard error of :math:`\hat w_j`. A regression that does not help is left out.
+
+    Parameters
+    ----------
+    transport : transport, default=None
+        Fitted to the pairs. None is ``ProcrustesAffineTransport()``.
+    regressor : regressor, default=None
+        Of many outputs, with ``fit(X, y)`` and ``predict(X)``; it sees source rows, and residuals in standard
+        deviations of the target. None is a kernel ridge regression on standardised rows, whose length and penalty
+        two-fold cross-validation chooses. Its time grows with the cube of the number of rows and its memory with
+        the square: beyond some 5,000 rows give another, as ``make_pipeline(StandardScaler(), Nystroem(), RidgeCV())``.
+    cv : int or cross-validation splitter, default=3
+        Folds of the cross-fitting. An int is of consecutive rows, so that neighbours in time stay together.
+    unlabelled, source_domain
+        As for `AffineTransport`.
+
+    Attributes
+    ----------
+    transport_ : transport
+        Fitted to all pairs.
+    regressor_ : regressor or None
+        Fitted to the cross-fitted residuals of all pairs; None where every weight is zero.
+    weights_ : ndarray of shape (n_features,)
+        Of each column's correction, from 0 to 1.
+    wasserstein_distance_ : float
+        Of `transport_`.
+    n_features_in_, feature_names_in_
+        As for `AffineTransport`.
+
+    Notes
+    -----
+    The carried rows have the target's mean and covariance only as nearly as the regression is right, and the map
+    has no inverse.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skat import ResidualTransport
+    >>> simulated = np.random.default_rng(0).normal(size=(200, 1))
+    >>> measured = simulated + np.sin(2 * simulated)
+    >>> carried = ResidualTransport().fit(simulated, measured).transform([[0.5]])
+    >>> bool(abs(carried[0, 0] - 0.5 - np.sin(1.0)) < 0.02)
+    True
+    """
+
+    _parameter_constraints = {
+        **BaseTransport._parameter_constraints,
+        "transport": [None, HasMethods(["fit", "transform"])],
+        "regressor": [None, HasMethods(["fit", "predict"])],
+        "cv": ["cv_object"],
+    }
+
+    def __init__(self, transport=None, regressor=None, *, cv=3, unlabelled="raise", source_domain=None):
+        super().__init__(unlabelled=unlabelled, source_domain=source_domain)
+        self.transport = transport
+        self.regressor = regressor
+        self.cv = cv
+
+    def _fit(self, samples):
+        from sklearn.model_selection import check_cv
+
+        if is_dask(samples.source) or is_dask(samples.target):
+            raise ValueError(
+                "a regression needs all rows in memory. Compute them first, or fit a transport alone."
+            )
+        if not same_length(samples.source, samples.target):
+            raise ValueError(
+                f"{type(self).__name__} learns from pairs: row k of y belongs to row k of X; there are "
+                f"{samples.source.shape[0]} source rows and {samples.target.shape[0]} target rows."
+            )
+        X, y = (np.asarray(on_host(rows), dtype=np.float64) for rows in (samples.source, samples.target))
+        if not (np.isfinite(X).all() and np.isfinite(y).all()):
+            self._refuse_infinite((X, "X"), (y, "X" if samples.stacked else "y"))
+        weight = samples.source_weight
+        if weight is not None and not np.array_equal(weight, samples.target_weight):
+            raise ValueError("a pair has one weight: give one array of weights, not two that differ.")
+        transport = ProcrustesAffineTransport() if self.transport is None else self.transport
+        regressor = default_regressor(*X.shape) if self.regressor is None else self.regressor
+        self.transport_ = clone(transport).fit(X, y, **_given(weight))
+        self.wasserstein_distance_ = self.transport_.wasserstein_distance_
+        self._lengths = _deviations(y)
+        residuals = np.empty(y.shape)
+        splits = list(check_cv(self.cv).split(X))
+        for kept, left_out in splits:
+            carried = _fitted(transport, X[kept], y[kept], _part(weight, kept)).transform(X[left_out])
+            residuals[left_out] = (y[left_out] - carried) / self._lengths
+        predictions = np.empty(y.shape)
+        for kept, left_out in splits:
+            fold = _fitted(regressor, X[kept], residuals[kept], _part(weight, kept))
+            predictions[left_out] = _rows_of(fold.predict(X[left_out]), y.shape[1])
+        self.weights_ = _weights(residuals, predictions, weight)
+        self.regressor_ = None
+        if self.weights_.any():
+            self.regressor_ = _fitted(regressor, X, residuals, weight)
+
+    def _carry(self, X, keep=None):
+        rows = np.asarray(on_host(X), dtype=np.float64)
+        if not np.isfinite(rows).all():
+            self._refuse_infinite((rows, "X"))
+        carried = self.transport_.transform(rows)
+        if self.regressor_ is not None:
+            correction = _rows_of(self.regressor_.predict(rows), rows.shape[1])
+            carried = carried + self.weights_ * self._lengths * correction
+        if keep is not None:
+            carried = np.where(np.asarray(keep)[:, np.newaxis], rows, carried)
+        return carried.astype(np.float32 if on_host(X).dtype == np.float32 else np.float64)
+
+    def support_distance(self, X):
+        """Return how far rows are from the fitted ones, as of `transport_`."""
+        self._check_is_fitted()
+        return self.transport_.support_distance(X)
+
+    def in_support(self, X, *, level=0.99):
+        """Return which rows lie where the fitted ones do, as of `transport_`."""
+        self._check_is_fitted()
+        return self.transport_.in_support(X, level=level)
+
+    def _carry_back(self, X):
+        raise np.linalg.LinAlgError(
+            "a transport that a regression corrects has no inverse. Take that of transport_, or fit one with the "
+            "two domains exchanged."
+        )
+
+
+def default_regressor(n_rows, n_features):
+    """Return the kernel ridge regression of `ResidualTransport`.
+
+    Parameters
+    ----------
+    n_rows : int
+        Number of pairs: from twelve on, two folds choose the length and the penalty.
+    n_features : int
+        Number of columns, whose root the lengths grow with.
+
+    Returns
+    -------
+    regressor
+    """
+    from sklearn.kernel_ridge import KernelRidge
+    from sklearn.model_selection import GridSearchCV
+    from sklearn.pipeline import make_pipeline
+    from sklearn.preprocessing import StandardScaler
+
+    gammas = np.array([0.05, 0.25, 1.0, 4.0]) / n_features
+    grid = {"kernelridge__gamma": gammas, "kernelridge__alpha": [1e-3, 1e-2, 1e-1, 1.0]}
+    regressor = make_pipeline(StandardScaler(), KernelRidge(kernel="rbf"))
+    if n_rows < 12:
+        return regressor
+    return GridSearchCV(regressor, grid, cv=2, scoring="neg_mean_squared_error", error_score="raise")
+
+
+def _weights(residuals, predictions, weight):
+    """Return the weight of each column's prediction: of least squared error, less its own uncertainty."""
+    weight = np.ones(len(residuals)) if weight is None else weight / weight.mean()
+    product = weight @ (residuals * predictions)
+    square = weight @ np.square(predictions)
+    square = np.where(square > 0, square, 1.0)
+    best = product / square
+    noise = np.square(weight) @ np.square(predictions * (residuals - best * predictions)) / np.square(square)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        drawn = np.where(best > 0, best - noise / best, 0.0)
+    return np.clip(drawn, 0.0, 1.0)
+
+
+def _fitted(estimator, X, y, weight):
+    with warnings.catch_warnings():
+        # The fit to all rows has said that they are few.
+        warnings.filterwarnings("ignore", message=".*rows cannot show how", category=UserWarning)
+        estimator = clone(estimator)
+        if weight is not None and not has_fit_parameter(estimator, "sample_weight"):
+            raise ValueError(
+                f"{type(estimator).__name__} takes no sample_weight. Give a regressor that does, or no weights."
+            )
+        return estimator.fit(X, y, **_given(weight))
+
+
+def _given(weight):
+    return {} if weight is None else {"sample_weight": weight}
+
+
+def _part(weight, rows):
+    return None if weight is None else weight[rows]
+
+
+def _rows_of(predictions, n_features):
+    return np.asarray(predictions, dtype=np.float64).reshape(-1, n_features)
+
+
+def _deviations(rows):
+    deviation = rows.std(axis=0)
+    return np.where(deviation > 0, deviation, 1.0)

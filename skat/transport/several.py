@@ -1,0 +1,266 @@
+"""Several source domains at once: a map for each, directly or by way of their barycentre."""
+
+import numpy as np
+from sklearn.base import clone
+
+from skat._compat import HasMethods, StrOptions, safe_indexing
+from skat.gaussian import AffineMap, covariance_root, optimal_map, row_moments
+from skat.gaussian.backends import is_dask, on_host
+from skat.transport.affine import AffineTransport
+from skat.transport.base import BaseTransport
+
+__all__ = ["MultiSourceTransport"]
+
+
+class MultiSourceTransport(BaseTransport):
+    r"""Carry rows of several source domains onto one target, each domain by a map of its own.
+
+    Parameters
+    ----------
+    transport : transport, default=None
+        Fitted to each source and the target; None is ``AffineTransport()``.
+    by : {"each", "barycentre"}, default="each"
+        ``"barycentre"`` carries every source to the Wasserstein barycentre of the sources' normal approximations,
+        weighted by their numbers of rows, and fits one transport from there to the target, with the rows of all:
+        for a target of so few rows, or a regression of such need of rows, that one map has to serve all.
+    target_domain : label or list of labels, default=None
+        The labels of target rows in `sample_domain`; every other label is a source domain of its own. None takes
+        negative numbers for the target and each positive number for a source, or "real" for the target.
+    unlabelled : {"raise", "target"}, default="raise"
+        As for `AffineTransport`: rows without a domain have no map to go by, but may be target rows.
+
+    Attributes
+    ----------
+    transports_ : dict of label to transport
+        By source domain; with ``by="barycentre"`` the same one for all.
+    barycentre_mean_, barycentre_covariance_ : ndarray
+        With ``by="barycentre"``.
+    wasserstein_distance_ : float
+        Root mean square, over source rows, of the domains' distances to the target.
+    n_features_in_, feature_names_in_
+        As for `AffineTransport`.
+
+    References
+    ----------
+    .. [1] Montesuma and Mboula (2021). Wasserstein Barycenter Transport for Acoustic Adaptation. ICASSP.
+    .. [2] Álvarez-Esteban, del Barrio, Cuesta-Albertos and Matrán (2016). A fixed-point approach to barycenters
+       in Wasserstein space. Journal of Mathematical Analysis and Applications 441.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skat import MultiSourceTransport
+    >>> rows = np.array([[0.0], [1.0], [0.0], [3.0], [5.0], [7.0]])
+    >>> pucks = ["red", "red", "blue", "blue", "real", "real"]
+    >>> both = MultiSourceTransport(target_domain="real").fit(rows, sample_domain=pucks)
+    >>> both.transform(rows, sample_domain=pucks).ravel()
+    array([5., 7., 5., 7., 5., 7.])
+    """
+
+    _parameter_constraints = {
+        "transport": [None, HasMethods(["fit", "transform"])],
+        "by": [StrOptions({"each", "barycentre"})],
+        "target_domain": "no_validation",
+        "unlabelled": [StrOptions({"raise", "target"})],
+    }
+
+    def __init__(self, transport=None, *, by="each", target_domain=None, unlabelled="raise"):
+        self.transport = transport
+        self.by = by
+        self.target_domain = target_domain
+        self.unlabelled = unlabelled
+
+    source_domain = None
+
+    def fit(self, X, y=None, sample_weight=None, sample_domain=None):
+        """Learn the maps.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            Rows of all domains, stacked.
+        y : object, default=None
+            Ignored, as labels of a pipeline's predictor.
+        sample_weight : array-like of shape (n_samples,), default=None
+            Weights of the rows.
+        sample_domain : array-like of shape (n_samples,)
+            Domain of each row.
+
+        Returns
+        -------
+        self : object
+
+        Raises
+        ------
+        ValueError
+            If the domains are missing, or hold no target or no source.
+        """
+        self._validate_params()
+        if sample_domain is None:
+            raise ValueError(
+                f"{type(self).__name__} has to know the domain of every row: fit(X, sample_domain=labels)."
+            )
+        if is_dask(X):
+            raise ValueError(f"{type(self).__name__} needs all rows in memory. Compute them first.")
+        rows = self._rows(X, "X", reset=True)
+        labels = self._labels(sample_domain, rows)
+        weight = None if sample_weight is None else np.asarray(on_host(sample_weight), dtype=np.float64)
+        is_target = np.array([label is None for label in labels], dtype=bool)
+        sources = list(dict.fromkeys(label for label in labels if label is not None))
+        if not sources or not is_target.any():
+            raise ValueError(
+                f"there must be rows of the target and of one source or more; there are {int(is_target.sum())} "
+                f"target rows and {len(sources)} sources."
+            )
+        members = {label: np.array([other == label for other in labels], dtype=bool) for label in sources}
+        self._stacked = True
+        transport = AffineTransport() if self.transport is None else self.transport
+        to_middle: dict[object, AffineMap | None] = dict.fromkeys(sources)
+        if self.by == "barycentre":
+            maps = self._to_barycentre(rows, members, weight)
+            to_middle |= maps
+            moved = np.concatenate([maps[label](rows[mask]) for label, mask in members.items()])
+            order = np.concatenate([np.flatnonzero(mask) for mask in members.values()])
+            shared = _fitted(transport, moved, rows[is_target], weight, order, is_target)
+            self.transports_ = dict.fromkeys(sources, shared)
+        else:
+            self.transports_ = {
+                label: _fitted(
+                    transport,
+                    safe_indexing(X, np.flatnonzero(mask)),
+                    safe_indexing(X, np.flatnonzero(is_target)),
+                    weight,
+                    mask,
+                    is_target,
+                )
+                for label, mask in members.items()
+            }
+        self._to_middle = to_middle
+        sizes = np.array([mask.sum() for mask in members.values()])
+        distances = np.array([self.transports_[label].wasserstein_distance_ for label in sources])
+        self.wasserstein_distance_ = float(np.sqrt(np.average(np.square(distances), weights=sizes)))
+        return self
+
+    def transform(self, X, sample_domain=None):
+        """Carry the rows of each source domain over by its own map.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            Rows.
+        sample_domain : array-like of shape (n_samples,), default=None
+            Domain of each row; target rows are returned as they are.
+
+        Returns
+        -------
+        ndarray of shape (n_samples, n_features)
+
+        Raises
+        ------
+        ValueError
+            If domains are missing, unless `unlabelled` says that such rows are target rows, or were not fitted.
+        """
+        self._check_is_fitted()
+        rows = self._rows(X, "X", reset=False)
+        if sample_domain is None:
+            if self.unlabelled == "target":
+                return np.array(rows)
+            raise ValueError(
+                f"this {type(self).__name__} has a map for each of {len(self.transports_)} domains, so transform "
+                'has to know whose rows these are. Pass sample_domain=..., or say unlabelled="target".'
+            )
+        labels = self._labels(sample_domain, rows)
+        unknown = [
+            label for label in dict.fromkeys(labels) if label is not None and label not in self.transports_
+        ]
+        if unknown:
+            raise ValueError(
+                f"no rows of {', '.join(map(repr, unknown))} were fitted; the source domains are "
+                f"{', '.join(map(repr, self.transports_))}."
+            )
+        carried = np.array(rows)
+        for label, transport in self.transports_.items():
+            mask = np.array([other == label for other in labels], dtype=bool)
+            if mask.any():
+                moved = safe_indexing(X, np.flatnonzero(mask))
+                to_middle = self._to_middle[label]
+                if to_middle is not None:
+                    moved = to_middle(rows[mask])
+                carried[mask] = on_host(transport.transform(moved))
+        return carried
+
+    def inverse_transform(self, X):
+        """Raise: a target row comes from no domain in particular."""
+        raise ValueError("target rows have one origin for each source domain. Use transports_[label].")
+
+    def score(self, X, y=None, sample_weight=None, sample_domain=None):
+        """Return the mean affinity of the carried rows of each source domain and the target rows.
+
+        Parameters
+        ----------
+        X, y, sample_weight, sample_domain
+            As for `fit`.
+
+        Returns
+        -------
+        float
+            At most one; domains count by their numbers of rows.
+        """
+        from skat.metrics import affinity_score
+
+        rows = self._rows(X, "X", reset=False)
+        labels = self._labels(sample_domain, rows)
+        carried = self.transform(X, sample_domain=sample_domain)
+        target = np.array([label is None for label in labels], dtype=bool)
+        weight = None if sample_weight is None else np.asarray(on_host(sample_weight), dtype=np.float64)
+        scores, sizes = [], []
+        for label in dict.fromkeys(label for label in labels if label is not None):
+            mask = np.array([other == label for other in labels], dtype=bool)
+            weights = None if weight is None else (weight[mask], weight[target])
+            scores.append(affinity_score(carried[mask], rows[target], sample_weight=weights))
+            sizes.append(mask.sum())
+        return float(np.average(scores, weights=sizes))
+
+    def _labels(self, sample_domain, rows):
+        """Return the label of each row's source domain, None for target rows."""
+        labels = on_host(sample_domain)
+        if labels.ndim != 1 or len(labels) != len(rows):
+            raise ValueError(
+                f"sample_domain must have one label per row; its shape is {labels.shape}, there are {len(rows)} rows."
+            )
+        labels = labels.tolist()
+        if self.target_domain is not None:
+            targets = np.atleast_1d(np.asarray(self.target_domain)).tolist()
+            return [None if label in targets else label for label in labels]
+        if all(isinstance(label, int | float) for label in labels):
+            return [None if label < 0 else label for label in labels]
+        return [None if label in ("real", "target", "measured") else label for label in labels]
+
+    def _to_barycentre(self, rows, members, weight):
+        """Return the map of each source to the barycentre of them all."""
+        import ot
+
+        moments = {
+            label: row_moments(rows[mask], None if weight is None else weight[mask])
+            for label, mask in members.items()
+        }
+        sides = list(moments.values())
+        shares = np.array([side.weight for side in sides])
+        mean, covariance = ot.gaussian.bures_wasserstein_barycenter(
+            np.stack([side.mean for side in sides]),
+            np.stack([side.covariance for side in sides]),
+            shares / shares.sum(),
+            num_iter=1000,
+            eps=1e-10,
+        )
+        self.barycentre_mean_, self.barycentre_covariance_ = mean, covariance
+        root = covariance_root((covariance + covariance.T) / 2)
+        return {
+            label: AffineMap(optimal_map(covariance_root(side.covariance), root), side.mean, mean)
+            for label, side in moments.items()
+        }
+
+
+def _fitted(transport, source, target, weight, source_rows, target_rows):
+    given = {} if weight is None else {"sample_weight": (weight[source_rows], weight[target_rows])}
+    return clone(transport).fit(source, target, **given)

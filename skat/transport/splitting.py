@@ -1,0 +1,114 @@
+"""Cross-validation over stacked rows that scores target rows only."""
+
+import numpy as np
+from sklearn.utils.metadata_routing import UNCHANGED, MetadataRequest
+
+from skat.metrics.domains import domain_signs
+
+__all__ = ["TargetRows"]
+
+
+class TargetRows:
+    """Split stacked rows so that validation folds hold target rows only.
+
+    A grid over a pipeline of a transport and a predictor is to be scored on what the predictor is for: measured
+    rows. Source rows of a validation fold would be scored as they are, for a scorer of scikit-learn hands no
+    domain on to ``transform``. Here the target rows are split by `cv`; all source rows are for training.
+
+    Parameters
+    ----------
+    cv : int or cross-validation splitter, default=5
+        Splits the target rows, with their y and groups; an int is of ``KFold``.
+    sample_domain : array-like of shape (n_samples,), default=None
+        Domain of each row. With metadata routing it may come with the others instead.
+    source_domain : label or list of labels, default=None
+        As for `AffineTransport`.
+    paired : bool, default=False
+        Whether the k-th source row belongs to the k-th target row; a source row then leaves with its partner.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skat import TargetRows
+    >>> rows, domain = np.zeros((6, 1)), ["sim", "sim", "real", "real", "real", "sim"]
+    >>> for train, test in TargetRows(3, sample_domain=domain).split(rows):
+    ...     print(train, test)
+    [0 1 3 4 5] [2]
+    [0 1 2 4 5] [3]
+    [0 1 2 3 5] [4]
+    """
+
+    def __init__(self, cv=5, *, sample_domain=None, source_domain=None, paired=False):
+        self.cv = cv
+        self.sample_domain = sample_domain
+        self.source_domain = source_domain
+        self.paired = paired
+
+    def __repr__(self):
+        return f"TargetRows({self.cv!r})"
+
+    def get_n_splits(self, X=None, y=None, groups=None, sample_domain=None):
+        """Return the number of folds."""
+        return self._cv(None).get_n_splits(X, y, groups)
+
+    def split(self, X, y=None, groups=None, sample_domain=None):
+        """Yield row numbers to train on and target row numbers to validate on.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            Stacked rows.
+        y, groups : array-like of shape (n_samples,), default=None
+            Handed to `cv`, those of the target rows.
+        sample_domain : array-like of shape (n_samples,), default=None
+            Domain of each row; None takes the constructor's.
+
+        Yields
+        ------
+        train, test : ndarray of int
+
+        Raises
+        ------
+        ValueError
+            If the domain is missing or has no rows of one side, or of `paired` the numbers differ.
+        """
+        domain = self.sample_domain if sample_domain is None else sample_domain
+        if domain is None:
+            raise ValueError(
+                "TargetRows has to know which rows are target rows: TargetRows(cv, sample_domain=...), or, with "
+                "metadata routing, sample_domain beside X."
+            )
+        n_rows = X.shape[0] if hasattr(X, "shape") else len(X)
+        signs = domain_signs(domain, n_rows, self.source_domain)
+        source, target = np.flatnonzero(signs > 0), np.flatnonzero(signs < 0)
+        if not len(source) or not len(target):
+            raise ValueError(
+                f"there are {len(source)} source and {len(target)} target rows. Give some of each."
+            )
+        if self.paired and len(source) != len(target):
+            raise ValueError(
+                f"pairs are as many on both sides; there are {len(source)} and {len(target)} rows."
+            )
+        y, groups = (None if given is None else np.asarray(given)[target] for given in (y, groups))
+        for train, test in self._cv(y).split(np.empty((len(target), 1)), y, groups):
+            kept = source[train] if self.paired else source
+            yield np.sort(np.concatenate([kept, target[train]])), target[test]
+
+    def _cv(self, y):
+        from sklearn.model_selection import check_cv
+
+        return check_cv(self.cv, y)
+
+    def get_metadata_routing(self):
+        """Ask for `groups` and `sample_domain` where they are given."""
+        routing = MetadataRequest(owner=self)
+        wanted = {"groups": getattr(self, "_groups", None), "sample_domain": True}
+        for name, alias in wanted.items():
+            routing.split.add_request(param=name, alias=alias)
+        return routing
+
+    def set_split_request(self, *, groups=UNCHANGED):
+        """Ask for `groups`, or not, in metadata routing."""
+        if groups is not UNCHANGED:
+            self._groups = groups
+        return self
