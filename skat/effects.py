@@ -85,6 +85,21 @@ class Effect:
         object.__setattr__(self, "describe", given)
 
     @property
+    def meaning(self) -> str:
+        """What the quantity is, in words.
+
+        Examples
+        --------
+        >>> Effect("dry_friction[elbow]", unit="N m", neutral=0.0, bounds=(0.0, 1.0)).meaning
+        'dry friction of elbow'
+        """
+        words = _phrase(self.name, self.unit, self.neutral)
+        if words != self.name:
+            return words
+        one, every = _MEANINGS.get(self.family, ("", ""))
+        return every if self.target == "all" else one.format(self.target)
+
+    @property
     def is_factor(self) -> bool:
         """Whether values multiply (neutral 1, without a unit) rather than add."""
         return self.neutral == 1 and self.unit == "1"
@@ -211,6 +226,12 @@ _PHRASES = {
     "bias": ("the bias of sensor {}", ""),
 }
 
+
+# Of families whose sentences begin with the name itself.
+_MEANINGS = {
+    "gain": ("the force of the actuator {} for its command", "the force of every actuator for its command"),
+    "gravity": ("the strength of gravity", ""),
+}
 
 # Families whose words hold for these units alone.
 _UNITS = {

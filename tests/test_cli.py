@@ -95,7 +95,7 @@ def test_help_names_the_commands():
 def test_help_loads_nothing_heavy():
     code = (
         "import sys\nfrom skat.cli import app\n"
-        "heavy = {'mujoco', 'matplotlib', 'ot', 'gymnasium'}\n"
+        "heavy = {'mujoco', 'matplotlib', 'ot', 'gymnasium', 'sklearn', 'scipy', 'numpy', 'pandas'}\n"
         "assert not heavy & set(sys.modules), heavy & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
@@ -165,14 +165,15 @@ def test_effects_are_listed_with_unit_and_range(here):
     result = skat("effects", "model.xml")
     assert result.exit_code == 0, result.output
     rows = {
-        row[1]: row[2:6]
+        row[1]: row[2:7]
         for row in (re.split(r" *[│┃] *", line) for line in result.stdout.splitlines())
         if row[3:]
     }
-    assert rows.pop("effect") == ["unit", "neutral", "lowest", "highest"]
+    assert rows.pop("effect") == ["unit", "neutral", "lowest", "highest", "meaning"]
     effects = MujocoSimulator(here / "model.xml").effects()
     assert list(rows) == [effect.name for effect in effects]
-    assert rows["mass[cart]"] == ["1", "1", "0.05", "20"]
+    assert rows["mass[cart]"] == ["1", "1", "0.05", "20", "the mass of cart"]
+    assert all(row[-1] and row[-1] != name for name, row in rows.items()), rows
     longer = skat("effects", "model.xml", "--frame-skip", 4).stdout
     assert longer != result.stdout
     assert "There is no file none.xml" in refused("effects", "none.xml")
@@ -306,6 +307,20 @@ def test_transport_carries_the_source_onto_the_target(here, method):
     np.testing.assert_allclose(moved.cov(), target[["a", "b"]].cov(), rtol=1e-9, atol=1e-9)
 
 
+def test_transport_leaves_the_time_and_the_episode_alone(here):
+    write_samples(here)
+    source = pd.read_csv(here / "source.csv")
+    source.insert(0, "time", 0.1 * np.arange(len(source)))
+    source["episode"] = "01"
+    source.to_csv(here / "source.csv", index=False)
+    pd.read_csv(here / "target.csv").assign(time=7.5).to_csv(here / "target.csv", index=False)
+    assert skat("transport", "source.csv", "target.csv", "-o", "out.csv").exit_code == 0
+    moved = pd.read_csv(here / "out.csv", dtype=str)
+    assert list(moved.columns) == ["time", "episode", "a", "b"]
+    assert (moved["episode"] == "01").all()
+    assert (moved["time"].astype(float) == source["time"]).all()
+
+
 def test_transport_refuses_bad_input(here):
     write_samples(here)
     assert "There is no file none.csv" in refused("transport", "none.csv", "target.csv", "-o", "out.csv")
@@ -354,6 +369,25 @@ def test_findings_are_shown_where_the_gain_cannot_be_measured(here, monkeypatch)
 def test_a_share_beyond_one_is_refused_before_anything_is_drawn(here):
     message = refused("diagnose", "model.xml", "log.csv", "--test-size", "3")
     assert message == "Error: test_size must lie between 0 and 1, such as 0.3; it is 3.0."
+
+
+def test_the_version_is_that_of_the_package():
+    from importlib.metadata import version
+
+    import skat as package
+
+    assert skat("--version").stdout == f"skat {package.__version__}\n"
+    assert version("skat") == package.__version__
+
+
+def test_completion_is_offered():
+    assert "--install-completion" in skat("--help").stdout
+
+
+def test_zero_processes_are_refused_before_the_work(here):
+    message = refused("diagnose", "model.xml", "log.csv", "--jobs", "0")
+    assert "n_jobs must be a number of processes" in message
+    assert "--jobs" in message
 
 
 def test_nothing_is_set_aside_if_the_user_says_so(here):

@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
+from skat import __version__
 from skat.cli.terminal import (
     clear_errors,
     existing_file,
@@ -16,13 +17,30 @@ from skat.cli.terminal import (
     table_of,
     unused,
 )
+from skat.files import whole
+
+
+def _version(wanted: bool):
+    if wanted:
+        print_line(f"skat {__version__}")
+        raise typer.Exit
+
 
 app = typer.Typer(
-    help="Find out what a simulation gets wrong, and carry simulated samples onto measured ones.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_show_locals=False,
 )
+
+
+@app.callback()
+def main(
+    version: Annotated[
+        bool, typer.Option("--version", is_eager=True, callback=_version, help="Print the version and end.")
+    ] = False,
+):
+    """Find out what a simulation gets wrong, and carry simulated samples onto measured ones."""
+
+
 demo = typer.Typer(help="Diagnose data that come with skat.", invoke_without_command=True)
 app.add_typer(demo, name="demo")
 
@@ -188,8 +206,10 @@ def effects(
         from skat.simulators import MujocoSimulator
 
         listed = MujocoSimulator(existing_file(model, "a MuJoCo model"), frame_skip=frame_skip).effects()
-        rows = [(effect.name, effect.unit, effect.neutral, *effect.bounds) for effect in listed]
-        columns = ["effect", "unit", "neutral", "lowest", "highest"]
+        rows = [
+            (effect.name, effect.unit, effect.neutral, *effect.bounds, effect.meaning) for effect in listed
+        ]
+        columns = ["effect", "unit", "neutral", "lowest", "highest", "meaning"]
         output_console().print(table_of(pd.DataFrame(rows, columns=columns)))
 
 
@@ -232,10 +252,13 @@ def preflight(
         if not shown.all():
             print_line(f"Not shown within their bounds: {', '.join(table['effect'][~shown])}")
         if output is not None:
-            table.to_csv(output, index=False)
+            with whole(output) as draft:
+                table.to_csv(draft, index=False)
             print_line(f"Table: {output}")
 
 
+# Of a log, what is no sample: a transport leaves them as they are.
+STAMPS = ["time", "episode"]
 PUCKS_ARE_SIMULATED = (
     "The recordings of real pucks in the paper are not public; the blue and the red puck here are simulations with "
     "another time step, friction and slope, and 0.05 m of noise from strike to strike."
@@ -265,12 +288,16 @@ def transport(
 ):
     """Carry the rows of SOURCE.csv onto those of TARGET.csv."""
     with clear_errors():
+        import pandas as pd
+
         from skat import CORAL, AffineTransport, ExactTransport, ProcrustesAffineTransport
-        from skat.datasets.logs import numeric_columns, with_same_columns
+        from skat.datasets.tables import numeric_columns, with_same_columns
 
         path = output_file(output, force=force)
-        rows = numeric_columns(existing_file(source, "simulated rows in CSV"))
-        measured = with_same_columns(numeric_columns(existing_file(target, "measured rows in CSV")), rows)
+        rows = numeric_columns(existing_file(source, "simulated rows in CSV"), beside=STAMPS)
+        measured = numeric_columns(existing_file(target, "measured rows in CSV"), beside=STAMPS)
+        rows, stamps = rows.drop(columns=STAMPS, errors="ignore"), rows.filter(STAMPS)
+        measured = with_same_columns(measured.drop(columns=STAMPS, errors="ignore"), rows)
         estimators = {
             Method.affine: AffineTransport,
             Method.procrustes: ProcrustesAffineTransport,
@@ -284,7 +311,8 @@ def transport(
             moved[:] = estimator.transform(rows.to_numpy())
             score = estimator.score(rows.to_numpy(), measured.to_numpy())
             progress("fitting", 1, 1)
-        moved.to_csv(path, index=False)
+        with whole(path) as draft:
+            pd.concat([stamps, moved], axis=1).to_csv(draft, index=False)
         output_console().print(table_of(_moments(source=rows, target=measured, transported=moved)))
         print_line(f"Affinity score of the transported and the target rows: {score:.4g}")
         print_line(f"Transported rows: {path}")
@@ -341,10 +369,12 @@ def experiment(
         if name in (Experiment.puck, Experiment.learning_curve):
             print_line(PUCKS_ARE_SIMULATED)
         if output is not None:
-            table.to_csv(output, index=False)
+            with whole(output) as draft:
+                table.to_csv(draft, index=False)
             print_line(f"Table: {output}")
         if plot is not None:
-            figure(table).savefig(plot)
+            with whole(plot) as draft:
+                figure(table).savefig(draft)
             print_line(f"Picture: {plot}")
 
 

@@ -135,8 +135,8 @@ def _cell(value, number):
 
 
 def _console(stream):
-    # A pipe has no width; 110 keeps rows of a table on one line.
-    return Console(file=stream, highlight=False, width=None if stream.isatty() else 110)
+    # A pipe has no width; 160 keeps rows of a table on one line.
+    return Console(file=stream, highlight=False, width=None if stream.isatty() else 160)
 
 
 def _stage_printer(console):

@@ -1,6 +1,5 @@
 """Read a robot's log from a CSV file as transitions of a simulator."""
 
-import csv
 import warnings
 from pathlib import Path
 
@@ -8,6 +7,7 @@ import numpy as np
 import pandas as pd
 from sklearn.utils import Bunch, check_random_state
 
+from skat.datasets.tables import line_of, listed, numbers, other_mark, read_table
 from skat.episodes import FEWEST_ROWS, drawn_episodes
 
 # The clock of a log may deviate by this much of a transition; more cannot be told from a lost row.
@@ -101,7 +101,7 @@ def load_log(path, simulator, *, frame_skip=None):
             )
     table = read_table(path)
     _check_columns(table, simulator, path, needs_time=frame_skip is None)
-    values = _numbers(table, list(simulator.input_names), path)
+    values = numbers(table, list(simulator.input_names), path)
     starts = _episode_starts(table, path)
     inside = np.ones(len(table), dtype=bool)
     inside[starts] = False
@@ -113,7 +113,7 @@ def load_log(path, simulator, *, frame_skip=None):
         )
     timestep = simulator.dt / (simulator.frame_skip if steps_itself else 1)
     if frame_skip is None:
-        frame_skip = _steps_per_row(_numbers(table, ["time"], path)[:, 0], arrivals, timestep, path)
+        frame_skip = _steps_per_row(numbers(table, ["time"], path)[:, 0], arrivals, timestep, path)
         _doubt_clock(values, arrivals, simulator, frame_skip * timestep, path)
     elif "time" in table:
         _doubt_steps(table, arrivals, frame_skip, timestep, path)
@@ -138,73 +138,6 @@ def load_log(path, simulator, *, frame_skip=None):
     )
 
 
-def read_table(path):
-    """Return the table in a CSV file.
-
-    Parameters
-    ----------
-    path : str or Path
-        A file whose first line names the columns.
-
-    Returns
-    -------
-    DataFrame
-        Of texts without spaces around them: the episode "01" is not "1", and "NA" is one.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-
-    ValueError
-        If it holds no table.
-    """
-    path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"There is no file {path}. Check the path; expected a CSV file.")
-    try:
-        with warnings.catch_warnings():
-            # Where rows have more values than names, pandas only warns, and columns get the names of others.
-            warnings.simplefilter("error", pd.errors.ParserWarning)
-            table = pd.read_csv(
-                path, skipinitialspace=True, index_col=False, dtype=str, keep_default_na=False
-            )
-    except (ValueError, pd.errors.ParserWarning) as error:
-        with path.open(errors="replace") as file:
-            advice = _other_mark(file.readline())
-        raise ValueError(f"{path} is not a CSV table: {(advice or str(error)).strip()}") from error
-    table.columns = table.columns.str.strip()
-    table = table.fillna("").apply(lambda column: column.str.strip())
-    if len(table) == 0:
-        raise ValueError(f"{path} has no rows below its first line.")
-    return table
-
-
-def numeric_columns(path):
-    """Return the table in a CSV file, all of whose values are numbers.
-
-    Parameters
-    ----------
-    path : str or Path
-        A file whose first line names the columns.
-
-    Returns
-    -------
-    DataFrame
-        Columns of floats.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-
-    ValueError
-        If it holds no table, or a value is missing or no number.
-    """
-    table = read_table(path)
-    return pd.DataFrame(_numbers(table, list(table.columns), path), columns=table.columns)
-
-
 def _check_columns(table, simulator, path, *, needs_time):
     expected = set(simulator.input_names)
     missing = [name for name in simulator.input_names if name not in table]
@@ -212,10 +145,10 @@ def _check_columns(table, simulator, path, *, needs_time):
     if missing or unknown:
         raise ValueError(
             f"The columns of {path} do not match the model. "
-            + (f"Missing: {_listed(missing)}. " if missing else "")
-            + (f"Not in the model: {_listed(unknown)}; take such columns out. " if unknown else "")
+            + (f"Missing: {listed(missing)}. " if missing else "")
+            + (f"Not in the model: {listed(unknown)}; take such columns out. " if unknown else "")
             + _advice(missing, table)
-            + f"Expected time, episode (optional), {_listed(list(simulator.input_names), 40)}."
+            + f"Expected time, episode (optional), {listed(list(simulator.input_names), 40)}."
         )
     if needs_time and "time" not in table:
         raise ValueError(
@@ -226,7 +159,7 @@ def _check_columns(table, simulator, path, *, needs_time):
 
 def _advice(missing, table):
     """Return what to do about columns that are missing."""
-    if len(table.columns) == 1 and (advice := _other_mark(table.columns[0])):
+    if len(table.columns) == 1 and (advice := other_mark(table.columns[0])):
         return advice
     if missing and all(name.startswith("qvel.") for name in missing):
         options = " ".join(f"--hidden {name}" for name in missing)
@@ -237,37 +170,13 @@ def _advice(missing, table):
     return ""
 
 
-def _other_mark(line):
-    """Return what to do about the first line of a file that is separated by another mark; "" where it is not."""
-    if "," in line or not any(mark in line for mark in ";\t|"):
-        return ""
-    return (
-        "The file seems to be separated by another mark than commas: write it with commas between columns, and "
-        "points in numbers. "
-    )
-
-
-def _numbers(table, names, path):
-    converted = table[names].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
-    bad = np.argwhere(~np.isfinite(converted))
-    if len(bad):
-        row, column = bad[0]
-        raise ValueError(
-            f"{path}, line {_line(path, row)}, column {names[column]}: expected a finite number, got "
-            f"{table[names[column]].iloc[row]!r}"
-            + (f" (and {len(bad) - 1} more such values). " if len(bad) > 1 else ". ")
-            + "Remove the rows with gaps, and start a new episode after each gap."
-        )
-    return converted
-
-
 def _episode_starts(table, path):
     if "episode" not in table:
         return np.array([0])
     names = table["episode"].to_numpy()
     if (names == "").any():
         raise ValueError(
-            f"{path}, line {_line(path, np.argmax(names == ''))}: the column 'episode' is empty. Name the episode of "
+            f"{path}, line {line_of(path, np.argmax(names == ''))}: the column 'episode' is empty. Name the episode of "
             "every row."
         )
     starts = np.flatnonzero(np.concatenate([[True], names[1:] != names[:-1]]))
@@ -275,7 +184,7 @@ def _episode_starts(table, path):
     for start in starts:
         if names[start] in seen:
             raise ValueError(
-                f"{path}, line {_line(path, start)}: episode {names[start]} goes on after another one began. The "
+                f"{path}, line {line_of(path, start)}: episode {names[start]} goes on after another one began. The "
                 "rows of an episode stand together, in time order; give the second part another name if it is "
                 "another run."
             )
@@ -294,7 +203,7 @@ def _steps_per_row(time, arrivals, timestep, path):
     worst = int(np.argmax(np.abs(intervals - dt)))
     if abs(intervals[worst] - dt) > CLOCK_TOLERANCE * dt:
         raise ValueError(
-            f"{path}, line {_line(path, arrivals[worst])}: {intervals[worst]:g} s after the row before, while the "
+            f"{path}, line {line_of(path, arrivals[worst])}: {intervals[worst]:g} s after the row before, while the "
             f"usual step is {dt:g} s; more than 1 % apart. Resample the log evenly, start a new episode, in a column "
             "'episode', after each gap, or pass the number of steps per row (frame_skip, on the command line "
             "--frame-skip) if the clock is wrong."
@@ -348,18 +257,6 @@ def _doubt_clock(values, arrivals, simulator, dt, path):
         raise ValueError(f"{text} The times look like milliseconds or less: divide them by 1000.")
     if not 1 / OTHER_CLOCK < ratio < OTHER_CLOCK:
         warnings.warn(text, UserWarning, stacklevel=3)
-
-
-def _line(path, row):
-    """Return the line of a file that ends the row of its table."""
-    with path.open(newline="") as file:
-        reader = csv.reader(file)
-        lines = [reader.line_num for fields in reader if any(map(str.strip, fields)) or len(fields) > 1]
-    return lines[row + 1]
-
-
-def _listed(names, limit=12):
-    return ", ".join(names[:limit]) + (f", ... ({len(names)} in all)" if len(names) > limit else "")
 
 
 def split_episodes(log, *, test_size, random_state=None):
@@ -417,29 +314,3 @@ def split_episodes(log, *, test_size, random_state=None):
         )
         for rows in (~chosen, chosen)
     )
-
-
-def with_same_columns(table, other):
-    """Return a table with its columns in the order of another's.
-
-    Parameters
-    ----------
-    table, other : DataFrame
-        Tables that should have the same columns.
-
-    Returns
-    -------
-    DataFrame
-        Columns of `table`, in the order of `other`.
-
-    Raises
-    ------
-    ValueError
-        If one has a column that the other has not.
-    """
-    if differing := [name for name in [*table, *other] if (name in table) != (name in other)]:
-        raise ValueError(
-            f"The two tables must have the same columns; only one of them has: {_listed(differing)}. "
-            "Remove these columns, or add them to the other table."
-        )
-    return table[list(other)]
