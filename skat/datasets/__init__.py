@@ -2,10 +2,10 @@
 
 from skat.datasets.ball_drops import ball_drop_simulator, fetch_ball_drops
 from skat.datasets.cube_tosses import cube_toss_simulator, fetch_cube_tosses
-from skat.datasets.logs import load_log, split_episodes
 from skat.datasets.originals import data_home
 from skat.datasets.pendulum import fetch_pendulum, pendulum_simulator
 from skat.datasets.pucks import make_hidden_puck, make_real_puck
+from skat.episodes import split_episodes
 
 __all__ = [
     "ball_drop_simulator",
@@ -14,7 +14,6 @@ __all__ = [
     "fetch_ball_drops",
     "fetch_cube_tosses",
     "fetch_pendulum",
-    "load_log",
     "make_hidden_puck",
     "make_real_puck",
     "pendulum_simulator",

@@ -1,7 +1,7 @@
 """Times of a log: their unit, the even grid behind them, what is lost, and values between samples."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -19,12 +19,15 @@ SLOWEST, FASTEST = 0.5, 5e-4
 FEW = 0.05
 # Neighbours whose distance is more than so many rows have nothing between them.
 BETWEEN = 1.5
+NO_TIME = np.iinfo(np.int64).min
 # What a stamp in seconds since 1970 is at least, by unit.
 DATES = (("ns", 1e17), ("us", 1e14), ("ms", 1e11), ("s", LEAST_DATE))
 
 
-def in_seconds(values: np.ndarray, unit: str | None, where: str) -> tuple[np.ndarray, str]:
-    """Return times in s and the unit they were in.
+def in_seconds(
+    values: np.ndarray, unit: str | None, where: str, origin: float | None = None
+) -> tuple[np.ndarray, str, float]:
+    """Return times in s, the unit they were in, and the origin that was subtracted, in that unit.
 
     Parameters
     ----------
@@ -34,6 +37,8 @@ def in_seconds(values: np.ndarray, unit: str | None, where: str) -> tuple[np.nda
         "s", "ms", "us" or "ns"; None: found out, from stamps since 1970 and from the distance of rows.
     where : str
         For messages.
+    origin : float, optional
+        That of another stream of the log. None: the first stamp where that is a date, otherwise 0.
 
     Raises
     ------
@@ -41,46 +46,45 @@ def in_seconds(values: np.ndarray, unit: str | None, where: str) -> tuple[np.nda
         If they are no times.
     """
     if values.dtype == object:
-        return _iso(values, where), "ISO 8601"
-    if unit is not None:
-        if unit not in BASE or BASE[unit][1] != "S":
-            raise LogError(where, f"has the unit {unit!r}, which is none of time.", options={"units": {"time": "s"}})
-        return _scaled(values, unit), unit
+        whole = _iso(values, where)
+        origin = float(whole[0]) if origin is None else origin
+        return (whole - np.int64(origin)) / 1e9 + np.where(whole == NO_TIME, np.nan, 0.0), "ISO 8601", origin
+    if unit is not None and (unit not in BASE or BASE[unit][1] != "S"):
+        raise LogError(where, f"has the unit {unit!r}, which is none of time.", options={"units": {"time": "s"}})
+    unit = unit or _guessed_unit(values)
+    factor = round(1 / BASE[unit][0])
+    first = values[np.isfinite(values)][:1]
+    if origin is None:
+        origin = float(first[0]) if len(first) and abs(first[0] / factor) >= LEAST_DATE else 0.0
+    return (values - origin) / factor if origin or factor != 1 else values, unit, origin
+
+
+def _guessed_unit(values):
+    """Return the unit that stamps since 1970, or the distance of rows, show."""
     first = values[np.isfinite(values)][:1]
     if len(first) and abs(first[0]) >= LEAST_DATE:
         unit = next((name for name, least in DATES if abs(first[0]) >= least), "s")
         if unit != "s":
-            return _scaled(values, unit), unit
+            return unit
     steps = np.diff(values)
     steps = steps[np.isfinite(steps) & (steps > 0)]
-    usual = float(np.median(steps)) if len(steps) else 1.0
-    if usual < SLOWEST:
-        return values, "s"
-    fitting = [name for name in ("ms", "us", "ns") if FASTEST <= usual * BASE[name][0] < SLOWEST]
-    unit = fitting[0] if fitting and usual >= 2 * SLOWEST else "s"
-    return _scaled(values, unit), unit
-
-
-def _scaled(values, unit):
-    factor = round(1 / BASE[unit][0])
-    origin = values[np.isfinite(values)][:1]
-    if factor == 1 or not len(origin):
-        return values
-    # Of stamps since 1970 in ns the digits that count are those since the first.
-    return (values - origin[0]) / factor + (origin[0] / factor if abs(origin[0] / factor) < LEAST_DATE else 0.0)
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    if usual < 2 * SLOWEST:
+        return "s"
+    return next((name for name in ("ms", "us", "ns") if FASTEST <= usual * BASE[name][0] < SLOWEST), "s")
 
 
 def _iso(values, where):
+    """Return ns since 1970 of texts in ISO 8601."""
     try:
         stamps = pd.to_datetime(pd.Series(values), utc=True, format="ISO8601")
+        return stamps.astype("datetime64[ns, UTC]").astype("int64").to_numpy()
     except (ValueError, TypeError, OverflowError) as error:
         raise LogError(
-            where, f"holds no times: {str(error).split('.')[0][:150]}.", "Expected numbers, or ISO 8601 as 2024-05-01T12:00:00.010Z."
+            where,
+            f"holds no times: {str(error).split('.')[0][:150]}.",
+            "Expected numbers, or ISO 8601 as 2024-05-01T12:00:00.010Z.",
         ) from None
-    whole = stamps.astype("datetime64[ns, UTC]").astype("int64").to_numpy()
-    times = (whole - whole[0]) / 1e9
-    times[stamps.isna().to_numpy()] = np.nan
-    return times
 
 
 @dataclass(frozen=True)
@@ -200,7 +204,7 @@ def pieces(
         name = names[labels[rows[0]]]
         counts[name] = counts.get(name, 0) + 1
         name = name if counts[name] == 1 else f"{name} ({counts[name]})"
-        found.append(Piece(name, rows, times[rows], start, slots if snap else None, int(slots.max()) + 1))
+        found.append(Piece(name, rows, times[rows], start if snap else times[rows[0]], slots if snap else None, int(slots.max()) + 1))
     lost = sum(piece.size - len(np.unique(piece.slots)) for piece in found if piece.slots is not None)
     if lost:
         whole = sum(piece.size for piece in found)
@@ -260,9 +264,9 @@ def _samples_jitter(times, groups, placed, dt, moves):
 def resampled(found: list[Piece], dt: float, step: float) -> tuple[list[Piece], str]:
     """Return the pieces on a grid of another step, and how: every so many rows, or interpolated."""
     every = round(step / dt)
+    if every == 1 and abs(step / dt - 1) <= 1e-3:
+        return [piece if piece.slots is not None else _regridded(piece, step) for piece in found], ""
     if every >= 1 and abs(step / dt - every) <= 1e-3 * every and all(piece.slots is not None for piece in found):
-        if every == 1:
-            return found, ""
         thinned = []
         for piece in found:
             kept = piece.slots % every == 0
@@ -277,10 +281,13 @@ def resampled(found: list[Piece], dt: float, step: float) -> tuple[list[Piece], 
                 )
             )
         return thinned, f"Every {every}th row is taken."
-    return [
-        Piece(piece.name, piece.rows, piece.times, piece.start, None, int((piece.times[-1] - piece.start) / step + 1e-6) + 1)
-        for piece in found
-    ], f"Interpolated from {1 / dt:.6g} to {1 / step:.6g} rows per second."
+    return [_regridded(piece, step) for piece in found], f"Interpolated from {1 / dt:.6g} to {1 / step:.6g} rows per second."
+
+
+def _regridded(piece, step):
+    """Return a piece whose values are interpolated at another step, from its first sample on."""
+    size = int((piece.times[-1] - piece.start) / step + ON_GRID) + 1
+    return replace(piece, slots=None, size=size)
 
 
 def interpolated(times: np.ndarray, values: np.ndarray, at: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
@@ -288,7 +295,8 @@ def interpolated(times: np.ndarray, values: np.ndarray, at: np.ndarray, dt: floa
 
     .. math:: q(t) = \\sum_{i=0}^{3} q_i \\prod_{j \\ne i} \\frac{t - t_j}{t_i - t_j}
 
-    The estimate is the difference to the parabola through the first three, an upper bound for smooth motion.
+    The estimate is the difference of the parabolas through the first and the last three, between which the cubic
+    lies: a bound for motion that is smooth from sample to sample. What held commands do between samples it cannot see.
 
     Parameters
     ----------
@@ -312,10 +320,12 @@ def interpolated(times: np.ndarray, values: np.ndarray, at: np.ndarray, dt: floa
     first = np.clip(left - 1, 0, n - 4)
     nodes = first[:, None] + np.arange(4)
     cubic = _lagrange(times[nodes], at)
-    parabola = _lagrange(times[nodes[:, :3]], at)
+    left_three, right_three = _lagrange(times[nodes[:, :3]], at), _lagrange(times[nodes[:, 1:]], at)
     around = values[nodes]
     smooth = np.einsum("pn,pnc->pc", cubic, around)
-    errors = np.abs(smooth - np.einsum("pn,pnc->pc", parabola, around[:, :3]))
+    errors = np.abs(
+        np.einsum("pn,pnc->pc", left_three, around[:, :3]) - np.einsum("pn,pnc->pc", right_three, around[:, 1:])
+    )
     near = np.minimum(np.abs(times[left] - at), np.abs(times[left + 1] - at))
     nearest = np.where(np.abs(times[left] - at) <= np.abs(times[left + 1] - at), left, left + 1)
     exact = near <= ON_GRID * dt * 1e-3

@@ -1,7 +1,6 @@
 """Read any log as transitions of a simulator."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import Any, Literal
@@ -171,7 +170,7 @@ def _timed(record: Recording, found: Plan, simulator, rate, notes) -> Log:
     notes += said
     simulator, step, said = _stepped(simulator, dt, rate, record, own)
     notes += said
-    own, how = clock.resampled(own, dt, step) if abs(step / dt - 1) > STEP_TOLERANCE else (own, "")
+    own, how = clock.resampled(own, dt, step)
     notes += [how] if how else []
     own = [piece for piece in own if piece.size >= 2]
     grid, groups, errors = _grid(record, found, data, states, own, kept, main, names, n_states, step, dt, times)
@@ -294,7 +293,7 @@ def _times(record, found, data, main, labels, simulator, rate, n_rows, notes):
         return counted * step, np.ones(n_rows, dtype=bool), step
     column, unit = found.times[main]
     where = f"{record.source}, column {column}"
-    times, in_unit = clock.in_seconds(data[main][column], unit, where)
+    times, in_unit, _ = clock.in_seconds(data[main][column], unit, where)
     if in_unit not in ("s", unit):
         notes.append(f"Times in {column} are taken as {in_unit}.")
     good = np.isfinite(times)
@@ -335,8 +334,6 @@ def _stepped(simulator, dt, rate, record, own):
         step = 1 / record.rate
     if rate is not None and abs(step / dt - 1) <= SAME_RATE:
         notes.append(f"Rows are taken as {step:g} s apart, as told; the clock says {dt:.6g}.") if abs(step / dt - 1) > STEP_TOLERANCE else None
-        for index, piece in enumerate(own):
-            own[index] = replace(piece, start=piece.start)
         return *at_rate(simulator, step), notes
     if "frame_skip" not in simulator.get_params(deep=False):
         own_step = simulator.dt
@@ -450,7 +447,10 @@ def _stream_times(record, found, data, place, main, clock_times):
             _where(record, record.streams[place]), "has no times, and is another table than the state's.", "Name its column of times."
         )
     column, unit = found.times[place]
-    return clock.in_seconds(data[place][column], unit, f"{record.source}, column {column}")[0]
+    origin = 0.0
+    if main in found.times:
+        _, _, origin = clock.in_seconds(data[main][found.times[main][0]], found.times[main][1], record.source)
+    return clock.in_seconds(data[place][column], unit, f"{record.source}, column {column}", origin)[0]
 
 
 def _log(record, found, simulator, grid, groups, own, errors, n_states, step, notes) -> Log:

@@ -24,9 +24,9 @@ FILLER = {
 SECOND_CHOICE = {"filt", "filtered", "raw"}
 TIMES = {
     *("time", "t", "timestamp", "timestamps", "stamp", "times", "clock", "datetime", "date", "header", "elapsed"),
-    *("meas", "measured", "sim", "wall", "unix", "epoch", "sec", "secs", "seconds", "nanoseconds"),
+    *("meas", "measured", "sim", "wall", "unix", "epoch", "infos", "sec", "secs", "seconds", "nanoseconds"),
 }
-CERTAIN_TIMES = TIMES - {"header", "meas", "measured", "sim", "wall", "unix", "elapsed"}
+CERTAIN_TIMES = TIMES - {"header", "meas", "measured", "sim", "wall", "unix", "elapsed", "infos"}
 EPISODES = (
     *("episode", "episode_index", "episode_id", "episode_idx", "episodes", "trajectory", "traj", "trajectory_id"),
     *("traj_id", "run", "run_id", "trial", "trial_id", "demo", "demo_id", "rollout", "rollout_id"),

@@ -17,7 +17,7 @@ ROWS, RUN = 400, 50
 # Pairs and channels tried at most.
 MOST_PAIRS = 120
 DEGREES = math.pi / 180
-# Degrees are certain where they leave less than this share of the error.
+# Degrees are certain where they leave less than this share of the error, and less than saying that nothing changes.
 CERTAIN = 1 / 3
 # A joint's range is exceeded by so many times its width, and kept to in degrees, with this much to spare.
 EXCEEDED, SPARE = 1.0, 1.2
@@ -104,7 +104,7 @@ def in_degrees(simulator: Simulator, log: Log, *, told: frozenset[str] = frozens
         return None
     tried = suspects(simulator, log, kinds=("degrees",))
     best = tried[0] if tried else None
-    if best is not None and best.repaired < CERTAIN * best.error:
+    if best is not None and best.repaired < min(CERTAIN * best.error, 1.0):
         return Suspect(
             "degrees",
             f"{best.sentence}: read so, one step of the simulation misses the velocities by {best.repaired:.2g} of their "

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from skat.logs.errors import LogError
-from skat.logs.streams import Recording
+from skat.logs.streams import Recording, Stream
 
 FORMATS = (
     "CSV (also .gz), Parquet, NPZ, HDF5, rosbag2 (folder, .db3 or .mcap), ROS 1 bag, MCAP (ROS 2, JSON, protobuf), "
@@ -31,6 +31,8 @@ ENDINGS = {
     ".bag": "bags",
     ".mcap": "mcap",
 }
+# Of tables that are parts of one log.
+TABLES = (".csv", ".csv.gz", ".parquet")
 PICKLES = (".pkl", ".pickle", ".pt", ".pth", ".joblib")
 
 
@@ -54,6 +56,8 @@ def recording(source: Any, *, topic: str | None = None) -> Recording:
     """
     from skat.logs.readers import memory
 
+    if isinstance(source, Mapping) and source and all(isinstance(value, str | Path) for value in source.values()):
+        return _tables({str(name): Path(path) for name, path in source.items()}, ", ".join(map(str, source.values())))
     if memory.is_frame(source) or isinstance(source, Mapping):
         return memory.read(source)
     if not isinstance(source, str | Path) and not hasattr(source, "__fspath__"):
@@ -64,8 +68,48 @@ def recording(source: Any, *, topic: str | None = None) -> Recording:
     path = Path(source)
     if not path.exists():
         raise FileNotFoundError(f"There is no log {path} (looked in {Path.cwd()}). Check the path.")
+    if path.is_dir() and (tables := _tables_in(path)):
+        return _tables(tables, str(path), folder=True)
     kind = folder_kind(path) if path.is_dir() else file_kind(path)
     return READERS[kind](path, topic)
+
+
+def _tables_in(path: Path) -> dict[str, Path]:
+    """Return the tables in a folder by their names; none where it holds anything else that is a log."""
+    known = [path / "meta", path / "data", path / "metadata.json", path / "metadata.yaml"]
+    if any(one.exists() for one in known):
+        return {}
+    files = [file for file in sorted(path.iterdir()) if file.is_file()]
+    return {file.name.split(".")[0]: file for file in files if file.name.lower().endswith(TABLES)}
+
+
+def _tables(paths: dict[str, Path], where: str, *, folder: bool = False) -> Recording:
+    """Return the recording of several tables, each a stream with its own clock."""
+    streams: list[Stream] = []
+    for name, path in paths.items():
+        stream = recording(path).streams[0]
+        columns = {f"{name}.{column}": column for column in stream.columns}
+
+        def read(wanted, stream=stream, columns=columns):
+            found = stream.read([columns[one] for one in wanted])
+            return {one: found[columns[one]] for one in wanted}
+
+        labels = {f"{name}.{column}": label for column, label in stream.labels.items()}
+        streams.append(
+            Stream(name, tuple(columns), read, _placed(path, stream), labels)
+        )
+    shapes = {tuple(column.partition(".")[2] for column in stream.columns) for stream in streams}
+    if folder and len(streams) > 1 and len(shapes) == 1:
+        raise LogError(
+            where,
+            f"holds {len(streams)} tables of the same columns.",
+            "They are read as parts of one log, taken at the same time; give runs one by one, each a log.",
+        )
+    return Recording(where, tuple(streams))
+
+
+def _placed(path, stream):
+    return lambda row: f"{path.name}, {stream.place(row)}"
 
 
 def folder_kind(path: Path) -> str:

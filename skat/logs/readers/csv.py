@@ -7,6 +7,7 @@ import re
 import warnings
 import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,6 +16,8 @@ from skat.logs.errors import LogError
 from skat.logs.streams import MOST_COLUMNS, Recording, Stream
 
 ROWS_AT_ONCE = 200_000
+# Pandas 3 reads numbers to the last digit by itself, and warns of being told to.
+EXACT: dict[str, Any] = {"float_precision": "round_trip"} if int(pd.__version__.split(".")[0]) < 3 else {}
 # Rows that say which columns hold lists.
 FIRST_ROWS = 50
 LIST = re.compile(r"^\s*[\[(].*[\])]\s*$", re.DOTALL)
@@ -162,7 +165,7 @@ def _frame(path, **options):
                 na_values=[""],
                 low_memory=False,
                 encoding="utf-8-sig",
-                float_precision="round_trip",
+                **EXACT,
                 **options,
             )
             if "chunksize" not in options:

@@ -7,9 +7,6 @@ from skat.logs.errors import LogError
 from skat.logs.readers.messages import LARGEST_MESSAGE, messages_recording
 from skat.logs.streams import Recording, required
 
-# A record longer than this is damage.
-LARGEST_RECORD = 1 << 28
-
 
 def read(path: Path) -> Recording:
     """Return the recording of an MCAP file; one without an index is read from its beginning.
@@ -48,7 +45,7 @@ def _messages(path, topics):
     decoders: dict[int, object] = {}
     with path.open("rb") as file:
         try:
-            messages = make_reader(file, record_size_limit=LARGEST_RECORD).iter_messages(
+            messages = make_reader(file).iter_messages(
                 topics=None if topics is None else list(topics)
             )
         except Exception as error:  # noqa: BLE001 - as above

@@ -68,8 +68,12 @@ def _flatten(name, value, n_rows, found):
     array = np.asarray(value)
     if array.dtype.kind not in "fiub" or array.ndim == 0 or len(array) not in (n_rows, n_rows - 1) or not len(array):
         return
-    array = array.reshape(len(array), -1).astype(float)
+    array = array.astype(float)
     if len(array) == n_rows - 1:
         array = np.concatenate([array, array[-1:]])
+    if array.ndim == 1:
+        found[name] = array
+        return
+    array = array.reshape(len(array), -1)
     found |= {f"{name}[{element}]": array[:, element] for element in range(array.shape[1])}
 
