@@ -34,6 +34,7 @@ ALLOWED = {
     "effects": set(),
     "simulators": {"effects", "files"},
     "datasets": {"episodes", "effects", "simulators"},
+    "logs": {"episodes", "files", "simulators"},
     "diagnosis": {
         "_compat",
         "files",
@@ -71,6 +72,7 @@ ALLOWED = {
         "effects",
         "simulators",
         "datasets",
+        "logs",
         "diagnosis",
         "experiments",
         "",
@@ -80,6 +82,7 @@ ALLOWED = {
 }
 MAY_IMPORT_MUJOCO = {"effects", "simulators", "datasets", "diagnosis"}
 IMPORTED_WHERE_USED = {"ot", "matplotlib", "pooch", "dask", "distributed", "torch", "gymnasium", "openpyxl"}
+IMPORTED_WHERE_USED |= {"pyarrow", "polars", "h5py", "rosbags", "mcap", "mcap_ros2", "mcap_protobuf", "minari"}
 
 
 def part_of(path):

@@ -291,7 +291,7 @@ def transport(
         import pandas as pd
 
         from skat import CORAL, AffineTransport, ExactTransport, ProcrustesAffineTransport
-        from skat.datasets.tables import numeric_columns, with_same_columns
+        from skat.logs.tables import numeric_columns, with_same_columns
 
         path = output_file(output, force=force)
         rows = numeric_columns(existing_file(source, "simulated rows in CSV"), beside=STAMPS)
@@ -379,12 +379,13 @@ def experiment(
 
 
 def _log_of(model, log, frame_skip):
-    from skat.datasets import load_log
+    from skat.logs import load_log
     from skat.simulators import MujocoSimulator
 
     existing_file(model, "a MuJoCo model")
     existing_file(log, "a log in CSV")
-    return load_log(log, MujocoSimulator(model), frame_skip=frame_skip)
+    simulator = MujocoSimulator(model)
+    return load_log(log, simulator, rate=None if frame_skip is None else 1 / (frame_skip * simulator.dt))
 
 
 def _show(study):

@@ -4,7 +4,7 @@ import pytest
 from sklearn.utils import Bunch
 
 from skat.datasets import load_log, split_episodes
-from skat.datasets.tables import numeric_columns, with_same_columns
+from skat.datasets.logs import numeric_columns, with_same_columns
 from skat.simulators import FunctionSimulator, MujocoSimulator
 
 CART = """

@@ -1,0 +1,73 @@
+import ast
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from skat.logs import load_log
+from skat.simulators import MujocoSimulator
+from tests.logs import formats
+
+pytest.importorskip("pyarrow")
+pytest.importorskip("rosbags")
+pytest.importorskip("mcap")
+pytest.importorskip("minari")
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return MujocoSimulator(formats.ARM)
+
+
+@pytest.fixture(scope="module")
+def clean(arm, tmp_path_factory):
+    return load_log(formats.documented(tmp_path_factory.mktemp("clean") / "log.csv"), arm)
+
+
+def test_the_writer_knows_nothing_of_skat():
+    tree = ast.parse(Path(formats.__file__).read_text())
+    modules = [node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    modules += [name.name for node in ast.walk(tree) if isinstance(node, ast.Import) for name in node.names]
+    assert not [module for module in modules if module.startswith("skat")]
+
+
+@pytest.mark.parametrize("state", formats.STATES)
+@pytest.mark.parametrize("kind", formats.FORMATS)
+def test_a_log_in_any_format_and_state_is_that_of_the_documented_csv(kind, state, arm, clean, tmp_path):
+    """Equal to the CSV in the same state; and that to the clean one, as far as it was measured."""
+    source, options = formats.write(kind, state, tmp_path)
+    log = load_log(source, arm, **options)
+    told = {"units": "deg"} if state == "degrees" else {}
+    same = load_log(formats.documented(tmp_path / "log.csv", state), arm, **told)
+    # The last command of a Minari episode is not recorded, and no transition begins at it.
+    np.testing.assert_allclose(log.X, same.X, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(log.y, same.y, rtol=1e-12, atol=1e-12)
+    np.testing.assert_array_equal(log.groups, same.groups)
+    assert log.dt == same.dt == clean.dt
+    expected = dict.fromkeys(formats.STATES, 1) | {"gaps": 2}
+    assert len(log.group_names) == expected[state]
+    compare(log, clean, arm, state)
+
+
+def compare(log, clean, arm, state):
+    if state == "gaps":
+        at = np.delete(np.arange(len(clean)), formats.ROWS // 2 - 1)
+        np.testing.assert_allclose(log.X, clean.X[at], rtol=1e-12, atol=1e-12)
+        return
+    seen = np.isfinite(log.X)
+    if state == "positions":
+        assert log.unmeasured == ("qvel.shoulder", "qvel.elbow")
+    elif state == "lost":
+        assert (~seen).any(axis=1).sum() == 4
+        assert seen[:, 4:].all()
+    elif state == "jitter":
+        for column, name in enumerate(arm.state_names):
+            missed = log.X[:, column] - clean.X[:, column]
+            assert np.sqrt(np.mean(missed**2)) <= log.interpolation[name]
+        return
+    else:
+        assert seen.all()
+    states = slice(0, 4) if state == "lost" else slice(None)
+    np.testing.assert_allclose(
+        np.where(seen, log.X, 0)[:, states], np.where(seen, clean.X, 0)[:, states], rtol=1e-12, atol=1e-12
+    )
