@@ -118,6 +118,7 @@ def plan(
     if episode is not None:
         matches.append(Match("episode", episode[1], "", "told" if "episode" in columns or episodes else GUESSED_NAME))
         used.add(episode[1])
+    _check_driven(known, used, simulator, recording)
     notes += _leftovers(known, used, lacking)
     return Plan(
         tuple(matches), found, constants, lacking, times, episode, tuple(notes), frozenset(with_units)
@@ -569,6 +570,21 @@ def _episode(known, columns, episodes, recording, used):
             if column.lower().replace(" ", "_") == wanted and one.stream in used:
                 return one.stream, column
     return None
+
+
+def _check_driven(known, used, simulator, recording):
+    """Raise where a log has commands and its model, read from a URDF, has no actuators for them."""
+    source = getattr(simulator, "model", None)
+    if getattr(source, "urdf", None) is None or source.motors is not None:
+        return
+    commands = [column for column, one in known.items() if one.said.kind == "ctrl" and column not in used]
+    if commands and len(simulator.input_names) == len(simulator.state_names):
+        raise LogError(
+            recording.source,
+            f"has commands ({_listed(commands, 6)}), and the model, a URDF, has no actuators.",
+            'Say what drives the joints: MujocoSimulator(..., motors="torque") or motors="position:kp,kv" (on the '
+            'command line --motors torque); motors="none" leaves the commands aside.',
+        )
 
 
 def _leftovers(known, used, lacking):

@@ -86,7 +86,7 @@ def with_same_columns(table, other):
     """
     if differing := [name for name in [*table, *other] if (name in table) != (name in other)]:
         raise ValueError(
-            f"The two tables must have the same columns; only one of them has: {", ".join(differing)}. "
+            f"The two tables must have the same columns; only one of them has: {', '.join(differing)}. "
             "Remove these columns, or add them to the other table."
         )
     return table[list(other)]

@@ -86,7 +86,8 @@ def with_motors(source: ModelSource, motors: str | None) -> ModelSource:
         Without actuators.
     motors : str or None
         ``"torque"``: the control is the torque or force; ``"position:kp,kv"``: it is a position that a servo with
-        these gains pulls to. Limited to what the model says of each joint (a URDF's effort). None: as it is.
+        these gains pulls to. Limited to what the model says of each joint (a URDF's effort). ``"none"``: nothing drives
+        them, and a log's commands are left aside. None: nobody has said.
 
     Raises
     ------
@@ -95,6 +96,8 @@ def with_motors(source: ModelSource, motors: str | None) -> ModelSource:
     """
     if motors is None or motors == source.motors:
         return source
+    if motors == "none":
+        return replace(source, motors=motors)
     kind, _, gains = motors.partition(":")
     try:
         kp, kv = (float(gain) for gain in gains.split(",")) if kind == "position" else (0.0, 0.0)
@@ -102,7 +105,7 @@ def with_motors(source: ModelSource, motors: str | None) -> ModelSource:
         kind, kp, kv = "", 0.0, 0.0
     if kind not in ("torque", "position") or (kind == "torque" and gains) or not 0 <= min(kp, kv) < math.inf:
         raise ValueError(
-            f"motors must be 'torque' or 'position:kp,kv', such as position:20,0.5; got {motors!r}"
+            f"motors must be 'torque', 'position:kp,kv', such as position:20,0.5, or 'none'; got {motors!r}"
         )
     spec = source.spec()
     if spec.actuators:

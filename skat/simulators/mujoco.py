@@ -68,7 +68,7 @@ class MujocoSimulator(Simulator):
         a joint to the world; by default as the model says.
     motors : str, optional
         ``"torque"`` or ``"position:kp,kv"``: what drives each joint of a model without actuators, as a URDF is,
-        within the URDF's effort limits. Without it, nothing drives them.
+        within the URDF's effort limits. ``"none"``: nothing, also where a log has commands.
     built_in : mapping from name to value, optional
         Effects that are built in; see `extended`.
     extra_effects : sequence of Effect, default=()

@@ -135,7 +135,7 @@ def test_position_servos_pull_with_their_gains():
     "motors", ["pid", "position", "position:1", "position:-1,2", "position:a,b", "torque:3"]
 )
 def test_other_motors_are_refused(motors):
-    with pytest.raises(ValueError, match="motors must be 'torque' or 'position:kp,kv'"):
+    with pytest.raises(ValueError, match="motors must be 'torque', 'position:kp,kv'"):
         MujocoSimulator(ARM, motors=motors)
 
 
