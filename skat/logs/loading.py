@@ -102,8 +102,8 @@ def load_log(
         raise ValueError(f"rate must be rows per second, positive and finite; it is {rate!r}.")
     if base not in (None, "fixed", "free"):
         raise ValueError(f'base must be "fixed", "free" or None; it is {base!r}.')
-    record = recording(source, topic=topic)
     told = checked_columns(columns)
+    record = recording(source, topic=topic)
     notes = list(record.notes)
     if base == "fixed":
         simulator, welded = _welded(simulator, record)
@@ -298,7 +298,7 @@ def _times(record, found, data, main, labels, simulator, rate, n_rows, notes):
         notes.append(f"Times in {column} are taken as {in_unit}.")
     good = np.isfinite(times)
     if not good.any():
-        raise LogError(where, "holds no times.", "Name the column of times, or leave it out and say the rate.", options={"columns": {"time": "-"}})
+        raise LogError(where, "holds no times.", "Name the column of times, or leave it out and say the rate.", options={"columns": {"time": "-"}, "rate": 1 / simulator.dt if simulator.dt else 100.0})
     if not good.all():
         notes.append(f"{int((~good).sum())} rows have no time: left out.")
     if good.sum() < 2:

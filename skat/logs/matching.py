@@ -527,6 +527,8 @@ def _unit(text, name, inputs, simulator, recording):
 
 def _times(known, streams: tuple[Stream, ...], used, columns, told_units, recording):
     """Return {stream: (column, unit)} of the clocks of the streams that are used."""
+    if columns.get("time") == "-":
+        return {}
     if "time" in columns:
         theirs, unit = without_unit(columns["time"], known)
         theirs = theirs or next((name for name, one in known.items() if is_time(name, streams[one.stream].name)), "")

@@ -32,23 +32,13 @@ def read(path: Path) -> Recording:
     LogError
         If it holds no table.
     """
+    _check_first_line(path)
     head = _frame(path, nrows=FIRST_ROWS, dtype=str)
     names = [str(name) for name in head.columns]
     if len(names) > MOST_COLUMNS:
         raise LogError(str(path), f"has {len(names)} columns.", "Give a table with a column for each channel.")
-    if len(set(names)) < len(names):
-        repeated = next(name for name in names if names.count(name) > 1)
-        raise LogError(f"{path}, line 1", f"names two columns {repeated!r}.", "Give one of them another name.")
     if len(head) == 0:
         raise LogError(str(path), "has no rows below its first line.", "Record a log with at least 20 rows.")
-    if len(names) == 1 and (advice := _other_mark(names[0])):
-        raise LogError(f"{path}, line 1", "has a single column.", advice)
-    if all(_is_number(name) for name in names):
-        raise LogError(
-            f"{path}, line 1",
-            f"holds numbers ({', '.join(names[:3])}, ...) where the names of the columns were expected.",
-            "Write a first line with a name for each column.",
-        )
     sizes = {name: _size(head[name]) for name in names}
     columns = []
     for name in names:
@@ -61,6 +51,26 @@ def read(path: Path) -> Recording:
             ),
         ),
     )
+
+
+def _check_first_line(path):
+    """Raise where the first line holds no names: pandas would make some up, or change those that come twice."""
+    try:
+        with _opened(path) as file:
+            line = next((line for line in iter(lambda: file.readline(LONGEST_LINE), "") if line.strip()), "")
+        names = [name.strip().lstrip("\ufeff") for name in next(csv.reader([line]), [])]
+    except READ_ERRORS as error:
+        raise _no_table(path, error) from None
+    if len(names) == 1 and (advice := _other_mark(line)):
+        raise LogError(f"{path}, line 1", "has a single column.", advice)
+    if names and all(_is_number(name) for name in names):
+        raise LogError(
+            f"{path}, line 1",
+            f"holds numbers ({', '.join(names[:3])}, ...) where the names of the columns were expected.",
+            "Write a first line with a name for each column.",
+        )
+    if repeated := [name for name in names if name and names.count(name) > 1]:
+        raise LogError(f"{path}, line 1", f"names two columns {repeated[0]!r}.", "Give one of them another name.")
 
 
 def line_of(path: Path, row: int) -> int:
