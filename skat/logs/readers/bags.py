@@ -1,5 +1,6 @@
 """rosbag2 (SQLite and MCAP storage, with or without metadata.yaml) and ROS 1 bags, by rosbags."""
 
+from functools import cache
 from pathlib import Path
 
 from skat.logs.errors import LogError
@@ -54,6 +55,14 @@ def _messages(paths, path, topics):
             yield connection.topic, stamp, message
 
 
+@cache
+def _usual_types():
+    """Return the types of messages in bags that hold no definitions, as older ones do."""
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS2_HUMBLE)
+
+
 class _opened:
     """rosbags' reader, whose errors are those of a log."""
 
@@ -62,10 +71,9 @@ class _opened:
 
     def __enter__(self):
         from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
 
         try:
-            self.reader = AnyReader(self.paths, default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+            self.reader = AnyReader(self.paths, default_typestore=_usual_types())
             self.reader.open()
         except Exception as error:  # noqa: BLE001 - as above
             raise _damaged(self.path, error) from None
