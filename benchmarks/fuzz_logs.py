@@ -69,7 +69,10 @@ def worker(kind, number, seed):
             print(json.dumps({"end": end, "bad": bad, "s": time.perf_counter() - before}), flush=True)
         sys.settrace(None)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(json.dumps({"mib": peak, "lines": {path: sorted(lines) for path, lines in reached.items()}}), flush=True)
+    print(
+        json.dumps({"mib": peak, "lines": {path: sorted(lines) for path, lines in reached.items()}}),
+        flush=True,
+    )
 
 
 def executable_lines(path):
@@ -90,7 +93,9 @@ def executable_lines(path):
 def run(kind, number, seed):
     """Return what a batch came to, whatever became of its process."""
     command = [sys.executable, __file__, "--worker", kind, "--number", str(number), "--seed", str(seed)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=os.environ)
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=os.environ
+    )
     ends, bad, slowest, peak, lines, last = {}, [], 0.0, 0.0, {}, ""
     for text in process.stdout:
         said = json.loads(text)
@@ -139,11 +144,16 @@ def main():
         rows[kind] = (sum(total.values()), total.get("read", 0), slowest, peak)
         print(kind, *(f"{value:.4g}" for value in rows[kind]), flush=True)
     table = ["| log | damaged | still read | slowest, s | peak, MiB |", "|---|---|---|---|---|"]
-    table += [f"| {kind} | {n} | {read} | {slow:.2f} | {peak:.0f} |" for kind, (n, read, slow, peak) in rows.items()]
+    table += [
+        f"| {kind} | {n} | {read} | {slow:.2f} | {peak:.0f} |" for kind, (n, read, slow, peak) in rows.items()
+    ]
     whole = {str(path): executable_lines(path) for path in sorted(READERS.glob("*.py"))}
     hit = sum(len(reached.get(path, set()) & lines) for path, lines in whole.items())
     size = sum(map(len, whole.values()))
-    table += ["", f"{hit} of {size} lines of the readers reached ({hit / size:.1%}). {len(failures)} failures."]
+    table += [
+        "",
+        f"{hit} of {size} lines of the readers reached ({hit / size:.1%}). {len(failures)} failures.",
+    ]
     for path, lines in whole.items():
         if missed := sorted(lines - reached.get(path, set())):
             table.append(f"- not reached in {Path(path).name}: {', '.join(map(str, missed))}")

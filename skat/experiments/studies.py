@@ -288,7 +288,11 @@ def _complete(log, parameters):
     lacking = [log.simulator.state_names.index(name) for name in log.unmeasured]
     X[:, lacking] = y[:, lacking] = 0.0
     log = replace(log, X=X, y=y).rows(np.isfinite(X).all(axis=1) & np.isfinite(y).all(axis=1))
-    hidden = tuple(dict.fromkeys((*parameters.get("hidden", ()), *(log.simulator.state_names[column] for column in lacking))))
+    hidden = tuple(
+        dict.fromkeys(
+            (*parameters.get("hidden", ()), *(log.simulator.state_names[column] for column in lacking))
+        )
+    )
     return Bunch(data=log.X, target=log.y, groups=log.groups, simulator=log.simulator), (
         parameters | {"hidden": hidden} if hidden else parameters
     )

@@ -39,14 +39,18 @@ def numeric_columns(path):
         bad = [not _is_finite(cell) for cell in values] if values.dtype == object else ~np.isfinite(values)
         if np.any(bad):
             row = int(np.argmax(bad))
-            cell = values[row] if values.dtype == object else "" if np.isnan(values[row]) else str(values[row])
+            cell = (
+                values[row] if values.dtype == object else "" if np.isnan(values[row]) else str(values[row])
+            )
             raise LogError(
                 f"{path}, {stream.place(row)}, column {name}",
                 f"expected a finite number, got {cell!r}"
                 + (f" (and {int(np.sum(bad)) - 1} more such values)." if np.sum(bad) > 1 else "."),
                 "Remove the rows with gaps.",
             )
-    return pd.DataFrame({name: columns[name].astype(float) for name in stream.columns}, columns=list(stream.columns))
+    return pd.DataFrame(
+        {name: columns[name].astype(float) for name in stream.columns}, columns=list(stream.columns)
+    )
 
 
 def _is_finite(cell):
@@ -76,7 +80,7 @@ def with_same_columns(table, other):
     """
     if differing := [name for name in [*table, *other] if (name in table) != (name in other)]:
         raise ValueError(
-            f"The two tables must have the same columns; only one of them has: {", ".join(differing)}. "
+            f"The two tables must have the same columns; only one of them has: {', '.join(differing)}. "
             "Remove these columns, or add them to the other table."
         )
     return table[list(other)]

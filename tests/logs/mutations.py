@@ -42,7 +42,10 @@ def seed(kind, folder):
             import pandas as pd
 
             t, q, v, u = formats.table("clean")
-            lists = {name: [str(row.tolist()) for row in values] for name, values in zip(("q", "dq", "u"), (q, v, u))}
+            lists = {
+                name: [str(row.tolist()) for row in values]
+                for name, values in zip(("q", "dq", "u"), (q, v, u))
+            }
             pd.DataFrame({"time": t} | lists).to_csv(path, index=False)
         if kind == "gzip":
             import gzip
@@ -100,7 +103,19 @@ def mutated(content, rng):
     elif way == 6:
         data[place:place] = data[place : place + length]
     elif way == 7:
-        words = (b"nan", b"-1", b"1e999", b"99999999999999999999", b'"', b"\n", b",", b"[", b"\xff\xfe", b"{}", b"null")
+        words = (
+            b"nan",
+            b"-1",
+            b"1e999",
+            b"99999999999999999999",
+            b'"',
+            b"\n",
+            b",",
+            b"[",
+            b"\xff\xfe",
+            b"{}",
+            b"null",
+        )
         word = words[int(rng.integers(len(words)))]
         data[place : place + len(word)] = word
     else:
@@ -117,8 +132,7 @@ def outcome(path, simulator):
     try:
         log = load_log(path, simulator, units="rad")
     except ALLOWED as error:
-        assert str(error)
-        return type(error).__name__
+        return type(error).__name__ if str(error) else "no message"
     n_states = len(log.simulator.state_names)
     assert np.isfinite(log.X[:, n_states:]).all()
     assert not np.isinf(log.X).any()

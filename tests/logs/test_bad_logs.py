@@ -1,3 +1,4 @@
+# ruff: noqa: E501 - a log a line
 """Logs that cannot be read as they are: each message has the place and the remedy, and the remedy works."""
 
 import gzip
@@ -215,10 +216,18 @@ def test_there_are_at_least_forty_bad_logs():
 @pytest.mark.parametrize(
     ("options", "place", "remedy"),
     [
-        ({"columns": {"qpos.elbow": "q9"}}, "column 'q9': was told for qpos.elbow and is not there", "It has"),
+        (
+            {"columns": {"qpos.elbow": "q9"}},
+            "column 'q9': was told for qpos.elbow and is not there",
+            "It has",
+        ),
         ({"columns": {"qpos.wrist": "q9"}}, "columns['qpos.wrist']: is no input", "qpos.elbow"),
         ({"columns": {"qpos.elbow": "qpos.elbow:furlong"}}, "the unit 'furlong' is unknown", "rad, deg"),
-        ({"columns": {"qpos.elbow": "qpos.elbow:mm"}}, "'mm' does not measure what the model has in rad", "Check"),
+        (
+            {"columns": {"qpos.elbow": "qpos.elbow:mm"}},
+            "'mm' does not measure what the model has in rad",
+            "Check",
+        ),
         ({"columns": {"qpos.elbow": "qpos.elbow:ticks"}}, "lacks its number", "ticks:4096"),
         ({"columns": {"ctrl.elbow": "ctrl.elbow:A"}}, "lacks its number", "torque constant"),
         ({"columns": {"qpos.*": "time"}}, "is one column, and qpos.* means 2 inputs", "put *"),

@@ -11,7 +11,12 @@ pytest.importorskip("mcap")
 pytest.importorskip("minari")
 
 # 300 in all; the readers' own costs decide how many of each. benchmarks/fuzz_logs.py makes 10,000.
-TIMES = dict.fromkeys(mutations.KINDS, 26) | {"rosbag2_sqlite3": 16, "rosbag2_mcap": 16, "rosbag1": 16, "minari": 16}
+TIMES = dict.fromkeys(mutations.KINDS, 26) | {
+    "rosbag2_sqlite3": 16,
+    "rosbag2_mcap": 16,
+    "rosbag1": 16,
+    "minari": 16,
+}
 LONGEST = 5
 
 

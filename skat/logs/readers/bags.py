@@ -41,7 +41,7 @@ def _messages(paths, path, topics):
                 connection, stamp, data = next(messages)
             except StopIteration:
                 return
-            except Exception as error:  # noqa: BLE001 - of a damaged bag rosbags raises what SQLite, zstd, struct raise
+            except Exception as error:
                 raise _damaged(path, error) from None
             if len(data) > LARGEST_MESSAGE or connection.msgtype in unknown:
                 continue
@@ -50,7 +50,7 @@ def _messages(paths, path, topics):
             except KeyError:
                 unknown.add(connection.msgtype)
                 continue
-            except Exception as error:  # noqa: BLE001 - a damaged message
+            except Exception as error:
                 raise _damaged(path, error, connection.topic) from None
             yield connection.topic, stamp, message
 
@@ -75,7 +75,7 @@ class _opened:
         try:
             self.reader = AnyReader(self.paths, default_typestore=_usual_types())
             self.reader.open()
-        except Exception as error:  # noqa: BLE001 - as above
+        except Exception as error:
             raise _damaged(self.path, error) from None
         return self.reader
 

@@ -36,7 +36,9 @@ def read(path: Path) -> Recording:
     head = _frame(path, nrows=FIRST_ROWS, dtype=str)
     names = [str(name) for name in head.columns]
     if len(names) > MOST_COLUMNS:
-        raise LogError(str(path), f"has {len(names)} columns.", "Give a table with a column for each channel.")
+        raise LogError(
+            str(path), f"has {len(names)} columns.", "Give a table with a column for each channel."
+        )
     if len(head) == 0:
         raise LogError(str(path), "has no rows below its first line.", "Record a log with at least 20 rows.")
     sizes = {name: _size(head[name]) for name in names}
@@ -47,7 +49,10 @@ def read(path: Path) -> Recording:
         str(path),
         (
             Stream(
-                "", tuple(columns), lambda wanted: _columns(path, sizes, wanted), lambda row: f"line {line_of(path, row)}"
+                "",
+                tuple(columns),
+                lambda wanted: _columns(path, sizes, wanted),
+                lambda row: f"line {line_of(path, row)}",
             ),
         ),
     )
@@ -70,7 +75,9 @@ def _check_first_line(path):
             "Write a first line with a name for each column.",
         )
     if repeated := [name for name in names if name and names.count(name) > 1]:
-        raise LogError(f"{path}, line 1", f"names two columns {repeated[0]!r}.", "Give one of them another name.")
+        raise LogError(
+            f"{path}, line 1", f"names two columns {repeated[0]!r}.", "Give one of them another name."
+        )
 
 
 def line_of(path: Path, row: int) -> int:
@@ -117,7 +124,9 @@ def _numbers(column):
     texts = column.fillna("").astype(str).str.strip()
     numbers = pd.to_numeric(texts, errors="coerce").to_numpy(dtype=float)
     empty = texts.str.lower().isin(["", "nan", "null", "none", "-nan"]).to_numpy()
-    if (np.isfinite(numbers) | empty | texts.str.lower().isin(["inf", "-inf", "+inf", "infinity"]).to_numpy()).all():
+    if (
+        np.isfinite(numbers) | empty | texts.str.lower().isin(["inf", "-inf", "+inf", "infinity"]).to_numpy()
+    ).all():
         return numbers
     return texts.to_numpy(dtype=object)
 
@@ -225,7 +234,9 @@ def _no_table(path, error):
         advice = ""
     told = str(error).strip().rstrip(".")
     return LogError(
-        str(path), f"is not a CSV table: {told}.", advice or "A CSV table has a line of names, and as many values in each row."
+        str(path),
+        f"is not a CSV table: {told}.",
+        advice or "A CSV table has a line of names, and as many values in each row.",
     )
 
 

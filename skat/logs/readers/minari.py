@@ -26,10 +26,12 @@ def read(path: Path) -> Recording:
     except (OSError, ValueError, AttributeError, RecursionError) as error:
         raise _damaged(folder / "metadata.json", error) from None
     try:
-        episodes = _from_hdf5(folder / "main_data.hdf5") if stored == "hdf5" else _from_minari(folder, metadata)
+        episodes = (
+            _from_hdf5(folder / "main_data.hdf5") if stored == "hdf5" else _from_minari(folder, metadata)
+        )
     except (LogError, ImportError):
         raise
-    except Exception as error:  # noqa: BLE001 - of a damaged file the libraries raise what theirs raise
+    except Exception as error:
         raise _damaged(path, error) from None
     if not episodes or not episodes[0]:
         raise LogError(str(path), "has no episodes.", "Record some.")
@@ -37,7 +39,10 @@ def read(path: Path) -> Recording:
         arrays = {name: np.concatenate([episode[name] for episode in episodes]) for name in episodes[0]}
     except (KeyError, ValueError) as error:
         raise LogError(str(path), f"has episodes of different columns: {error}.", "Copy it anew.") from None
-    numbers = [np.full(len(next(iter(episode.values()))), str(place), object) for place, episode in enumerate(episodes)]
+    numbers = [
+        np.full(len(next(iter(episode.values()))), str(place), object)
+        for place, episode in enumerate(episodes)
+    ]
     arrays["episode"] = np.concatenate(numbers)
     return Recording(
         str(path),
@@ -56,7 +61,9 @@ def _from_hdf5(path):
     h5py = required("h5py", "A Minari data set in HDF5")
     episodes = []
     with h5py.File(path, "r") as file:
-        names = sorted((name for name in file if name.startswith("episode_")), key=lambda name: (len(name), name))
+        names = sorted(
+            (name for name in file if name.startswith("episode_")), key=lambda name: (len(name), name)
+        )
         for name in names:
             group = file[name]
             n_rows = len(group["rewards"]) + 1
@@ -114,7 +121,12 @@ def _flatten(name, value, n_rows, found):
             _flatten(f"{name}.{key}", inner, n_rows, found)
         return
     array = np.asarray(value)
-    if array.dtype.kind not in "fiub" or array.ndim == 0 or len(array) not in (n_rows, n_rows - 1) or not len(array):
+    if (
+        array.dtype.kind not in "fiub"
+        or array.ndim == 0
+        or len(array) not in (n_rows, n_rows - 1)
+        or not len(array)
+    ):
         return
     array = array.astype(float)
     if len(array) == n_rows - 1:
@@ -124,4 +136,3 @@ def _flatten(name, value, n_rows, found):
         return
     array = array.reshape(len(array), -1)
     found |= {f"{name}[{element}]": array[:, element] for element in range(array.shape[1])}
-
