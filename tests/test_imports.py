@@ -82,7 +82,16 @@ ALLOWED = {
 }
 MAY_IMPORT_MUJOCO = {"effects", "simulators", "datasets", "diagnosis"}
 IMPORTED_WHERE_USED = {"ot", "matplotlib", "pooch", "dask", "distributed", "torch", "gymnasium", "openpyxl"}
-IMPORTED_WHERE_USED |= {"pyarrow", "polars", "h5py", "rosbags", "mcap", "mcap_ros2", "mcap_protobuf", "minari"}
+IMPORTED_WHERE_USED |= {
+    "pyarrow",
+    "polars",
+    "h5py",
+    "rosbags",
+    "mcap",
+    "mcap_ros2",
+    "mcap_protobuf",
+    "minari",
+}
 
 
 def part_of(path):

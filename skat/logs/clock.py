@@ -50,7 +50,9 @@ def in_seconds(
         origin = float(whole[0]) if origin is None else origin
         return (whole - np.int64(origin)) / 1e9 + np.where(whole == NO_TIME, np.nan, 0.0), "ISO 8601", origin
     if unit is not None and (unit not in BASE or BASE[unit][1] != "S"):
-        raise LogError(where, f"has the unit {unit!r}, which is none of time.", options={"units": {"time": "s"}})
+        raise LogError(
+            where, f"has the unit {unit!r}, which is none of time.", options={"units": {"time": "s"}}
+        )
     unit = unit or _guessed_unit(values)
     factor = round(1 / BASE[unit][0])
     first = values[np.isfinite(values)][:1]
@@ -129,7 +131,9 @@ def usual_step(times: np.ndarray, apart: np.ndarray, where: str) -> float:
     if not len(growing) or backward.mean() > FEW:
         told = f"{backward.mean():.0%} of the steps go back" if backward.any() else "it stands still"
         raise LogError(
-            where, f"time does not grow from row to row: {told}.", "Sort the rows by time, and check which column is the time."
+            where,
+            f"time does not grow from row to row: {told}.",
+            "Sort the rows by time, and check which column is the time.",
         )
     return float(np.median(growing))
 
@@ -170,7 +174,9 @@ def pieces(
         if not restarts.all():
             row = int(back[~restarts][0])
             raise LogError(
-                where(row), f"time goes back by {-steps[row]:.6g} s.", "Sort the rows by time, or name the column of episodes."
+                where(row),
+                f"time goes back by {-steps[row]:.6g} s.",
+                "Sort the rows by time, or name the column of episodes.",
             )
         notes.append(f"The clock starts anew {len(back)} times: an episode each.")
         apart[back] = True
@@ -182,7 +188,9 @@ def pieces(
     wide = np.diff(times[gaps], prepend=times[0]) > (LONGEST_LOSS + 1) * dt
     wide &= ~apart[gaps]
     if wide.any():
-        notes.append(f"{int(wide.sum())} gaps of more than {LONGEST_LOSS} rows: an episode begins behind each.")
+        notes.append(
+            f"{int(wide.sum())} gaps of more than {LONGEST_LOSS} rows: an episode begins behind each."
+        )
     begins = apart[gaps] | wide
     groups = [part for part in np.split(gaps, np.flatnonzero(begins)) if len(part)]
     dt = _refined(times, groups, dt)
@@ -193,18 +201,29 @@ def pieces(
     if not snap and not clashes and not _samples_jitter(times, groups, placed, dt, moves):
         snap = True
         notes.append(
-            f"The time stamps jitter by up to {worst * 1e3 * dt:.3g} ms, the samples do not (positions move evenly): rows "
-            "are taken as even."
+            f"The time stamps jitter by up to {worst * 1e3 * dt:.3g} ms, the samples do not (positions move evenly): "
+            "rows are taken as even."
         )
     elif not snap:
-        notes.append(f"The clock is uneven, by up to {worst * 1e3 * dt:.3g} ms: positions are interpolated onto even times.")
+        notes.append(
+            f"The clock is uneven, by up to {worst * 1e3 * dt:.3g} ms: positions are interpolated onto even times."
+        )
     found = []
     counts: dict[str, int] = {}
     for rows, (start, slots, _) in zip(groups, placed):
         name = names[labels[rows[0]]]
         counts[name] = counts.get(name, 0) + 1
         name = name if counts[name] == 1 else f"{name} ({counts[name]})"
-        found.append(Piece(name, rows, times[rows], start if snap else times[rows[0]], slots if snap else None, int(slots.max()) + 1))
+        found.append(
+            Piece(
+                name,
+                rows,
+                times[rows],
+                start if snap else times[rows[0]],
+                slots if snap else None,
+                int(slots.max()) + 1,
+            )
+        )
     lost = sum(piece.size - len(np.unique(piece.slots)) for piece in found if piece.slots is not None)
     if lost:
         whole = sum(piece.size for piece in found)
@@ -266,22 +285,29 @@ def resampled(found: list[Piece], dt: float, step: float) -> tuple[list[Piece], 
     every = round(step / dt)
     if every == 1 and abs(step / dt - 1) <= 1e-3:
         return [piece if piece.slots is not None else _regridded(piece, step) for piece in found], ""
-    if every >= 1 and abs(step / dt - every) <= 1e-3 * every and all(piece.slots is not None for piece in found):
+    if (
+        every >= 1
+        and abs(step / dt - every) <= 1e-3 * every
+        and all(piece.slots is not None for piece in found)
+    ):
         thinned = []
         for piece in found:
-            kept = piece.slots % every == 0
+            slots = np.asarray(piece.slots)
+            kept = slots % every == 0
             thinned.append(
                 Piece(
                     piece.name,
                     piece.rows[kept],
                     piece.times[kept],
                     piece.start,
-                    piece.slots[kept] // every,
+                    slots[kept] // every,
                     (piece.size - 1) // every + 1,
                 )
             )
         return thinned, f"Every {every}th row is taken."
-    return [_regridded(piece, step) for piece in found], f"Interpolated from {1 / dt:.6g} to {1 / step:.6g} rows per second."
+    return [
+        _regridded(piece, step) for piece in found
+    ], f"Interpolated from {1 / dt:.6g} to {1 / step:.6g} rows per second."
 
 
 def _regridded(piece, step):
@@ -290,10 +316,12 @@ def _regridded(piece, step):
     return replace(piece, slots=None, size=size)
 
 
-def interpolated(times: np.ndarray, values: np.ndarray, at: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return values between samples, by cubics through the four around, and an estimate of the error.
+def interpolated(
+    times: np.ndarray, values: np.ndarray, at: np.ndarray, dt: float
+) -> tuple[np.ndarray, np.ndarray]:
+    r"""Return values between samples, by cubics through the four around, and an estimate of the error.
 
-    .. math:: q(t) = \\sum_{i=0}^{3} q_i \\prod_{j \\ne i} \\frac{t - t_j}{t_i - t_j}
+    .. math:: q(t) = \sum_{i=0}^{3} q_i \prod_{j \ne i} \frac{t - t_j}{t_i - t_j}
 
     The estimate is the difference of the parabolas through the first and the last three, between which the cubic
     lies: a bound for motion that is smooth from sample to sample. What held commands do between samples it cannot see.
@@ -324,7 +352,8 @@ def interpolated(times: np.ndarray, values: np.ndarray, at: np.ndarray, dt: floa
     around = values[nodes]
     smooth = np.einsum("pn,pnc->pc", cubic, around)
     errors = np.abs(
-        np.einsum("pn,pnc->pc", left_three, around[:, :3]) - np.einsum("pn,pnc->pc", right_three, around[:, 1:])
+        np.einsum("pn,pnc->pc", left_three, around[:, :3])
+        - np.einsum("pn,pnc->pc", right_three, around[:, 1:])
     )
     near = np.minimum(np.abs(times[left] - at), np.abs(times[left + 1] - at))
     nearest = np.where(np.abs(times[left] - at) <= np.abs(times[left + 1] - at), left, left + 1)

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from os import PathLike
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -53,8 +52,8 @@ def load_log(
         What is not found by its name: ``{"qpos.elbow": "q1:deg"}``, the simulator's name, then theirs (a column, an
         element ``observation.state[2]`` of a vector, a field ``/commands.position`` of a topic), and, after a colon,
         the unit. ``*`` stands for every joint: ``{"ctrl.*": "/commands.position"}``, ``{"qpos.*": "*_pos:deg"}``.
-        Also ``time`` and ``episode``. A number is a constant: ``{"ctrl.*": "0"}``; "" (or ``-``) leaves a channel out, as not
-        measured. A path is that of a ``map.toml``, as `write_map` writes it.
+        Also ``time`` and ``episode``. A number is a constant: ``{"ctrl.*": "0"}``; ``-`` leaves a channel out, as
+        not measured. A path is that of a ``map.toml``, as `write_map` writes it.
 
     units : str or mapping from name to str, default=None
         Units beside `columns`: ``{"qpos.*": "deg", "time": "ms"}``; one alone, such as ``"deg"``, is that of every
@@ -102,8 +101,8 @@ def load_log(
         raise ValueError(f"rate must be rows per second, positive and finite; it is {rate!r}.")
     if base not in (None, "fixed", "free"):
         raise ValueError(f'base must be "fixed", "free" or None; it is {base!r}.')
-    record = recording(source, topic=topic)
     told = checked_columns(columns)
+    record = recording(source, topic=topic)
     notes = list(record.notes)
     if base == "fixed":
         simulator, welded = _welded(simulator, record)
@@ -119,7 +118,9 @@ def _welded(simulator, record):
     """Return the simulator without its root's joint, and a note."""
     roots = simulator_inputs(simulator).roots
     if not roots:
-        raise LogError(record.source, 'base="fixed" was said, and the model has no free root.', "Leave base out.")
+        raise LogError(
+            record.source, 'base="fixed" was said, and the model has no free root.', "Leave base out."
+        )
     return without_root(simulator), "The root is welded to the world where the model has it (base: fixed)."
 
 
@@ -131,8 +132,8 @@ def _with_base(found: Plan, simulator, base, record) -> Plan:
         raise LogError(
             record.source,
             f"does not hold the pose of the model's free root ({', '.join(lacking[:3])}, ...).",
-            'Say whether it was fixed to something, such as a stand (base="fixed"), or moved unmeasured (base="free"); or '
-            "name the columns.",
+            'Say whether it was fixed to something, such as a stand (base="fixed"), or moved unmeasured (base="free"); '
+            "or name the columns.",
             options={"base": "fixed"},
         )
     return with_lacking(found, found.lacking) if base == "free" else found
@@ -161,11 +162,18 @@ def _timed(record: Recording, found: Plan, simulator, rate, notes) -> Log:
         notes.append(f"{int(empty.sum())} rows hold no state: not measured there.")
     if len(kept) < 2:
         raise LogError(
-            _where(record, stream), f"holds {len(kept)} rows with a state.", f"Record a log with at least {FEWEST_ROWS}."
+            _where(record, stream),
+            f"holds {len(kept)} rows with a state.",
+            f"Record a log with at least {FEWEST_ROWS}.",
         )
     moves = np.stack([states[name][kept] for name in mine[:8]], axis=1)
     own, dt, said = clock.pieces(
-        times[kept], labels[kept], labels_text, step, lambda row: f"{record.source}, {stream.place(int(kept[row]))}", moves
+        times[kept],
+        labels[kept],
+        labels_text,
+        step,
+        lambda row: f"{record.source}, {stream.place(int(kept[row]))}",
+        moves,
     )
     notes += said
     simulator, step, said = _stepped(simulator, dt, rate, record, own)
@@ -173,7 +181,9 @@ def _timed(record: Recording, found: Plan, simulator, rate, notes) -> Log:
     own, how = clock.resampled(own, dt, step)
     notes += [how] if how else []
     own = [piece for piece in own if piece.size >= 2]
-    grid, groups, errors = _grid(record, found, data, states, own, kept, main, names, n_states, step, dt, times)
+    grid, groups, errors = _grid(
+        record, found, data, states, own, kept, main, names, n_states, step, dt, times
+    )
     del data, states
     return _log(record, found, simulator, grid, groups, own, errors, n_states, step, notes)
 
@@ -221,7 +231,9 @@ def _states(record, found, data, n_states, names):
             raise LogError(
                 f"{record.source}, column {column}",
                 f"is taken for {name} and holds no number.",
-                "Leave the channel out, as not measured; or take another column." if name in names[:n_states] else "Take another column.",
+                "Leave the channel out, as not measured; or take another column."
+                if name in names[:n_states]
+                else "Take another column.",
                 options={"columns": {name: "-" if name in names[:n_states] else "0"}},
             )
         states[name] = unit.applied(values)
@@ -284,12 +296,14 @@ def _no_episode(record, stream, column, row):
 
 def _times(record, found, data, main, labels, simulator, rate, n_rows, notes):
     """Return (times in s of the main stream, rows that have one, usual step)."""
-    stream = record.streams[main]
     if main not in found.times:
         step = _step_without_clock(record, simulator, rate, found)
         starts = np.flatnonzero(np.r_[True, labels[1:] != labels[:-1]])
         counted = np.arange(n_rows) - np.repeat(starts, np.diff(np.append(starts, n_rows)))
-        notes.append(f"The log has no times: rows are {step:g} s apart, as " + ("told." if rate or record.rate else "the simulator has it."))
+        notes.append(
+            f"The log has no times: rows are {step:g} s apart, as "
+            + ("told." if rate or record.rate else "the simulator has it.")
+        )
         return counted * step, np.ones(n_rows, dtype=bool), step
     column, unit = found.times[main]
     where = f"{record.source}, column {column}"
@@ -298,11 +312,18 @@ def _times(record, found, data, main, labels, simulator, rate, n_rows, notes):
         notes.append(f"Times in {column} are taken as {in_unit}.")
     good = np.isfinite(times)
     if not good.any():
-        raise LogError(where, "holds no times.", "Name the column of times, or leave it out and say the rate.", options={"columns": {"time": "-"}})
+        raise LogError(
+            where,
+            "holds no times.",
+            "Name the column of times, or leave it out and say the rate.",
+            options={"columns": {"time": "-"}, "rate": 1 / simulator.dt if simulator.dt else 100.0},
+        )
     if not good.all():
         notes.append(f"{int((~good).sum())} rows have no time: left out.")
     if good.sum() < 2:
-        raise LogError(record.source, f"holds {int(good.sum())} rows.", f"Record a log with at least {FEWEST_ROWS}.")
+        raise LogError(
+            record.source, f"holds {int(good.sum())} rows.", f"Record a log with at least {FEWEST_ROWS}."
+        )
     chosen = np.flatnonzero(good)
     apart = np.r_[True, labels[chosen][1:] != labels[chosen][:-1]]
     step = clock.usual_step(times[chosen], apart, where)
@@ -333,12 +354,16 @@ def _stepped(simulator, dt, rate, record, own):
     elif record.rate is not None and abs(dt * record.rate - 1) < SAME_RATE:
         step = 1 / record.rate
     if rate is not None and abs(step / dt - 1) <= SAME_RATE:
-        notes.append(f"Rows are taken as {step:g} s apart, as told; the clock says {dt:.6g}.") if abs(step / dt - 1) > STEP_TOLERANCE else None
+        notes.append(f"Rows are taken as {step:g} s apart, as told; the clock says {dt:.6g}.") if abs(
+            step / dt - 1
+        ) > STEP_TOLERANCE else None
         return *at_rate(simulator, step), notes
     if "frame_skip" not in simulator.get_params(deep=False):
         own_step = simulator.dt
         if own_step is None:
-            raise ValueError("The simulator has no dt, the seconds of a transition, to compare the log's times with.")
+            raise ValueError(
+                "The simulator has no dt, the seconds of a transition, to compare the log's times with."
+            )
         if dt > own_step * (1 + STEP_TOLERANCE):
             raise LogError(
                 record.source,
@@ -444,7 +469,9 @@ def _stream_times(record, found, data, place, main, clock_times):
         return clock_times
     if place not in found.times:
         raise LogError(
-            _where(record, record.streams[place]), "has no times, and is another table than the state's.", "Name its column of times."
+            _where(record, record.streams[place]),
+            "has no times, and is another table than the state's.",
+            "Name its column of times.",
         )
     column, unit = found.times[place]
     origin = 0.0
@@ -460,14 +487,22 @@ def _log(record, found, simulator, grid, groups, own, errors, n_states, step, no
     measured = np.isfinite(grid[:, :n_states]).any(axis=1)
     first = np.r_[True, groups[1:] != groups[:-1]]
     if not known.all():
-        missing = [name for name, bad in zip(simulator.input_names[n_states:], ~np.isfinite(grid[:, n_states:])) if bad.any()]
+        missing = [
+            name
+            for name, bad in zip(simulator.input_names[n_states:], ~np.isfinite(grid[:, n_states:]))
+            if bad.any()
+        ]
         notes.append(f"{int((~known).sum())} rows are left out, before the first command.")
         del missing
         grid, groups, measured = grid[known], groups[known], measured[known]
         first = np.r_[True, groups[1:] != groups[:-1]][: len(groups)]
         kept_times = np.concatenate([piece.start + step * np.arange(piece.size) for piece in own])[known]
     else:
-        kept_times = np.concatenate([piece.start + step * np.arange(piece.size) for piece in own]) if own else np.empty(0)
+        kept_times = (
+            np.concatenate([piece.start + step * np.arange(piece.size) for piece in own])
+            if own
+            else np.empty(0)
+        )
     n_rows = len(grid) - int(first.sum())
     seen = int((measured[:-1] & ~first[1:]).sum()) if len(grid) else 0
     if seen < FEWEST_ROWS:
@@ -481,13 +516,20 @@ def _log(record, found, simulator, grid, groups, own, errors, n_states, step, no
         times = kept_times[:-1]
     else:
         arrivals = np.flatnonzero(~first)
-        X, y, rows, times = grid[arrivals - 1], grid[arrivals, :n_states], groups[arrivals], kept_times[arrivals - 1]
+        X, y, rows, times = (
+            grid[arrivals - 1],
+            grid[arrivals, :n_states],
+            groups[arrivals],
+            kept_times[arrivals - 1],
+        )
     present, renumbered = np.unique(rows, return_inverse=True)
     del n_rows
     if errors:
         notes.append(
             "Error of interpolation (standard deviation): "
-            + ", ".join(f"{name} {size:.2g} {simulator.units.get(name, '')}".rstrip() for name, size in errors.items())
+            + ", ".join(
+                f"{name} {size:.2g} {simulator.units.get(name, '')}".rstrip() for name, size in errors.items()
+            )
             + "."
         )
     for array in (X, y, renumbered, times):
@@ -521,16 +563,22 @@ def _normalise(grid, groups, simulator):
 
 def _check_degrees(log, found, record):
     """Raise where angles that nobody gave a unit are in degrees."""
-    angles = [name for name in log.simulator.angle_names if name not in found.told_units and name not in log.unmeasured]
+    angles = [
+        name
+        for name in log.simulator.angle_names
+        if name not in found.told_units and name not in log.unmeasured
+    ]
     if not angles:
         return
     said = in_degrees(log.simulator, log, told=found.told_units)
     if said is not None:
         raise LogError(
-            record.source, said.sentence, "If they are in rad, say so by units=\"rad\" (--map '*=:rad').", options=said.options
+            record.source,
+            said.sentence,
+            "If they are in rad, say so by units=\"rad\" (--map '*=:rad').",
+            options=said.options,
         )
 
 
 def _where(record: Recording, stream: Stream) -> str:
     return f"{record.source}, {stream.name}" if stream.name else record.source
-

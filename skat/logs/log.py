@@ -142,7 +142,10 @@ def joined(logs: Sequence[Log]) -> Log:
         raise ValueError("there are no logs to join; give one at least")
     first = logs[0]
     for log in logs[1:]:
-        if log.simulator.input_names != first.simulator.input_names or abs(log.dt - first.dt) > 1e-9 * first.dt:
+        if (
+            log.simulator.input_names != first.simulator.input_names
+            or abs(log.dt - first.dt) > 1e-9 * first.dt
+        ):
             raise ValueError(
                 f"{log.source} has rows of {log.dt:g} s, {first.source} of {first.dt:g} s, or other columns: logs "
                 "that are diagnosed together have one rate. Give one for all, such as "
@@ -161,7 +164,9 @@ def joined(logs: Sequence[Log]) -> Log:
         time=np.concatenate([log.time for log in logs]),
         notes=tuple(f"{log.source}: {note}" for log in logs for note in log.notes),
         interpolation={
-            name: max(log.interpolation.get(name, 0.0) for log in logs) for log in logs for name in log.interpolation
+            name: max(log.interpolation.get(name, 0.0) for log in logs)
+            for log in logs
+            for name in log.interpolation
         },
         source=", ".join(several),
     )

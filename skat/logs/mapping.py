@@ -59,7 +59,9 @@ def _file(path):
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise LogError(str(path), f"is no TOML: {error}.", 'A line of it is "qpos.elbow" = "q1:deg".') from None
+        raise LogError(
+            str(path), f"is no TOML: {error}.", 'A line of it is "qpos.elbow" = "q1:deg".'
+        ) from None
     columns = content.get("columns", content)
     bad = [name for name, theirs in columns.items() if not isinstance(theirs, str | int | float)]
     if not isinstance(columns, dict) or bad:

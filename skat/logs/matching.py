@@ -88,7 +88,12 @@ def plan(
     if topic is not None and all(stream.name for stream in streams):
         _check_topic(recording, topic)
     known = {
-        column: Column(column, place, reading(column, stream.labels.get(column, ""), stream.name), stream.labels.get(column, ""))
+        column: Column(
+            column,
+            place,
+            reading(column, stream.labels.get(column, ""), stream.name),
+            stream.labels.get(column, ""),
+        )
         for place, stream in enumerate(streams)
         for column in stream.columns
     }
@@ -97,7 +102,7 @@ def plan(
     guesses, notes = _guessed(known, inputs, settled, recording, topic)
     matched |= guesses
     told_units = _units(units, told, inputs, recording)
-    lacking = _lacking(inputs, matched, constants, known, recording, left_out)
+    lacking = _lacking(inputs, matched, constants, known, recording)
     found, matches, with_units = {}, [], set(told_units)
     for name in inputs.names:
         if name in constants:
@@ -116,7 +121,9 @@ def plan(
     for column, unit in times.values():
         matches.append(Match("time", column, unit or "", "told" if "time" in columns else GUESSED_NAME))
     if episode is not None:
-        matches.append(Match("episode", episode[1], "", "told" if "episode" in columns or episodes else GUESSED_NAME))
+        matches.append(
+            Match("episode", episode[1], "", "told" if "episode" in columns or episodes else GUESSED_NAME)
+        )
         used.add(episode[1])
     _check_driven(known, used, simulator, recording)
     notes += _leftovers(known, used, lacking)
@@ -131,16 +138,19 @@ def simulator_inputs(simulator: Simulator) -> Inputs:
     states = set(simulator.state_names)
     kinds: dict[str, list[str]] = {kind: [] for kind in KINDS}
     for name in names:
-        kind = next((kind for kind in KINDS if name.startswith(f"{kind}.")), "qpos" if name in states else "ctrl")
+        kind = next(
+            (kind for kind in KINDS if name.startswith(f"{kind}.")), "qpos" if name in states else "ctrl"
+        )
         kinds[kind].append(name)
-    model = simulator.compiled() if hasattr(simulator, "compiled") else None  # type: ignore[attr-defined]
+    model = simulator.compiled() if hasattr(simulator, "compiled") else None
     keys: dict[str, list[tuple[str, ...]]] = {}
     for name in names:
         own = name.split(".", 1)[1] if any(name.startswith(f"{kind}.") for kind in KINDS) else name
         keys[name] = [joint_key(own)]
-    servos, limits, roots = {}, {}, []
+    servos: dict[str, str] = {}
+    limits: dict[str, tuple[float, float]] = {}
+    roots: list[str] = []
     if model is not None:
-        joints = [name for name in kinds["qpos"]]
         for actuator, name in enumerate(kinds["ctrl"]):
             if int(model.actuator_trntype[actuator]) == 0:
                 joint = int(model.actuator_trnid[actuator, 0])
@@ -156,7 +166,6 @@ def simulator_inputs(simulator: Simulator) -> Inputs:
             elif int(model.jnt_type[joint]) == 0 and int(model.body_parentid[model.jnt_bodyid[joint]]) == 0:
                 mine = (f"qpos.{named}.", f"qvel.{named}.")
                 roots += [name for name in names if name.startswith(mine)]
-        del joints
     return Inputs(
         names,
         {kind: tuple(found) for kind, found in kinds.items()},
@@ -268,7 +277,11 @@ def _theirs(names, theirs, known, inputs, recording, ours):
         if all(column in known for _, column in direct):
             return [(name, column, "told") for name, column in direct]
         head, _, tail = theirs.partition("*")
-        columns = [name for name in known if name.startswith(head) and name.endswith(tail) and len(name) >= len(theirs) - 1]
+        columns = [
+            name
+            for name in known
+            if name.startswith(head) and name.endswith(tail) and len(name) >= len(theirs) - 1
+        ]
         parts = {column: column[len(head) : len(column) - len(tail)] for column in columns}
     else:
         parts = {}
@@ -279,9 +292,11 @@ def _theirs(names, theirs, known, inputs, recording, ours):
         columns = list(parts)
         if not columns:
             # A topic whose messages have a single array.
-            columns = [column for column, one in known.items() if recording.streams[one.stream].name == theirs]
+            columns = [
+                column for column, one in known.items() if recording.streams[one.stream].name == theirs
+            ]
             columns = [column for column in columns if ELEMENT.match(column)]
-            parts = {column: ELEMENT.match(column)[2] for column in columns}
+            parts = {column: column.rsplit("[", 1)[1][:-1] for column in columns}
             if len({column.rsplit("[", 1)[0] for column in columns}) > 1:
                 columns = []
         if not columns and len(names) > 1 and theirs in known:
@@ -307,7 +322,8 @@ def _theirs(names, theirs, known, inputs, recording, ours):
         f"{recording.source}, {theirs}",
         f"has {len(columns)} columns ({_listed(columns)}) for {len(names)} inputs; none is named after "
         f"{_listed(missing)}.",
-        f"Name each: columns={{{missing[0]!r}: {columns[0]!r}}} (on the command line --map '{missing[0]}={columns[0]}').",
+        f"Name each: columns={{{missing[0]!r}: {columns[0]!r}}} (on the command line --map "
+        f"'{missing[0]}={columns[0]}').",
     )
 
 
@@ -334,7 +350,9 @@ def _guessed(known, inputs, settled, recording, topic):
         if name not in settled and name in known:
             matched[name] = (name, "same name")
     columns = [
-        one for one in known.values() if topic is None or recording.streams[one.stream].name in ("", topic) or one.said.kind == "ctrl"
+        one
+        for one in known.values()
+        if topic is None or recording.streams[one.stream].name in ("", topic) or one.said.kind == "ctrl"
     ]
     taken = {column for column, _ in matched.values()}
     for kind in KINDS:
@@ -344,7 +362,11 @@ def _guessed(known, inputs, settled, recording, topic):
             continue
         candidates = [one for one in columns if one.said.kind == kind and one.name not in taken]
         if kind == "ctrl":
-            fitting = [one for one in candidates if not one.said.of or one.said.of == inputs.servos.get(joints[0], one.said.of)]
+            fitting = [
+                one
+                for one in candidates
+                if not one.said.of or one.said.of == inputs.servos.get(joints[0], one.said.of)
+            ]
             candidates = fitting or ([] if any(one.said.of for one in candidates) else candidates)
         by_name = _by_key(joints, candidates, inputs, recording, kind)
         if len(by_name) < len(joints) and not by_name:
@@ -356,15 +378,14 @@ def _guessed(known, inputs, settled, recording, topic):
         matched |= vectors
         if not vectors:
             plain = [one for one in columns if one.said.kind in ("", "state") and one.name not in taken]
-            joints = [name for name in inputs.kinds["qpos"] if name not in settled and name not in inputs.roots]
+            joints = [
+                name for name in inputs.kinds["qpos"] if name not in settled and name not in inputs.roots
+            ]
             matched |= _by_key(joints, plain, inputs, recording, "qpos")
-    if "ctrl" in inputs.kinds and not any(name in matched or name in settled for name in inputs.kinds["ctrl"]):
-        pass
     by_order = [name for name, (_, how) in matched.items() if how.startswith(GUESSED_ORDER)]
     if by_order:
-        notes.append(
-            f"Taken by order, as the file names no joints: {', '.join(f'{name} = {matched[name][0]}' for name in by_order)}."
-        )
+        pairs = ", ".join(f"{name} = {matched[name][0]}" for name in by_order)
+        notes.append(f"Taken by order, as the file names no joints: {pairs}.")
     return matched, notes
 
 
@@ -383,7 +404,9 @@ def _by_key(names, candidates, inputs, recording, kind):
             raise LogError(
                 recording.source,
                 f"has several columns that may be {name}: {_listed([one.name for one in fits])}.",
-                options={"topic": streams[0]} if several and kind != "ctrl" else {"columns": {name: fits[0].name}},
+                options={"topic": streams[0]}
+                if several and kind != "ctrl"
+                else {"columns": {name: fits[0].name}},
             )
         matched[name] = (fits[0].name, GUESSED_NAME)
     return matched
@@ -400,15 +423,12 @@ def _by_order(names, candidates, recording):
         least = min(members[0].said.rank for members in fitting.values())
         fitting = {name: members for name, members in fitting.items() if members[0].said.rank == least}
     if len(fitting) > 1:
-        streams = {recording.streams[members[0].stream].name for members in fitting.values()}
-        if len(streams) > 1 or len(names) > 1 or len(fitting) > 1:
-            first = next(iter(fitting))
-            members = sorted((one.name for one in fitting[first]), key=natural)
-            raise LogError(
-                recording.source,
-                f"has several series of columns that may be {_listed(names)}: {_listed(list(fitting))}.",
-                options={"columns": dict(zip(names, members))},
-            )
+        first = sorted((one.name for one in next(iter(fitting.values()))), key=natural)
+        raise LogError(
+            recording.source,
+            f"has several series of columns that may be {_listed(names)}: {_listed(list(fitting))}.",
+            options={"columns": dict(zip(names, first))},
+        )
     for members in fitting.values():
         ordered = sorted((one.name for one in members), key=natural)
         return {name: (column, GUESSED_ORDER) for name, column in zip(names, ordered)}
@@ -436,19 +456,22 @@ def _whole_state(columns, inputs, settled):
     return {}
 
 
-def _lacking(inputs, matched, constants, known, recording, left_out):
+def _lacking(inputs, matched, constants, known, recording):
     """Return the state's names that the log lacks; raise where too much is lacking."""
-    missing = {kind: [name for name in names if name not in matched and name not in constants] for kind, names in inputs.kinds.items()}
+    missing = {
+        kind: [name for name in names if name not in matched and name not in constants]
+        for kind, names in inputs.kinds.items()
+    }
     positions = [name for name in inputs.kinds["qpos"] if name not in inputs.roots]
     found = [name for name in positions if name in matched]
     if not found and not any(name in matched for name in inputs.kinds["qvel"]):
         raise LogError(
             recording.source,
-            f"no column could be found for the model's positions ({_listed(positions)}); it has {_listed(list(known), 30)}.",
+            f"no column could be found for the model's positions ({_listed(positions)}); it has "
+            f"{_listed(list(known), 30)}.",
             _advice(known, positions, recording),
         )
-    if commands := missing["ctrl"]:
-        commands = [name for name in commands if name not in left_out]
+    if missing["ctrl"]:
         candidates = _command_columns(known, len(inputs.kinds["ctrl"]), matched)
         could = f" Columns that could be commands: {_listed(candidates)}." if candidates else ""
         whole = len(missing["ctrl"]) == len(inputs.kinds["ctrl"])
@@ -456,9 +479,13 @@ def _lacking(inputs, matched, constants, known, recording, left_out):
         raise LogError(
             recording.source,
             f"no column could be found for {_listed(missing['ctrl'])}: what the model's motors were told.{could}",
-            f"If a column is the command, name it (--map '{pattern}={candidates[0] if candidates else 'COLUMN'}'). If the "
-            "motors were off, and the robot moved freely, hold the commands constant at 0"
-            + (" (of a position servo that is a position; take the actuators out of the model then)." if set(inputs.servos.values()) & {"qpos"} else "."),
+            f"If a column is the command, name it (--map '{pattern}={candidates[0] if candidates else 'COLUMN'}'). If "
+            "the motors were off, and the robot moved freely, hold the commands constant at 0"
+            + (
+                " (of a position servo that is a position; take the actuators out of the model then)."
+                if set(inputs.servos.values()) & {"qpos"}
+                else "."
+            ),
             options={"columns": {"ctrl.*": "0"} if whole else dict.fromkeys(missing["ctrl"], "0")},
         )
     return tuple(name for kind in ("qpos", "qvel") for name in missing[kind])
@@ -476,7 +503,9 @@ def _command_columns(known, size, matched):
 
 
 def _advice(known, positions, recording):
-    numbered = [one.name for one in known.values() if one.said.kind in ("qpos", "state", "")][:1] or list(known)[:1]
+    numbered = [one.name for one in known.values() if one.said.kind in ("qpos", "state", "")][:1] or list(
+        known
+    )[:1]
     return (
         f"Say which is which: columns={{{positions[0]!r}: {numbered[0]!r}}} (on the command line --map "
         f"'{positions[0]}={numbered[0]}'); with :deg behind it where it is in degrees. Or the log is of another robot."
@@ -522,22 +551,36 @@ def _unit(text, name, inputs, simulator, recording):
     if own and kind and name in simulator.state_names:
         expected = ("A" if of_angle else "L" if of_length else "") + ("/s" if own.endswith("/s") else "")
         if expected and kind != expected:
-            raise LogError(where, f"{text!r} does not measure what the model has in {own}.", "Check the unit or the name.")
+            raise LogError(
+                where,
+                f"{text!r} does not measure what the model has in {own}.",
+                "Check the unit or the name.",
+            )
     return unit
 
 
 def _times(known, streams: tuple[Stream, ...], used, columns, told_units, recording):
     """Return {stream: (column, unit)} of the clocks of the streams that are used."""
+    if columns.get("time") == "-":
+        return {}
     if "time" in columns:
         theirs, unit = without_unit(columns["time"], known)
-        theirs = theirs or next((name for name, one in known.items() if is_time(name, streams[one.stream].name)), "")
+        theirs = theirs or next(
+            (name for name, one in known.items() if is_time(name, streams[one.stream].name)), ""
+        )
         if theirs not in known:
             raise _no_column(theirs, "time", known, recording)
-        clock = {known[theirs].stream: (theirs, unit or told_units.get("time") or named_unit(theirs)[1] or None)}
+        clock = {
+            known[theirs].stream: (theirs, unit or told_units.get("time") or named_unit(theirs)[1] or None)
+        }
         if set(clock) >= used:
             return clock
     times: dict[int, tuple[str, str | None]] = {}
-    message = [place for place in used if streams[place].name and f"{streams[place].name}.time" in streams[place].columns]
+    message = [
+        place
+        for place in used
+        if streams[place].name and f"{streams[place].name}.time" in streams[place].columns
+    ]
     stamped = all(f"{streams[place].name}.header.stamp" in streams[place].columns for place in message)
     for place in used:
         stream = streams[place]

@@ -6,29 +6,111 @@ from dataclasses import dataclass
 from skat.logs.streams import ELEMENT
 
 POSITION = {"qpos", "q", "pos", "position", "positions", "angle", "angles", "theta", "ang"}
-VELOCITY = {"qvel", "qd", "dq", "qdot", "vel", "velocity", "velocities", "speed", "speeds", "rate", "omega", "thetadot"}
+VELOCITY = {
+    "qvel",
+    "qd",
+    "dq",
+    "qdot",
+    "vel",
+    "velocity",
+    "velocities",
+    "speed",
+    "speeds",
+    "rate",
+    "omega",
+    "thetadot",
+}
 EFFORT = {"tau", "torque", "torques", "effort", "efforts", "force", "current", "currents"}
 COMMAND = {
-    *("ctrl", "control", "controls", "cmd", "command", "commands", "commanded", "action", "actions", "target", "targets"),
+    *(
+        "ctrl",
+        "control",
+        "controls",
+        "cmd",
+        "command",
+        "commands",
+        "commanded",
+        "action",
+        "actions",
+        "target",
+        "targets",
+    ),
     *("desired", "des", "ref", "reference", "setpoint", "setpoints", "goal", "u", "con"),
 }
-OTHER = {"acc", "acceleration", "accelerations", "error", "errors", "std", "temperature", "voltage", "qacc", "fric"}
+OTHER = {
+    "acc",
+    "acceleration",
+    "accelerations",
+    "error",
+    "errors",
+    "std",
+    "temperature",
+    "voltage",
+    "qacc",
+    "fric",
+}
 STATE = {"state", "states", "obs", "observation", "observations"}
 FILLER = {
-    *("joint", "joints", "robot", "sensor", "feedback", "data", "msg", "value", "values", "motor", "motors", "servo"),
-    *("measured", "meas", "actual", "present", "filt", "filtered", "raw", "store", "actuator", "link", "controller"),
+    *(
+        "joint",
+        "joints",
+        "robot",
+        "sensor",
+        "feedback",
+        "data",
+        "msg",
+        "value",
+        "values",
+        "motor",
+        "motors",
+        "servo",
+    ),
+    *(
+        "measured",
+        "meas",
+        "actual",
+        "present",
+        "filt",
+        "filtered",
+        "raw",
+        "store",
+        "actuator",
+        "link",
+        "controller",
+    ),
     *("trajectory", "group", "float64", "infos", "info", "measurement", "log"),
     *STATE,
 }
 # Of several columns for one channel: what was measured comes before what was filtered.
 SECOND_CHOICE = {"filt", "filtered", "raw"}
 TIMES = {
-    *("time", "t", "timestamp", "timestamps", "stamp", "times", "clock", "datetime", "date", "header", "elapsed"),
+    *(
+        "time",
+        "t",
+        "timestamp",
+        "timestamps",
+        "stamp",
+        "times",
+        "clock",
+        "datetime",
+        "date",
+        "header",
+        "elapsed",
+    ),
     *("meas", "measured", "sim", "wall", "unix", "epoch", "infos", "sec", "secs", "seconds", "nanoseconds"),
 }
 CERTAIN_TIMES = TIMES - {"header", "meas", "measured", "sim", "wall", "unix", "elapsed", "infos"}
 EPISODES = (
-    *("episode", "episode_index", "episode_id", "episode_idx", "episodes", "trajectory", "traj", "trajectory_id"),
+    *(
+        "episode",
+        "episode_index",
+        "episode_id",
+        "episode_idx",
+        "episodes",
+        "trajectory",
+        "traj",
+        "trajectory_id",
+    ),
     *("traj_id", "run", "run_id", "trial", "trial_id", "demo", "demo_id", "rollout", "rollout_id"),
 )
 UNIT = re.compile(
@@ -132,7 +214,12 @@ def reading(column: str, label: str = "", topic: str = "") -> Reading:
     kind, of = _kind(words)
     if not kind and topic:
         kind, of = _kind(tokens(topic))
-    elif kind in ("qpos", "qvel", "effort") and topic and set(tokens(topic)) & COMMAND and not set(tokens(topic)) & STATE:
+    elif (
+        kind in ("qpos", "qvel", "effort")
+        and topic
+        and set(tokens(topic)) & COMMAND
+        and not set(tokens(topic)) & STATE
+    ):
         kind, of = "ctrl", kind
     elif kind == "state" and topic:
         kind = "state"

@@ -116,7 +116,9 @@ def arrays_stream(
         for element in range(array.shape[1]):
             flat[f"{name}[{element}]"] = array[:, element]
     if not flat:
-        raise LogError(where, "holds no array with rows.", "A log has an array for each column, or (rows, columns).")
+        raise LogError(
+            where, "holds no array with rows.", "A log has an array for each column, or (rows, columns)."
+        )
     usual = max(set(lengths.values()), key=list(lengths.values()).count)
     flat = {name: array for name, array in flat.items() if len(array) == usual}
     if usual == 0:

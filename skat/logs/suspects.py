@@ -98,7 +98,9 @@ def in_degrees(simulator: Simulator, log: Log, *, told: frozenset[str] = frozens
     inputs = simulator_inputs(simulator)
     exceeded = _beyond_ranges(log, inputs, told)
     angles = [name for name in simulator.angle_names if name.startswith("qpos.") and name not in told]
-    largest = max((float(np.nanmax(np.abs(_column(log, name)))) for name in angles if _measured(log, name)), default=0.0)
+    largest = max(
+        (float(np.nanmax(np.abs(_column(log, name)))) for name in angles if _measured(log, name)), default=0.0
+    )
     # Nothing that stays within a fraction of a degree is worth a simulation.
     if not largest:
         return None
@@ -107,8 +109,8 @@ def in_degrees(simulator: Simulator, log: Log, *, told: frozenset[str] = frozens
     if best is not None and best.repaired < min(CERTAIN * best.error, 1.0):
         return Suspect(
             "degrees",
-            f"{best.sentence}: read so, one step of the simulation misses the velocities by {best.repaired:.2g} of their "
-            f"change instead of {best.error:.2g}" + (f", and {exceeded}" if exceeded else "") + ".",
+            f"{best.sentence}: read so, one step of the simulation misses the velocities by {best.repaired:.2g} of "
+            f"their change instead of {best.error:.2g}" + (f", and {exceeded}" if exceeded else "") + ".",
             best.error,
             best.repaired,
             best.options,
@@ -135,7 +137,10 @@ def _beyond_ranges(log, inputs: Inputs, told):
         if max(last - high, low - first) > EXCEEDED * width:
             if max(abs(first * DEGREES - centre), abs(last * DEGREES - centre)) > SPARE * width / 2:
                 return ""
-            beyond.append(f"{name} reaches {last if last - high > low - first else first:.3g} where the joint allows {low:.3g} to {high:.3g} rad")
+            beyond.append(
+                f"{name} reaches {last if last - high > low - first else first:.3g} where the joint allows {low:.3g} "
+                f"to {high:.3g} rad"
+            )
     return "; ".join(beyond[:3])
 
 
@@ -200,7 +205,11 @@ def _sample(simulator, log, n_rows):
     good = np.isfinite(X).all(axis=1) & np.isfinite(y).all(axis=1)
     good &= np.all([np.isfinite(other).all(axis=1) for other in earlier.values()], axis=0)
     velocities = np.array(
-        [names.index(name) for name in inputs.kinds["qvel"] if names.index(name) not in lacking and name not in inputs.roots],
+        [
+            names.index(name)
+            for name in inputs.kinds["qvel"]
+            if names.index(name) not in lacking and name not in inputs.roots
+        ],
         dtype=int,
     )
     if good.sum() < 10 or not len(velocities):
@@ -268,8 +277,8 @@ def _repairs(sample, log) -> Iterator[tuple[str, str, Any, dict]]:
             when = "earlier" if lag < 0 else "later"
             yield (
                 "shift",
-                f"the commands fit those of {abs(lag)} row{'s' if abs(lag) > 1 else ''} {when}: the clocks of commands and state "
-                "are apart, or there is a delay",
+                f"the commands fit those of {abs(lag)} row{'s' if abs(lag) > 1 else ''} {when}: the clocks of commands "
+                "and state are apart, or there is a delay",
                 _replacer(commands, sample.y.shape[1]),
                 {},
             )
@@ -285,9 +294,17 @@ def _degree_repairs(sample, names, inputs):
         return
     differenced = {f"qvel.{name.removeprefix('qpos.')}" for name in positions} - set(velocities)
     choices = [
-        ("the angles, their rates and the commands of servos look like degrees", [*positions, *velocities, *servos, *rates], "deg"),
+        (
+            "the angles, their rates and the commands of servos look like degrees",
+            [*positions, *velocities, *servos, *rates],
+            "deg",
+        ),
         ("the angles look like degrees, their rates like rad/s", positions, {"qpos.*": "deg"}),
-        ("the angles and their rates look like degrees, commands like rad", [*positions, *velocities], {"qpos.*": "deg", "qvel.*": "deg"}),
+        (
+            "the angles and their rates look like degrees, commands like rad",
+            [*positions, *velocities],
+            {"qpos.*": "deg", "qvel.*": "deg"},
+        ),
         (
             "the angles and the commands of servos look like degrees, the rates like rad/s",
             [*positions, *servos],
@@ -331,7 +348,7 @@ def _swap(first, second, names, theirs):
             if max(i, j) < y.shape[1]:
                 y[:, [i, j]] = y[:, [j, i]]
 
-    options = {}
+    options: dict[str, str] = {}
     for a, b in pairs:
         if a in theirs and b in theirs:
             options |= {a: _with_unit(theirs[b]), b: _with_unit(theirs[a])}

@@ -45,7 +45,9 @@ def numeric_columns(path, *, beside=()):
         bad = [not _is_finite(cell) for cell in values] if values.dtype == object else ~np.isfinite(values)
         if np.any(bad):
             row = int(np.argmax(bad))
-            cell = values[row] if values.dtype == object else "" if np.isnan(values[row]) else str(values[row])
+            cell = (
+                values[row] if values.dtype == object else "" if np.isnan(values[row]) else str(values[row])
+            )
             raise LogError(
                 f"{path}, {stream.place(row)}, column {name}",
                 f"expected a finite number, got {cell!r}"

@@ -27,11 +27,13 @@ BASE = {
     "ns": (1e-9, "S"),
 }
 KNOWN = (
-    "rad, deg, rev, mrad, rad/s, deg/s, rpm, rps, m, cm, mm, um (also /s), N, Nm, mNm, s, ms, us, ns, ticks:<per turn>, "
-    "percent:<low>:<high>, A:<N m per A>, mA:<N m per A>, x:<factor>; before it - for the opposite sign, "
-    "behind it +<offset> or -<offset> in the same unit"
+    "rad, deg, rev, mrad, rad/s, deg/s, rpm, rps, m, cm, mm, um (also /s), N, Nm, mNm, s, ms, us, ns, "
+    "ticks:<per turn>, percent:<low>:<high>, A:<N m per A>, mA:<N m per A>, x:<factor>; before it - for the "
+    "opposite sign, behind it +<offset> or -<offset> in the same unit"
 )
-WHOLE = re.compile(r"^(?P<sign>[-+]?)(?P<unit>[a-zA-Z%][^+]*?)(?P<offset>(?<![eE:])[-+]\d[\d.]*(?:[eE][-+]?\d+)?)?$")
+WHOLE = re.compile(
+    r"^(?P<sign>[-+]?)(?P<unit>[a-zA-Z%][^+]*?)(?P<offset>(?<![eE:])[-+]\d[\d.]*(?:[eE][-+]?\d+)?)?$"
+)
 # Of a whole turn or so less: what the first stamp of a clock that counts from 1970 is, s.
 LEAST_DATE = 1e8
 
@@ -141,8 +143,8 @@ def _percent(numbers, text, limits):
         low, high = numbers
     else:
         raise ValueError(
-            f"the unit {text!r} needs the values at both ends of the calibrated range: percent:-100:100, and, where these "
-            "ends are not the model's limits, percent:-100:100:<low in rad>:<high in rad>."
+            f"the unit {text!r} needs the values at both ends of the calibrated range: percent:-100:100, and, where "
+            "these ends are not the model's limits, percent:-100:100:<low in rad>:<high in rad>."
         )
     if limits is None:
         raise ValueError(

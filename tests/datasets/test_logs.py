@@ -1,10 +1,10 @@
 import numpy as np
 import pandas as pd
 import pytest
+from skat.datasets.logs import numeric_columns, with_same_columns
 from sklearn.utils import Bunch
 
 from skat.datasets import load_log, split_episodes
-from skat.datasets.logs import numeric_columns, with_same_columns
 from skat.simulators import FunctionSimulator, MujocoSimulator
 
 CART = """

@@ -227,7 +227,9 @@ def lerobot(folder, state, version="v3.0"):
     features = {
         name: {"dtype": "float64", "shape": [2], "names": [f"{end}.pos" for end in ends]} for name in pairs
     }
-    columns = {name: pyarrow.FixedSizeListArray.from_arrays(values.ravel(), 2) for name, values in pairs.items()}
+    columns = {
+        name: pyarrow.FixedSizeListArray.from_arrays(values.ravel(), 2) for name, values in pairs.items()
+    }
     columns |= {"timestamp": t, "episode_index": np.zeros(len(t), int), "frame_index": np.arange(len(t))}
     name = "file-000" if version.startswith("v3") else "episode_000000"
     path = folder / "lerobot"
@@ -257,7 +259,11 @@ def _minari(folder, state):
         "w": gymnasium.spaces.Box(-99, 99, (2,), np.float64),
     }
     dictionary = state == "names"
-    space = gymnasium.spaces.Dict(boxes) if dictionary else gymnasium.spaces.Box(-99, 99, (observed.shape[1],), float)
+    space = (
+        gymnasium.spaces.Dict(boxes)
+        if dictionary
+        else gymnasium.spaces.Box(-99, 99, (observed.shape[1],), float)
+    )
     from minari.serialization import serialize_space
 
     metadata = {

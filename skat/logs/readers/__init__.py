@@ -56,8 +56,14 @@ def recording(source: Any, *, topic: str | None = None) -> Recording:
     """
     from skat.logs.readers import memory
 
-    if isinstance(source, Mapping) and source and all(isinstance(value, str | Path) for value in source.values()):
-        return _tables({str(name): Path(path) for name, path in source.items()}, ", ".join(map(str, source.values())))
+    if (
+        isinstance(source, Mapping)
+        and source
+        and all(isinstance(value, str | Path) for value in source.values())
+    ):
+        return _tables(
+            {str(name): Path(path) for name, path in source.items()}, ", ".join(map(str, source.values()))
+        )
     if memory.is_frame(source) or isinstance(source, Mapping):
         return memory.read(source)
     if not isinstance(source, str | Path) and not hasattr(source, "__fspath__"):
@@ -95,9 +101,7 @@ def _tables(paths: dict[str, Path], where: str, *, folder: bool = False) -> Reco
             return {one: found[columns[one]] for one in wanted}
 
         labels = {f"{name}.{column}": label for column, label in stream.labels.items()}
-        streams.append(
-            Stream(name, tuple(columns), read, _placed(path, stream), labels)
-        )
+        streams.append(Stream(name, tuple(columns), read, _placed(path, stream), labels))
     shapes = {tuple(column.partition(".")[2] for column in stream.columns) for stream in streams}
     if folder and len(streams) > 1 and len(shapes) == 1:
         raise LogError(

@@ -1,5 +1,6 @@
 """rosbag2 (SQLite and MCAP storage, with or without metadata.yaml) and ROS 1 bags, by rosbags."""
 
+from functools import cache
 from pathlib import Path
 
 from skat.logs.errors import LogError
@@ -40,7 +41,7 @@ def _messages(paths, path, topics):
                 connection, stamp, data = next(messages)
             except StopIteration:
                 return
-            except Exception as error:  # noqa: BLE001 - of a damaged bag rosbags raises what SQLite, zstd, struct raise
+            except Exception as error:
                 raise _damaged(path, error) from None
             if len(data) > LARGEST_MESSAGE or connection.msgtype in unknown:
                 continue
@@ -49,9 +50,17 @@ def _messages(paths, path, topics):
             except KeyError:
                 unknown.add(connection.msgtype)
                 continue
-            except Exception as error:  # noqa: BLE001 - a damaged message
+            except Exception as error:
                 raise _damaged(path, error, connection.topic) from None
             yield connection.topic, stamp, message
+
+
+@cache
+def _usual_types():
+    """Return the types of messages in bags that hold no definitions, as older ones do."""
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS2_HUMBLE)
 
 
 class _opened:
@@ -62,12 +71,11 @@ class _opened:
 
     def __enter__(self):
         from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
 
         try:
-            self.reader = AnyReader(self.paths, default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+            self.reader = AnyReader(self.paths, default_typestore=_usual_types())
             self.reader.open()
-        except Exception as error:  # noqa: BLE001 - as above
+        except Exception as error:
             raise _damaged(self.path, error) from None
         return self.reader
 

@@ -32,23 +32,15 @@ def read(path: Path) -> Recording:
     LogError
         If it holds no table.
     """
+    _check_first_line(path)
     head = _frame(path, nrows=FIRST_ROWS, dtype=str)
     names = [str(name) for name in head.columns]
     if len(names) > MOST_COLUMNS:
-        raise LogError(str(path), f"has {len(names)} columns.", "Give a table with a column for each channel.")
-    if len(set(names)) < len(names):
-        repeated = next(name for name in names if names.count(name) > 1)
-        raise LogError(f"{path}, line 1", f"names two columns {repeated!r}.", "Give one of them another name.")
+        raise LogError(
+            str(path), f"has {len(names)} columns.", "Give a table with a column for each channel."
+        )
     if len(head) == 0:
         raise LogError(str(path), "has no rows below its first line.", "Record a log with at least 20 rows.")
-    if len(names) == 1 and (advice := _other_mark(names[0])):
-        raise LogError(f"{path}, line 1", "has a single column.", advice)
-    if all(_is_number(name) for name in names):
-        raise LogError(
-            f"{path}, line 1",
-            f"holds numbers ({', '.join(names[:3])}, ...) where the names of the columns were expected.",
-            "Write a first line with a name for each column.",
-        )
     sizes = {name: _size(head[name]) for name in names}
     columns = []
     for name in names:
@@ -57,10 +49,35 @@ def read(path: Path) -> Recording:
         str(path),
         (
             Stream(
-                "", tuple(columns), lambda wanted: _columns(path, sizes, wanted), lambda row: f"line {line_of(path, row)}"
+                "",
+                tuple(columns),
+                lambda wanted: _columns(path, sizes, wanted),
+                lambda row: f"line {line_of(path, row)}",
             ),
         ),
     )
+
+
+def _check_first_line(path):
+    """Raise where the first line holds no names: pandas would make some up, or change those that come twice."""
+    try:
+        with _opened(path) as file:
+            line = next((line for line in iter(lambda: file.readline(LONGEST_LINE), "") if line.strip()), "")
+        names = [name.strip().lstrip("\ufeff") for name in next(csv.reader([line]), [])]
+    except READ_ERRORS as error:
+        raise _no_table(path, error) from None
+    if len(names) == 1 and (advice := _other_mark(line)):
+        raise LogError(f"{path}, line 1", "has a single column.", advice)
+    if names and all(_is_number(name) for name in names):
+        raise LogError(
+            f"{path}, line 1",
+            f"holds numbers ({', '.join(names[:3])}, ...) where the names of the columns were expected.",
+            "Write a first line with a name for each column.",
+        )
+    if repeated := [name for name in names if name and names.count(name) > 1]:
+        raise LogError(
+            f"{path}, line 1", f"names two columns {repeated[0]!r}.", "Give one of them another name."
+        )
 
 
 def line_of(path: Path, row: int) -> int:
@@ -107,7 +124,9 @@ def _numbers(column):
     texts = column.fillna("").astype(str).str.strip()
     numbers = pd.to_numeric(texts, errors="coerce").to_numpy(dtype=float)
     empty = texts.str.lower().isin(["", "nan", "null", "none", "-nan"]).to_numpy()
-    if (np.isfinite(numbers) | empty | texts.str.lower().isin(["inf", "-inf", "+inf", "infinity"]).to_numpy()).all():
+    if (
+        np.isfinite(numbers) | empty | texts.str.lower().isin(["inf", "-inf", "+inf", "infinity"]).to_numpy()
+    ).all():
         return numbers
     return texts.to_numpy(dtype=object)
 
@@ -215,7 +234,9 @@ def _no_table(path, error):
         advice = ""
     told = str(error).strip().rstrip(".")
     return LogError(
-        str(path), f"is not a CSV table: {told}.", advice or "A CSV table has a line of names, and as many values in each row."
+        str(path),
+        f"is not a CSV table: {told}.",
+        advice or "A CSV table has a line of names, and as many values in each row.",
     )
 
 

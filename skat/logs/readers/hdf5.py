@@ -7,7 +7,16 @@ import numpy as np
 from skat.logs.errors import LogError
 from skat.logs.streams import MOST_BYTES, MOST_COLUMNS, Recording, Stream, as_numbers, plain_array, required
 
-READ_ERRORS = (OSError, ValueError, KeyError, RuntimeError, TypeError, OverflowError, MemoryError, AttributeError)
+READ_ERRORS = (
+    OSError,
+    ValueError,
+    KeyError,
+    RuntimeError,
+    TypeError,
+    OverflowError,
+    MemoryError,
+    AttributeError,
+)
 DEEPEST = 12
 
 
@@ -38,10 +47,16 @@ def read(path: Path, topic: str | None = None) -> Recording:
         inside = {name: shape for name, shape in shapes.items() if name.startswith(prefix)}
         if not inside:
             groups = sorted({name.rpartition("/")[0] for name in shapes} - {""})
-            raise LogError(str(path), f"has no group {topic!r}.", f"It has: {', '.join(groups[:12]) or 'none'}.")
+            raise LogError(
+                str(path), f"has no group {topic!r}.", f"It has: {', '.join(groups[:12]) or 'none'}."
+            )
         shapes = inside
     if not shapes:
-        raise LogError(str(path), "holds no data set with rows.", "A log has a data set for each column, or (rows, columns).")
+        raise LogError(
+            str(path),
+            "holds no data set with rows.",
+            "A log has a data set for each column, or (rows, columns).",
+        )
     groups = _episodes(shapes)
     lengths = [shape[0] for shape in (groups[0][1].values() if groups else shapes.values())]
     usual = max(set(lengths), key=lengths.count)
@@ -82,9 +97,16 @@ def _shapes(h5py, file, path):
             item = group[name]
             if isinstance(item, h5py.Group):
                 walk(item, f"{prefix}{name}/", depth + 1)
-            elif isinstance(item, h5py.Dataset) and item.shape and item.dtype.kind in "fiubOSU" and item.shape[0]:
-                if item.dtype.kind in "fiub" and item.nbytes > MOST_BYTES and item.nbytes > 200 * max(
-                    item.id.get_storage_size(), 1
+            elif (
+                isinstance(item, h5py.Dataset)
+                and item.shape
+                and item.dtype.kind in "fiubOSU"
+                and item.shape[0]
+            ):
+                if (
+                    item.dtype.kind in "fiub"
+                    and item.nbytes > MOST_BYTES
+                    and item.nbytes > 200 * max(item.id.get_storage_size(), 1)
                 ):
                     raise LogError(
                         f"{path}, {prefix}{name}",
@@ -115,7 +137,9 @@ def _column(file, parts, wide, name, groups):
     if groups and name == "episode":
         first = next(iter(wide))
         return np.concatenate([np.full(inside[first][0], group, dtype=object) for group, inside in parts])
-    base, element = (name, None) if name in wide else (name.rsplit("[", 1)[0], int(name.rsplit("[", 1)[1][:-1]))
+    base, element = (
+        (name, None) if name in wide else (name.rsplit("[", 1)[0], int(name.rsplit("[", 1)[1][:-1]))
+    )
     pieces = []
     for group, _ in parts:
         item = file[f"{group}/{base}" if group else base]

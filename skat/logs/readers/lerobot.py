@@ -1,6 +1,7 @@
 """LeRobot data sets on disk, v2.1 (a file an episode) and v3 (many episodes a file)."""
 
 import json
+from operator import itemgetter
 from pathlib import Path
 
 from skat.logs.errors import LogError
@@ -28,12 +29,16 @@ def read(path: Path) -> Recording:
         ) from None
     if not version.startswith(("v2", "v3")):
         raise LogError(
-            str(meta), f"says codebase_version {version!r}; v2.x and v3.x are read.", "Convert it with LeRobot's scripts."
+            str(meta),
+            f"says codebase_version {version!r}; v2.x and v3.x are read.",
+            "Convert it with LeRobot's scripts.",
         )
     files = sorted((path / "data").glob("**/*.parquet"))
     if not files:
         raise LogError(
-            str(path), "has a description but no data/*/*.parquet.", "Download the folder data too (Git LFS: git lfs pull)."
+            str(path),
+            "has a description but no data/*/*.parquet.",
+            "Download the folder data too (Git LFS: git lfs pull).",
         )
     labels = {name: _names(feature) for name, feature in features.items()}
     rate = info.get("fps")
@@ -51,6 +56,6 @@ def _names(feature):
     names = feature.get("names") if isinstance(feature, dict) else None
     while isinstance(names, dict) and names:
         if all(isinstance(value, int) for value in names.values()):
-            return [str(name) for name in sorted(names, key=names.get)]
+            return [str(name) for name, _ in sorted(names.items(), key=itemgetter(1))]
         names = next(iter(names.values()))
     return [str(name) for name in names] if isinstance(names, list) else []

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 from skat.logs.errors import LogError
 from skat.logs.readers.messages import LARGEST_MESSAGE, messages_recording
@@ -18,16 +19,15 @@ def read(path: Path) -> Recording:
     """
     required("mcap.reader", "An MCAP file")
     types: dict[str, str] = {}
-    notes = []
     try:
         summary = _summary(path)
-    except Exception as error:  # noqa: BLE001 - of a damaged file the library raises what struct, lz4, zstd raise
+    except Exception as error:
         raise _damaged(path, error) from None
     if summary is not None:
         for channel in summary.channels.values():
             schema = summary.schemas.get(channel.schema_id)
             types[channel.topic] = schema.name if schema else channel.message_encoding
-    return messages_recording(str(path), types, lambda topics: _messages(path, topics), notes)
+    return messages_recording(str(path), types, lambda topics: _messages(path, topics))
 
 
 def _summary(path):
@@ -42,20 +42,18 @@ def _messages(path, topics):
     from mcap.reader import make_reader
 
     factories = _factories()
-    decoders: dict[int, object] = {}
+    decoders: dict[int, Any] = {}
     with path.open("rb") as file:
         try:
-            messages = make_reader(file).iter_messages(
-                topics=None if topics is None else list(topics)
-            )
-        except Exception as error:  # noqa: BLE001 - as above
+            messages = make_reader(file).iter_messages(topics=None if topics is None else list(topics))
+        except Exception as error:
             raise _damaged(path, error) from None
         while True:
             try:
                 schema, channel, message = next(messages)
             except StopIteration:
                 return
-            except Exception as error:  # noqa: BLE001 - as above
+            except Exception as error:
                 raise _damaged(path, error) from None
             if len(message.data) > LARGEST_MESSAGE:
                 continue
@@ -68,7 +66,7 @@ def _messages(path, topics):
                 decoded = decode(message.data)
             except McapError as error:
                 raise _damaged(path, error, channel.topic) from None
-            except Exception as error:  # noqa: BLE001 - as above
+            except Exception as error:
                 raise _damaged(path, error, channel.topic) from None
             yield channel.topic, message.log_time, decoded
 

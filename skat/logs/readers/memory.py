@@ -23,7 +23,9 @@ def read(source: Any) -> Recording:
     if not isinstance(source, Mapping):
         names = [str(name) for name in source.columns]
         if repeated := [name for name in set(names) if names.count(name) > 1]:
-            raise LogError("the data frame", f"has two columns {sorted(repeated)[0]}.", "Give one of them another name.")
+            raise LogError(
+                "the data frame", f"has two columns {sorted(repeated)[0]}.", "Give one of them another name."
+            )
         arrays = {name: source[column].to_numpy() for name, column in zip(names, source.columns)}
         return Recording("the data frame", (arrays_stream(arrays, "the data frame"),))
     return Recording("the arrays", (arrays_stream(dict(source), "the arrays"),))

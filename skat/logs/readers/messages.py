@@ -25,7 +25,10 @@ Message = tuple[str, int, Any]
 
 
 def messages_recording(
-    source: str, types: dict[str, str], messages: Callable[[set[str] | None], Iterable[Message]], notes: Iterable[str] = ()
+    source: str,
+    types: dict[str, str],
+    messages: Callable[[set[str] | None], Iterable[Message]],
+    notes: Iterable[str] = (),
 ) -> Recording:
     """Return the recording of messages.
 
@@ -66,9 +69,7 @@ def messages_recording(
             Stream(
                 topic,
                 tuple(columns),
-                lambda wanted, topic=topic, columns=columns: collected(
-                    messages({topic}), {name: columns[name] for name in wanted}, origin
-                ),
+                _reader(messages, topic, columns, origin),
                 f"message {{}} of {topic}".format,
             )
         )
@@ -82,7 +83,13 @@ def messages_recording(
     return Recording(source, tuple(streams), notes=tuple(notes))
 
 
-def collected(messages: Iterable[Message], wanted: dict[str, str], origin: dict[str, int]) -> dict[str, np.ndarray]:
+def _reader(messages, topic, columns, origin):
+    return lambda wanted: collected(messages({topic}), {name: columns[name] for name in wanted}, origin)
+
+
+def collected(
+    messages: Iterable[Message], wanted: dict[str, str], origin: dict[str, int]
+) -> dict[str, np.ndarray]:
     """Return the wanted fields of the messages as arrays; times in s since the origin."""
     columns = {name: array("d") for name in wanted}
     nan = float("nan")
@@ -96,7 +103,10 @@ def collected(messages: Iterable[Message], wanted: dict[str, str], origin: dict[
             else:
                 value = row.get(key, nan)
             columns[name].append(value)
-    return {name: np.frombuffer(values, dtype=float) if len(values) else np.empty(0) for name, values in columns.items()}
+    return {
+        name: np.frombuffer(values, dtype=float) if len(values) else np.empty(0)
+        for name, values in columns.items()
+    }
 
 
 def fields(message: Any) -> dict[str, float]:
@@ -158,8 +168,12 @@ def _parts(value):
     if hasattr(value, "DESCRIPTOR"):
         return {field.name: getattr(value, field.name) for field in value.DESCRIPTOR.fields}
     if hasattr(value, "__dataclass_fields__"):
-        return {name: getattr(value, name) for name in value.__dataclass_fields__ if not name.startswith("__")}
-    return {name: getattr(value, name) for name in getattr(value, "__slots__", ()) if not name.startswith("_")}
+        return {
+            name: getattr(value, name) for name in value.__dataclass_fields__ if not name.startswith("__")
+        }
+    return {
+        name: getattr(value, name) for name in getattr(value, "__slots__", ()) if not name.startswith("_")
+    }
 
 
 def _stamp(parts):

@@ -20,7 +20,15 @@ def read(path: Path) -> Recording:
     """
     try:
         arrays = _arrays(path)
-    except (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
+    except (
+        ValueError,
+        OSError,
+        EOFError,
+        KeyError,
+        zipfile.BadZipFile,
+        zlib.error,
+        NotImplementedError,
+    ) as error:
         if "allow_pickle" in str(error):
             raise LogError(
                 str(path),
@@ -28,7 +36,15 @@ def read(path: Path) -> Recording:
                 "Save arrays of numbers (numpy.savez), none of dtype=object.",
             ) from None
         raise LogError(str(path), f"is cut or damaged: {error}.", "Copy the file anew.") from None
-    except (MemoryError, SyntaxError, TypeError, RuntimeError, UnicodeError, OverflowError, AttributeError) as error:
+    except (
+        MemoryError,
+        SyntaxError,
+        TypeError,
+        RuntimeError,
+        UnicodeError,
+        OverflowError,
+        AttributeError,
+    ) as error:
         raise LogError(str(path), f"is damaged: {type(error).__name__}.", "Copy the file anew.") from None
     if not arrays:
         raise LogError(str(path), "holds no arrays.", "Save an array for each column (numpy.savez).")
@@ -60,4 +76,6 @@ def _check_size(archive, entry, path):
         if min(shape, default=0) < 0 or announced > entry.file_size:
             raise ValueError(f"{entry.filename} announces {announced} bytes and holds {entry.file_size}")
         if entry.file_size > MOST_BYTES and entry.file_size > 200 * max(entry.compress_size, 1):
-            raise ValueError(f"{entry.filename} unpacks to {entry.file_size} bytes from {entry.compress_size}")
+            raise ValueError(
+                f"{entry.filename} unpacks to {entry.file_size} bytes from {entry.compress_size}"
+            )

@@ -46,7 +46,9 @@ def parquet_stream(paths: list[Path], labels: dict[str, list[str]] | None = None
         if size and names and len(names) == size:
             named |= dict(zip(elements, names))
     if len(columns) > MOST_COLUMNS:
-        raise LogError(str(paths[0]), f"has {len(columns)} columns.", "Give a table with a column for each channel.")
+        raise LogError(
+            str(paths[0]), f"has {len(columns)} columns.", "Give a table with a column for each channel."
+        )
 
     def read_columns(wanted):
         return _columns(parquet, paths, sizes, wanted)
@@ -67,7 +69,11 @@ def _sizes(parquet, path):
                 sizes[field.name] = kind.list_size
             elif arrow.types.is_list(kind) or arrow.types.is_large_list(kind):
                 first = next(file.iter_batches(FIRST_ROWS, columns=[field.name]), None)
-                cells = [] if first is None else [cell for cell in first.column(0).to_pylist() if cell is not None]
+                cells = (
+                    []
+                    if first is None
+                    else [cell for cell in first.column(0).to_pylist() if cell is not None]
+                )
                 if cells and all(isinstance(item, int | float) for item in cells[0]):
                     sizes[field.name] = len(cells[0])
             elif not arrow.types.is_nested(kind) and not arrow.types.is_binary(kind):
@@ -121,6 +127,17 @@ def _guarded(path, read):
         return read()
     except LogError:
         raise
-    except (arrow.ArrowException, OSError, ValueError, KeyError, EOFError, OverflowError, MemoryError, TypeError) as error:
+    except (
+        arrow.ArrowException,
+        OSError,
+        ValueError,
+        KeyError,
+        EOFError,
+        OverflowError,
+        MemoryError,
+        TypeError,
+    ) as error:
         told = " ".join(str(error).split())[:200] or type(error).__name__
-        raise LogError(str(path), f"is cut or damaged, or no Parquet file: {told}.", "Copy the file anew.") from None
+        raise LogError(
+            str(path), f"is cut or damaged, or no Parquet file: {told}.", "Copy the file anew."
+        ) from None
