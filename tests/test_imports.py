@@ -16,6 +16,7 @@ ALLOWED = {
     "files": set(),
     "episodes": set(),
     "rounding": set(),
+    "torch_arrays": set(),
     "moments": set(),
     "gaussian": {"moments", "threads"},
     "alignment": {"gaussian"},
@@ -33,8 +34,8 @@ ALLOWED = {
     "metrics": {"affinity", "gaussian", "samples", "wasserstein"},
     "effects": set(),
     "simulators": {"effects", "files"},
-    "datasets": {"episodes", "effects", "simulators"},
-    "logs": {"episodes", "files", "simulators"},
+    "datasets": {"episodes", "effects", "simulators", "torch_arrays"},
+    "logs": {"episodes", "files", "simulators", "torch_arrays"},
     "diagnosis": {
         "_compat",
         "files",

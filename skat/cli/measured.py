@@ -200,7 +200,7 @@ def check(
                 "What such a log could show is not told here: it lacks " + ", ".join(found.unmeasured) + "."
             )
         else:
-            _show_preflight(found, None, alpha)
+            _show_preflight(found, None, alpha, most=ROWS_LOOKED_AT)
 
 
 @app.command()
@@ -310,15 +310,17 @@ def _show_mistakes(study, log):
     return found
 
 
+# Rows of a log from which `skat check` says what it could show; more of them would show still smaller effects.
+ROWS_LOOKED_AT = 600
 # A mistake is told that leaves less than this share of the error.
 WORTH_TELLING = 0.7
 
 
-def _show_preflight(log, effect, alpha):
+def _show_preflight(log, effect, alpha, most=None):
     from skat.diagnosis import SimulationDiagnosis
     from skat.diagnosis.checks import rows_of
 
-    X, groups = rows_of(log)
+    X, groups = rows_of(log, most)
     diagnosis = SimulationDiagnosis(log.simulator, effects=effect or "all", alpha=alpha)
     with progress_bars() as progress:
         progress("differentiate", 0, 1)

@@ -4,7 +4,7 @@ import numpy as np
 
 from skat.datasets.originals import Source, original_files
 from skat.datasets.runs import Run, transitions
-from skat.datasets.torch_arrays import read_torch_arrays
+from skat.torch_arrays import read_torch_arrays
 
 SOURCE = Source(
     folder="go2_air",

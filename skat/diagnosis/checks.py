@@ -5,6 +5,8 @@ import pandas as pd
 
 # A command this close to its limit, as a share of the range, is at it.
 AT_LIMIT = 1e-6
+# Runs that stand for a long log.
+RUNS = 6
 
 
 def channel_table(log):
@@ -59,12 +61,15 @@ def _remark(seen, saturated):
     return ""
 
 
-def rows_of(log):
+def rows_of(log, most=None):
     """Return the rows of a log that were measured as a whole, and their episodes.
 
     Parameters
     ----------
     log : skat.logs.Log
+
+    most : int, default=None
+        Of a longer log only so many rows, in `RUNS` runs from all over it. None means all.
 
     Returns
     -------
@@ -72,4 +77,7 @@ def rows_of(log):
     groups : ndarray of shape (n_rows,)
     """
     whole = log.rows(np.isfinite(log.X).all(axis=1))
+    if most is not None and len(whole) > most:
+        starts = np.linspace(0, len(whole) - most // RUNS, RUNS).astype(int)
+        whole = whole.rows(np.unique(np.add.outer(starts, np.arange(most // RUNS))))
     return whole.X, whole.groups

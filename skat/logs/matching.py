@@ -618,7 +618,7 @@ def _episode(known, columns, episodes, recording, used):
 def _check_driven(known, used, simulator, recording):
     """Raise where a log has commands and its model, read from a URDF, has no actuators for them."""
     source = getattr(simulator, "model", None)
-    if getattr(source, "urdf", None) is None or source.motors is not None:
+    if source is None or getattr(source, "urdf", None) is None or source.motors is not None:
         return
     commands = [column for column, one in known.items() if one.said.kind == "ctrl" and column not in used]
     if commands and len(simulator.input_names) == len(simulator.state_names):

@@ -56,7 +56,8 @@ def numeric_columns(path, *, beside=()):
             )
     texts = pd.read_csv(path, dtype=str, keep_default_na=False, skipinitialspace=True) if kept else {}
     table = {
-        name: texts[name].to_numpy() if name in kept else columns[name].astype(float) for name in stream.columns
+        name: texts[name].to_numpy() if name in kept else columns[name].astype(float)
+        for name in stream.columns
     }
     return pd.DataFrame(table, columns=list(stream.columns))
 

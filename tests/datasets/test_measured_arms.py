@@ -20,7 +20,7 @@ from skat.datasets import (
 )
 from skat.datasets.originals import original_files, verified
 from skat.datasets.runs import Run, transitions
-from skat.datasets.torch_arrays import read_torch_arrays
+from skat.torch_arrays import read_torch_arrays
 
 
 def check(bunch, *, rows, joints, commands, dt):

@@ -5,11 +5,12 @@ from pathlib import Path
 from typing import Any
 
 from skat.logs.errors import LogError
+from skat.logs.readers import torch
 from skat.logs.streams import Recording, Stream
 
 FORMATS = (
-    "CSV (also .gz), Parquet, NPZ, HDF5, rosbag2 (folder, .db3 or .mcap), ROS 1 bag, MCAP (ROS 2, JSON, protobuf), "
-    "LeRobot v2.1 and v3 (folder), Minari (folder)"
+    "CSV (also .gz), Parquet, NPZ, HDF5, PyTorch (tensors by name), rosbag2 (folder, .db3 or .mcap), ROS 1 bag, "
+    "MCAP (ROS 2, JSON, protobuf), LeRobot v2.1 and v3 (folder), Minari (folder)"
 )
 MAGIC = (
     (b"PAR1", "parquet"),
@@ -147,7 +148,7 @@ def file_kind(path: Path) -> str:
         raise LogError(str(path), f"cannot be read: {error.strerror}.", "Check its permissions.") from None
     for magic, kind in MAGIC:
         if head.startswith(magic):
-            return kind
+            return "torch" if kind == "npz" and torch.is_torch(path) else kind
     if path.suffix.lower() in PICKLES or head[:2] in (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05"):
         raise LogError(
             str(path),
@@ -179,6 +180,10 @@ def _npz(path, topic):
     from skat.logs.readers import npz
 
     return npz.read(path)
+
+
+def _torch(path, topic):
+    return torch.read(path)
 
 
 def _hdf5(path, topic):
@@ -216,6 +221,7 @@ READERS = {
     "parquet": _parquet,
     "npz": _npz,
     "npy": _npz,
+    "torch": _torch,
     "hdf5": _hdf5,
     "bags": _bags,
     "mcap": _mcap,
