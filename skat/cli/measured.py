@@ -177,6 +177,9 @@ def check(
     base: Base = None,
     motors: Motors = None,
     frame_skip: FrameSkip = None,
+    preflight: Annotated[
+        bool, typer.Option(help="Whether to say what such a log could show; it takes longest.")
+    ] = True,
     alpha: Alpha = 0.01,
     force: Force = False,
 ):
@@ -195,6 +198,8 @@ def check(
         )
         steps = f", {found.simulator.frame_skip} time steps of the model each"
         output_console().print(table_of(channel_table(found), title=clock + steps))
+        if not preflight:
+            return
         if found.unmeasured:
             print_line(
                 "What such a log could show is not told here: it lacks " + ", ".join(found.unmeasured) + "."
@@ -203,8 +208,8 @@ def check(
             _show_preflight(found, None, alpha, most=ROWS_LOOKED_AT)
 
 
-@app.command()
-def preflight(
+@app.command("preflight")
+def preflight_log(
     model: Model,
     log: Logs,
     maps: Maps = None,
