@@ -21,8 +21,8 @@ EXTRAS = {
     "mcap_protobuf": "ros",
     "minari": "minari",
 }
-# An element of a vector column, by number or by name.
-ELEMENT = re.compile(r"^(.*)\[([^\[\]]*)\]$")
+# An element of a vector column, by number or by name; a unit in brackets is none.
+ELEMENT = re.compile(r"^(.*\S)\[(?!(?:deg|rad|rpm|rps|mm|cm|ms|us|ns|Nm|mNm|m|s)(?:/s)?\])([^\[\]]*)\]$")
 # More columns than this in a log are no log: a picture, or a broken file.
 MOST_COLUMNS = 10_000
 # Bytes of a value that a log may hold; what is longer than that is no number.

@@ -17,8 +17,12 @@ ROWS, RUN = 400, 50
 # Pairs and channels tried at most.
 MOST_PAIRS = 120
 DEGREES = math.pi / 180
-# Degrees are certain where they leave less than this share of the error, and less than saying that nothing changes.
-CERTAIN = 1 / 3
+# Degrees are certain where they leave less than this share of the error, and explain half of what changes,
+CERTAIN, EXPLAINED = 1 / 3, 0.5
+# and where an angle reaches so many of them: a robot that moves does.
+LEAST_DEGREES = 3.0
+# How many times further positions move than velocities say, from half to twice of it, tells their units apart.
+SAME = 3.0
 # A joint's range is exceeded by so many times its width, and kept to in degrees, with this much to spare.
 EXCEEDED, SPARE = 1.0, 1.2
 # The size of an error is taken where this share of rows are below it: a few contacts are not the matter.
@@ -101,12 +105,11 @@ def in_degrees(simulator: Simulator, log: Log, *, told: frozenset[str] = frozens
     largest = max(
         (float(np.nanmax(np.abs(_column(log, name)))) for name in angles if _measured(log, name)), default=0.0
     )
-    # Nothing that stays within a fraction of a degree is worth a simulation.
-    if not largest:
+    if largest < LEAST_DEGREES:
         return None
     tried = suspects(simulator, log, kinds=("degrees",))
     best = tried[0] if tried else None
-    if best is not None and best.repaired < min(CERTAIN * best.error, 1.0):
+    if best is not None and best.repaired < min(CERTAIN * best.error, EXPLAINED):
         return Suspect(
             "degrees",
             f"{best.sentence}: read so, one step of the simulation misses the velocities by {best.repaired:.2g} of "
@@ -312,11 +315,27 @@ def _degree_repairs(sample, names, inputs):
         ),
     ]
     seen = set()
+    ratio = _moved_by_told(sample, names, positions)
     for sentence, scaled, units in choices:
+        alone = not set(scaled) & set(velocities)
+        if ratio is not None and velocities and not 1 / SAME < ratio * (DEGREES if alone else 1.0) < SAME:
+            continue
         columns = [names.index(name) for name in (*scaled, *differenced) if name in names]
         if tuple(columns) not in seen and scaled:
             seen.add(tuple(columns))
             yield "degrees", sentence, _scaler(columns, DEGREES), {"units": units}
+
+
+def _moved_by_told(sample, names, positions):
+    """Return how many times further positions move than velocities say; None where neither moves."""
+    pairs = [(names.index(name), names.index(f"qvel.{name.removeprefix('qpos.')}")) for name in positions]
+    moved = np.array([np.median(np.abs(sample.y[:, q] - sample.X[:, q])) for q, _ in pairs])
+    told = (
+        np.array([np.median(np.abs(sample.X[:, v] + sample.y[:, v])) / 2 for _, v in pairs])
+        * sample.simulator.dt
+    )
+    good = (moved > 0) & (told > 0)
+    return float(np.median(moved[good] / told[good])) if good.any() else None
 
 
 def _scaler(columns, factor):
