@@ -5,6 +5,7 @@ import io
 import pickle
 import shutil
 import sqlite3
+import sys
 import zipfile
 
 import numpy as np
@@ -12,6 +13,7 @@ import pandas as pd
 import pytest
 
 from skat.datasets import (
+    fetch_ball_drops,
     fetch_double_pendulum,
     fetch_go2_air,
     fetch_ricmonk,
@@ -165,3 +167,21 @@ def test_torch_files_that_are_cut_short_are_refused(measured_data, tmp_path):
     (tmp_path / "half.pt").write_bytes(original.read_bytes()[:100_000])
     with pytest.raises(ValueError, match="not a PyTorch file"):
         read_torch_arrays(tmp_path / "half.pt")
+
+
+@pytest.mark.parametrize(
+    ("module", "fetch", "extra"),
+    [("rosbags.typesys", fetch_ur10, "ros"), ("openpyxl", fetch_ball_drops, "excel")],
+)
+def test_a_missing_library_is_named_with_the_line_that_installs_it(
+    measured_data, tmp_path, monkeypatch, module, fetch, extra
+):
+    monkeypatch.setitem(sys.modules, module, None)
+    # Without the tidied copy, which needs no library.
+    shutil.copytree(
+        measured_data / "ball_drops", tmp_path / "ball_drops", ignore=shutil.ignore_patterns("*.csv")
+    )
+    shutil.copytree(measured_data / "ur10_bag", tmp_path / "ur10_bag")
+    monkeypatch.setenv("SKAT_DATA_HOME", str(tmp_path))
+    with pytest.raises(ImportError, match=rf'python -m pip install "skat\[{extra}\]"'):
+        fetch(download_if_missing=False)
