@@ -196,7 +196,7 @@ def pieces(
     dt = _refined(times, groups, dt)
     placed = [_on_grid(times[rows], dt) for rows in groups]
     worst = max((float(np.abs(jitter).max()) for _, _, jitter in placed), default=0.0) / dt
-    clashes = any(len(np.unique(slots)) < len(slots) for _, slots, _ in placed)
+    clashes = any((np.diff(slots) <= 0).any() for _, slots, _ in placed)
     snap = worst <= ON_GRID and not clashes
     if not snap and not clashes and not _samples_jitter(times, groups, placed, dt, moves()):
         snap = True
@@ -224,7 +224,7 @@ def pieces(
                 int(slots.max()) + 1,
             )
         )
-    lost = sum(piece.size - len(np.unique(piece.slots)) for piece in found if piece.slots is not None)
+    lost = sum(piece.size - len(piece.slots) for piece in found if piece.slots is not None)
     if lost:
         whole = sum(piece.size for piece in found)
         notes.append(

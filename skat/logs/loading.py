@@ -526,7 +526,8 @@ def _log(record, found, simulator, grid, groups, own, errors, n_states, step, no
             groups[arrivals],
             kept_times[arrivals - 1],
         )
-    present, renumbered = np.unique(rows, return_inverse=True)
+    changes = np.r_[True, rows[1:] != rows[:-1]]
+    present, renumbered = rows[changes], np.cumsum(changes) - 1
     del n_rows
     if errors:
         notes.append(
