@@ -57,13 +57,13 @@ def worker(kind, number, seed):
         whole.mkdir()
         path = mutations.seed(kind, whole)
         sys.settrace(traced)
-        mutations.outcome(path, arm)
+        mutations.outcome(path, arm, kind)
         for _ in range(number):
             copy, how = mutations.damaged(path, folder, rng)
             print(json.dumps({"begin": how}), flush=True)
             before = time.perf_counter()
             try:
-                end, bad = mutations.outcome(copy, arm), False
+                end, bad = mutations.outcome(copy, arm, kind), False
             except Exception as error:
                 end, bad = f"{type(error).__name__}: {error}"[:300], True
             print(json.dumps({"end": end, "bad": bad, "s": time.perf_counter() - before}), flush=True)

@@ -144,7 +144,7 @@ def pieces(
     names: list[str],
     dt: float,
     where: Callable[[int], str],
-    moves: np.ndarray,
+    moves: Callable[[], np.ndarray],
 ) -> tuple[list[Piece], float, list[str]]:
     """Return the pieces of a log on a grid of its own step, that step, and notes.
 
@@ -160,8 +160,8 @@ def pieces(
         The usual step, s.
     where : callable
         Says where a row stands.
-    moves : ndarray of shape (n_rows, n_positions)
-        Positions, that tell whether stamps or samples jitter.
+    moves : callable
+        Returns positions of shape (n_rows, n_positions), which tell whether stamps or samples jitter.
     """
     notes: list[str] = []
     apart = np.r_[True, labels[1:] != labels[:-1]]
@@ -196,9 +196,9 @@ def pieces(
     dt = _refined(times, groups, dt)
     placed = [_on_grid(times[rows], dt) for rows in groups]
     worst = max((float(np.abs(jitter).max()) for _, _, jitter in placed), default=0.0) / dt
-    clashes = any(len(np.unique(slots)) < len(slots) for _, slots, _ in placed)
+    clashes = any((np.diff(slots) <= 0).any() for _, slots, _ in placed)
     snap = worst <= ON_GRID and not clashes
-    if not snap and not clashes and not _samples_jitter(times, groups, placed, dt, moves):
+    if not snap and not clashes and not _samples_jitter(times, groups, placed, dt, moves()):
         snap = True
         notes.append(
             f"The time stamps jitter by up to {worst * 1e3 * dt:.3g} ms, the samples do not (positions move evenly): "
@@ -224,7 +224,7 @@ def pieces(
                 int(slots.max()) + 1,
             )
         )
-    lost = sum(piece.size - len(np.unique(piece.slots)) for piece in found if piece.slots is not None)
+    lost = sum(piece.size - len(piece.slots) for piece in found if piece.slots is not None)
     if lost:
         whole = sum(piece.size for piece in found)
         notes.append(

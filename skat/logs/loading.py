@@ -149,7 +149,9 @@ def _timed(record: Recording, found: Plan, simulator, rate, notes) -> Log:
     n_rows = len(next(iter(data[main].values())))
     if n_rows == 0:
         raise LogError(_where(record, stream), "has no rows.", f"Record a log with at least {FEWEST_ROWS}.")
-    states = {name: values for name, values in _states(record, found, data, n_states, names).items()}
+    states = _states(record, found, data, n_states, names)
+    clocks = {column for column, _ in found.times.values()} | ({found.episode[1]} if found.episode else set())
+    data = {place: {name: read[name] for name in read if name in clocks} for place, read in data.items()}
     labels, labels_text = _labels(record, found, data, main, n_rows)
     notes += found.notes
     times, good, step = _times(record, found, data, main, labels, simulator, rate, n_rows, notes)
@@ -166,7 +168,10 @@ def _timed(record: Recording, found: Plan, simulator, rate, notes) -> Log:
             f"holds {len(kept)} rows with a state.",
             f"Record a log with at least {FEWEST_ROWS}.",
         )
-    moves = np.stack([states[name][kept] for name in mine[:8]], axis=1)
+
+    def moves():
+        return np.stack([states[name][kept] for name in mine[:8]], axis=1)
+
     own, dt, said = clock.pieces(
         times[kept],
         labels[kept],
@@ -184,7 +189,6 @@ def _timed(record: Recording, found: Plan, simulator, rate, notes) -> Log:
     grid, groups, errors = _grid(
         record, found, data, states, own, kept, main, names, n_states, step, dt, times
     )
-    del data, states
     return _log(record, found, simulator, grid, groups, own, errors, n_states, step, notes)
 
 
@@ -522,7 +526,8 @@ def _log(record, found, simulator, grid, groups, own, errors, n_states, step, no
             groups[arrivals],
             kept_times[arrivals - 1],
         )
-    present, renumbered = np.unique(rows, return_inverse=True)
+    changes = np.r_[True, rows[1:] != rows[:-1]]
+    present, renumbered = rows[changes], np.cumsum(changes) - 1
     del n_rows
     if errors:
         notes.append(

@@ -8,6 +8,7 @@ from skat.logs.streams import ELEMENT
 POSITION = {"qpos", "q", "pos", "position", "positions", "angle", "angles", "theta", "ang"}
 VELOCITY = {
     "qvel",
+    "v",
     "qd",
     "dq",
     "qdot",

@@ -214,6 +214,124 @@ def _mcap_json(folder, state):
     return folder / "log.mcap", _options(state, names)
 
 
+def mcap_protobuf(folder, state):
+    """Write an MCAP file of protobuf messages whose type is made up here."""
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
+    from mcap_protobuf.writer import Writer
+
+    kinds = descriptor_pb2.FieldDescriptorProto
+    file = descriptor_pb2.FileDescriptorProto(name="arm.proto", package="arm", syntax="proto3")
+    file.dependency.append("google/protobuf/timestamp.proto")
+    message = file.message_type.add(name="State")
+    for number, (name, kind) in enumerate(
+        [
+            ("name", kinds.TYPE_STRING),
+            *((one, kinds.TYPE_DOUBLE) for one in ("position", "velocity", "command")),
+        ],
+        1,
+    ):
+        message.field.add(name=name, number=number, type=kind, label=kinds.LABEL_REPEATED)
+    message.field.add(
+        name="stamp",
+        number=9,
+        type=kinds.TYPE_MESSAGE,
+        type_name=".google.protobuf.Timestamp",
+        label=kinds.LABEL_OPTIONAL,
+    )
+    pool = descriptor_pool.DescriptorPool()
+    pool.AddSerializedFile(timestamp_pb2.DESCRIPTOR.serialized_pb)
+    pool.Add(file)
+    State = message_factory.GetMessageClass(pool.FindMessageTypeByName("arm.State"))
+    t, q, v, u = table(state)
+    with (folder / "log.mcap").open("wb") as stream, Writer(stream) as writer:
+        for row in range(len(t)):
+            stamp = round(t[row] * 1e9)
+            one = State(name=list(_ros_names(state)), position=q[row], command=u[row])
+            if v is not None:
+                one.velocity.extend(v[row])
+            one.stamp.FromNanoseconds(stamp)
+            writer.write_message(topic="/arm", message=one, log_time=stamp, publish_time=stamp)
+    names = {"qpos": "/arm.position", "qvel": "/arm.velocity", "ctrl": "/arm.command"}
+    return folder / "log.mcap", _options(state, names)
+
+
+def minari_arrow(folder, state="clean"):
+    """Write a Minari data set in Arrow, by Minari."""
+    import gymnasium
+    from minari.data_collector import EpisodeBuffer
+    from minari.dataset.minari_storage import MinariStorage
+
+    t, q, v, u = table(state)
+    path = folder / "arrow-v0"
+    (path / "data").mkdir(parents=True)
+    observations = gymnasium.spaces.Dict(
+        {
+            "q": gymnasium.spaces.Box(-9, 9, (2,), np.float64),
+            "v": gymnasium.spaces.Box(-99, 99, (2,), np.float64),
+        }
+    )
+    actions = gymnasium.spaces.Box(-9, 9, (2,), np.float64)
+    storage = MinariStorage.new(path / "data", observations, actions, data_format="arrow")
+    steps = len(t) - 1
+    storage.update_metadata({"dataset_id": "arrow-v0", "minari_version": "0.5.4"})
+    storage.update_episodes(
+        [
+            EpisodeBuffer(
+                id=0,
+                observations={"q": list(q), "v": list(v)},
+                actions=list(u[:-1]),
+                rewards=[0.0] * steps,
+                terminations=[False] * steps,
+                truncations=[False] * steps,
+                infos={"time": list(t)},
+            )
+        ]
+    )
+    return path, {}
+
+
+def hdf5_episodes(folder):
+    """Write an HDF5 file with a group for each of two episodes."""
+    import h5py
+
+    t, q, v, u = table("clean")
+    with h5py.File(folder / "log.h5", "w") as file:
+        for name, rows in (("run_1", slice(0, 80)), ("run_2", slice(80, None))):
+            for key, values in (("time", t), ("obs/position", q), ("obs/velocity", v), ("command", u)):
+                file[f"{name}/{key}"] = values[rows]
+        file["run_1"].attrs["robot"] = "arm"
+    return folder / "log.h5", {}
+
+
+def parquet_lists(folder):
+    """Write a Parquet file whose cells are lists of any length, one of them missing."""
+    import pyarrow
+    import pyarrow.parquet
+
+    t, q, v, u = table("clean")
+    positions = [None if row == 40 else list(values) for row, values in enumerate(q)]
+    columns = {
+        "time": t,
+        "position": positions,
+        "velocity": [list(row) for row in v],
+        "command": [list(row) for row in u],
+    }
+    pyarrow.parquet.write_table(pyarrow.table(columns), folder / "log.parquet")
+    return folder / "log.parquet", {}
+
+
+def tables(folder):
+    """Write a folder of two tables with clocks of their own."""
+    t, q, v, u = table("clean")
+    (folder / "run").mkdir()
+    state = {"time": t} | {
+        f"{kind}{place}": values[:, place] for kind, values in (("q", q), ("dq", v)) for place in (0, 1)
+    }
+    pd.DataFrame(state).to_csv(folder / "run" / "state.csv", index=False)
+    pd.DataFrame({"time": t, "u0": u[:, 0], "u1": u[:, 1]}).to_parquet(folder / "run" / "command.parquet")
+    return folder / "run", {}
+
+
 def lerobot(folder, state, version="v3.0"):
     """Write a LeRobot data set, v2.1 or v3.0."""
     import pyarrow

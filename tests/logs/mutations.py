@@ -1,9 +1,12 @@
 """Valid logs, damaged at random, and what reading them may end in."""
 
+import gzip
 import shutil
+import zipfile
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from skat.logs import LogError, load_log
 from skat.simulators import MujocoSimulator
@@ -23,6 +26,13 @@ KINDS = (
     "rosbag2_mcap",
     "lerobot",
     "minari",
+    "mcap_protobuf",
+    "minari_arrow",
+    "hdf5_episodes",
+    "parquet_lists",
+    "tables",
+    "bag_files",
+    "memory",
 )
 # What a reader may raise of a damaged file.
 ALLOWED = (LogError, FileNotFoundError)
@@ -39,8 +49,6 @@ def seed(kind, folder):
     if kind in ("csv", "gzip", "lists"):
         path = formats.documented(folder / "log.csv")
         if kind == "lists":
-            import pandas as pd
-
             t, q, v, u = formats.table("clean")
             lists = {
                 name: [str(row.tolist()) for row in values]
@@ -48,12 +56,20 @@ def seed(kind, folder):
             }
             pd.DataFrame({"time": t} | lists).to_csv(path, index=False)
         if kind == "gzip":
-            import gzip
-
             packed = folder / "log.csv.gz"
             packed.write_bytes(gzip.compress(path.read_bytes(), mtime=0))
             path = packed
         return path
+    if kind in ("mcap_protobuf", "minari_arrow"):
+        return getattr(formats, kind)(folder, "clean")[0]
+    if kind in ("hdf5_episodes", "parquet_lists", "tables"):
+        return getattr(formats, kind)(folder)[0]
+    if kind == "bag_files":
+        bag = formats.write("rosbag2_sqlite3", "clean", folder)[0]
+        (bag / "metadata.yaml").unlink()
+        return bag
+    if kind == "memory":
+        return formats.write("npz", "clean", folder)[0]
     if kind == "mcap_ros2":
         bag = formats.write("rosbag2_mcap", "clean", folder)[0]
         return shutil.copy(next(bag.glob("*.mcap")), folder / "log.mcap")
@@ -72,9 +88,41 @@ def damaged(path, folder, rng):
     else:
         shutil.copy(path, target)
         victim = target
+    how = _damage(victim, rng)
+    return target, f"{victim.name}: {how}"
+
+
+def _damage(victim, rng):
+    """Damage a file; of a packed one, whose check sum hides what is inside, half of the time what is inside."""
+    inside = rng.random() < 0.5
+    if inside and victim.suffix == ".gz":
+        content, how = mutated(gzip.decompress(victim.read_bytes()), rng)
+        victim.write_bytes(gzip.compress(content, mtime=0))
+        return f"inside, {how}"
+    if inside and victim.suffix == ".npz":
+        with zipfile.ZipFile(victim) as archive:
+            members = {name: archive.read(name) for name in archive.namelist()}
+        name = sorted(members)[int(rng.integers(len(members)))]
+        members[name], how = mutated(members[name], rng)
+        with zipfile.ZipFile(victim, "w") as archive:
+            for member, content in members.items():
+                archive.writestr(member, content)
+        return f"inside {name}, {how}"
     content, how = mutated(victim.read_bytes(), rng)
     victim.write_bytes(content)
-    return target, f"{victim.name}: {how}"
+    return how
+
+
+def _source(path, kind):
+    """Return the log: the path, or, of the kind "memory", what is in the file as a mapping of arrays."""
+    if kind != "memory":
+        return path
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files}
+    except Exception:
+        return path
+    return arrays if len(arrays) != 3 else pd.DataFrame({"time": np.arange(30.0)})
 
 
 def mutated(content, rng):
@@ -127,10 +175,10 @@ def mutated(content, rng):
     return bytes(data), f"way {way} at {place} of {size}"
 
 
-def outcome(path, simulator):
+def outcome(path, simulator, kind=""):
     """Return "read" or the error that a damaged log ends in; raise what it must not."""
     try:
-        log = load_log(path, simulator, units="rad")
+        log = load_log(_source(path, kind), simulator, units="rad")
     except ALLOWED as error:
         return type(error).__name__ if str(error) else "no message"
     n_states = len(log.simulator.state_names)

@@ -71,3 +71,57 @@ def compare(log, clean, arm, state):
     np.testing.assert_allclose(
         np.where(seen, log.X, 0)[:, states], np.where(seen, clean.X, 0)[:, states], rtol=1e-12, atol=1e-12
     )
+
+
+MORE = {
+    "MCAP of protobuf": lambda folder: formats.mcap_protobuf(folder, "clean"),
+    "LeRobot 2.1": lambda folder: formats.lerobot(folder, "clean", "v2.1"),
+    "Minari in Arrow": formats.minari_arrow,
+    "HDF5 with a group an episode": formats.hdf5_episodes,
+    "Parquet of lists": formats.parquet_lists,
+    "a folder of tables": formats.tables,
+}
+
+
+@pytest.mark.parametrize("name", MORE)
+def test_further_formats_are_that_of_the_documented_csv_too(name, arm, clean, tmp_path):
+    source, options = MORE[name](tmp_path)
+    log = load_log(source, arm, **options)
+    expected = clean.X.copy()
+    if name == "Parquet of lists":
+        expected[40, :2] = np.nan
+    if name == "HDF5 with a group an episode":
+        assert log.group_names == ("run_1", "run_2")
+        expected = np.delete(expected, 79, axis=0)
+    np.testing.assert_allclose(log.X, expected, rtol=1e-12, atol=1e-12)
+
+
+def test_columns_of_a_bag_without_description_are_those_with_one(arm, clean, tmp_path):
+    source, _ = formats.write("rosbag2_sqlite3", "clean", tmp_path)
+    (source / "metadata.yaml").unlink()
+    np.testing.assert_allclose(load_log(source, arm).X, clean.X, rtol=1e-12, atol=1e-12)
+    bare = next(source.glob("*.db3"))
+    np.testing.assert_allclose(load_log(bare, arm).X, clean.X, rtol=1e-12, atol=1e-12)
+
+
+def test_a_minari_data_set_does_not_run_what_it_names(arm, tmp_path):
+    """Minari would make the environment, and so import any module, where a description lacks its spaces."""
+    import json
+
+    for kind, (source, _) in {
+        "hdf5": formats.write("minari", "clean", tmp_path),
+        "arrow": formats.minari_arrow(tmp_path),
+    }.items():
+        path = source / "data" / "metadata.json"
+        metadata = json.loads(path.read_text())
+        del metadata["observation_space"]
+        metadata["env_spec"] = json.dumps({"id": "Trap-v0", "entry_point": "antigravity:fly"})
+        path.write_text(json.dumps(metadata))
+        if kind == "hdf5":
+            assert len(load_log(source, arm)) > 100
+        else:
+            with pytest.raises(ValueError, match="a program that the data set names would be run"):
+                load_log(source, arm)
+    import sys
+
+    assert "antigravity" not in sys.modules
