@@ -233,6 +233,21 @@ class Effect:
         return float(value)
 
     @property
+    def meaning(self) -> str:
+        """What the quantity is, in words.
+
+        Examples
+        --------
+        >>> Effect("dry_friction[elbow]", unit="N m", neutral=0.0, bounds=(0.0, 1.0)).meaning
+        'dry friction of elbow'
+        """
+        words = _phrase(self.name, self.unit, self.neutral)
+        if words != self.name:
+            return words
+        one, every = _MEANINGS.get(self.family, ("", ""))
+        return every if self.target == "all" else one.format(self.target)
+
+    @property
     def is_factor(self) -> bool:
         """Whether values multiply (neutral 1, without a unit) rather than add."""
         return self.neutral == 1 and self.unit == "1"
@@ -320,6 +335,13 @@ def unknown_name_message(name: Any, known: Iterable[str]) -> str:
         f"unknown effect {name!r}. {hint}Families of this simulator: {listing or 'none'}. effects() "
         f"lists all names"
     )
+
+
+# Of families whose sentences begin with the name itself.
+_MEANINGS = {
+    "gain": ("the force of the actuator {} for its command", "the force of every actuator for its command"),
+    "gravity": ("the strength of gravity", ""),
+}
 
 
 def _sentence(name: str, unit: str, neutral: float, value: float) -> str:

@@ -2,6 +2,9 @@
 
 import warnings
 
+import numpy as np
+from sklearn.utils import Bunch, check_random_state
+
 FEWEST_ROWS = 20
 # Of the rows that should stay to be fitted, episodes of unequal length leave at least this share.
 LEAST_FITTED = 0.5
@@ -48,3 +51,60 @@ def drawn_episodes(sizes, test_size, random_state, *, most=None, stacklevel=2):
             stacklevel=stacklevel,
         )
     return drawn
+
+
+def split_episodes(log, *, test_size, random_state=None):
+    """Split a log into two, by whole episodes where there are several.
+
+    Parameters
+    ----------
+    log : Bunch
+        With data, target and, unless its rows are independent, groups.
+
+    test_size : float
+        Part of the rows that the second log gets, between 0 and 1, in whole episodes, as far as they leave enough to
+        fit. A single episode is cut, and its end is the second log. Independent rows are drawn one by one.
+
+    random_state : int, RandomState or None, default=None
+        Draws the episodes.
+
+    Returns
+    -------
+    fit, test : Bunch
+        Copies of `log` with a part of the rows each.
+
+    Raises
+    ------
+    ValueError
+        If `test_size` is not between 0 and 1, or leaves one of them empty.
+    """
+    if not 0 < test_size < 1:
+        raise ValueError(f"test_size must lie between 0 and 1, such as 0.3; it is {test_size}.")
+    n_rows = len(log.data)
+    groups = np.arange(n_rows) if log.get("groups") is None else np.asarray(log.groups)
+    names, sizes = np.unique(groups, return_counts=True)
+    if len(names) == 1:
+        n_fitted = max(n_rows - round(test_size * n_rows), min(FEWEST_ROWS, n_rows))
+        chosen = np.arange(n_rows) >= n_fitted
+    else:
+        drawn = drawn_episodes(sizes, test_size, check_random_state(random_state), stacklevel=3)
+        chosen = np.isin(groups, names[drawn])
+    if chosen.all() or not chosen.any():
+        raise ValueError(
+            f"test_size={test_size} of {len(names)} episodes and {n_rows} rows leaves one side empty: whole episodes "
+            f"are set aside, and at least {FEWEST_ROWS} rows stay to be fitted. Choose another value, such as 0.3, or "
+            "measure longer."
+        )
+    return tuple(
+        Bunch(
+            **{
+                **log,
+                **{
+                    name: log[name][rows]
+                    for name in ("data", "target", "groups")
+                    if log.get(name) is not None
+                },
+            }
+        )
+        for rows in (~chosen, chosen)
+    )

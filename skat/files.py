@@ -1,5 +1,8 @@
 """Files that a user names for output: none is overwritten unless that is asked for."""
 
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
 
@@ -30,3 +33,21 @@ def writable(path: str | PathLike, *, force: bool, remedy: str = "force=True") -
     if not path.parent.is_dir():
         raise FileNotFoundError(f"There is no folder {path.parent} to write {path.name} into. Make it first.")
     return path
+
+
+@contextmanager
+def whole(path: str | PathLike) -> Iterator[Path]:
+    """Yield the name of a draft beside a file, which becomes the file once it is written as a whole.
+
+    Parameters
+    ----------
+    path : str or Path
+        As `writable` returns it.
+    """
+    path = Path(path)
+    draft = path.with_name(f".{path.stem}-{os.getpid()}{path.suffix}")
+    try:
+        yield draft
+        os.replace(draft, path)
+    finally:
+        draft.unlink(missing_ok=True)

@@ -18,9 +18,11 @@ ALLOWED = {
     "gaussian": {"_compat"},
     "metrics": {"_compat", "gaussian"},
     "transport": {"_compat", "gaussian", "metrics"},
+    "torch_arrays": set(),
     "effects": set(),
     "simulators": {"effects", "files"},
-    "datasets": {"episodes", "effects", "simulators"},
+    "datasets": {"episodes", "effects", "simulators", "torch_arrays"},
+    "logs": {"episodes", "files", "simulators", "torch_arrays"},
     "diagnosis": {
         "_compat",
         "files",
@@ -55,6 +57,7 @@ ALLOWED = {
         "effects",
         "simulators",
         "datasets",
+        "logs",
         "diagnosis",
         "experiments",
         "",
@@ -64,6 +67,16 @@ ALLOWED = {
 }
 MAY_IMPORT_MUJOCO = {"effects", "simulators", "datasets", "diagnosis"}
 IMPORTED_WHERE_USED = {"ot", "matplotlib", "pooch", "dask", "distributed", "torch", "gymnasium", "openpyxl"}
+IMPORTED_WHERE_USED |= {
+    "pyarrow",
+    "polars",
+    "h5py",
+    "rosbags",
+    "mcap",
+    "mcap_ros2",
+    "mcap_protobuf",
+    "minari",
+}
 
 
 def part_of(path):
@@ -120,12 +133,24 @@ def test_imports_point_one_way(path):
             )
 
 
-def test_import_loads_numpy_scipy_and_sklearn_only():
+def test_importing_the_package_loads_nothing_but_its_names():
+    code = (
+        "import sys, skat\n"
+        "loaded = {name.partition('.')[0] for name in sys.modules}\n"
+        "assert not loaded & {'numpy', 'scipy', 'sklearn'}, loaded\n"
+        "from skat import *\n"
+        "assert all(name in dir(skat) and name in globals() for name in skat.__all__)\n"
+        "assert AffineTransport is skat.AffineTransport\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_transports_load_numpy_scipy_and_sklearn_only():
     code = (
         "import numpy, scipy, sklearn, sklearn.base, sklearn.utils.validation, sys\n"
         "before = sklearn.get_config(), numpy.geterr()\n"
         "loaded = set(sys.modules)  # scikit-learn loads pandas where it is installed\n"
-        "import skat\n"
+        "from skat import AffineTransport, CORAL\n"
         "heavy = {'ot', 'mujoco', 'matplotlib', 'pandas', 'gymnasium', 'pooch', 'dask', 'torch'}\n"
         "heavy |= {'typer', 'rich', 'jinja2'}\n"
         "assert not heavy & (set(sys.modules) - loaded), heavy & (set(sys.modules) - loaded)\n"

@@ -1,5 +1,6 @@
-"""The command line: ``skat demo``, ``diagnose``, ``effects``, ``preflight``, ``transport``, ``experiment``."""
+"""The command line: ``skat diagnose``, ``check``, ``preflight``, ``effects``, ``transport``, ``demo``, ..."""
 
+import skat.cli.measured  # noqa: F401 - registers its commands
 from skat.cli.commands import app
 
 __all__ = ["app"]

@@ -6,9 +6,11 @@ from typing import Annotated, Any
 
 import typer
 
+from skat import __version__
 from skat.cli.terminal import (
     clear_errors,
     existing_file,
+    existing_path,
     output_console,
     output_file,
     print_line,
@@ -16,28 +18,43 @@ from skat.cli.terminal import (
     table_of,
     unused,
 )
+from skat.files import whole
+
+
+def _version(wanted: bool):
+    if wanted:
+        print_line(f"skat {__version__}")
+        raise typer.Exit
+
 
 app = typer.Typer(
-    help="Find out what a simulation gets wrong, and carry simulated samples onto measured ones.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_show_locals=False,
 )
+
+
+@app.callback()
+def main(
+    version: Annotated[
+        bool, typer.Option("--version", is_eager=True, callback=_version, help="Print the version and end.")
+    ] = False,
+):
+    """Find out what a simulation gets wrong, and carry simulated samples onto measured ones."""
+
+
 demo = typer.Typer(help="Diagnose data that come with skat.", invoke_without_command=True)
 app.add_typer(demo, name="demo")
 
 Output = Annotated[Path | None, typer.Option("--output", "-o", help="HTML report to write.")]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite output that exists.")]
 Seed = Annotated[int, typer.Option(help="Seed of everything random.")]
-Model = Annotated[Path, typer.Argument(metavar="MODEL.xml", help="The simulation, a MuJoCo model (MJCF).")]
-FrameSkip = Annotated[
-    int | None, typer.Option(min=1, help="Steps of the model between two rows; replaces the column time.")
+Model = Annotated[
+    Path, typer.Argument(metavar="MODEL", help="The simulation: MJCF, URDF, or a robot's folder (Menagerie).")
 ]
 Effects = Annotated[
     list[str] | None, typer.Option(help="Name of an effect to consider; repeat for several. Default: all.")
 ]
 Alpha = Annotated[float, typer.Option(help="Chance of a false alarm on clean data.")]
-Jobs = Annotated[int | None, typer.Option(help="Processes to use; -1: one per core.")]
 
 
 @demo.callback()
@@ -48,11 +65,11 @@ def demo_puck(context: typer.Context, output: Output = None, force: Force = Fals
     with clear_errors():
         from skat.experiments.studies import study_hidden_puck
 
-        path = _report_path(output, "skat-demo-report.html", force)
+        path = report_path(output, "skat-demo-report.html", force)
         with progress_bars() as progress:
             study = study_hidden_puck(random_state=seed, progress=progress)
-        _show(study)
-        _write_report(study, path, force)
+        show_study(study)
+        write_report(study, path, force)
 
 
 @demo.command("ball-drops")
@@ -72,17 +89,17 @@ def demo_ball_drops(
     with clear_errors():
         from skat.experiments.studies import ball_drop_table, study_ball_drops
 
-        path = _report_path(output, "skat-ball-drops-report.html", force)
+        path = report_path(output, "skat-ball-drops-report.html", force)
         options = {} if not effect else {"effects": "all" if effect == ["all"] else effect}
         with progress_bars() as progress:
             studies = study_ball_drops(ball or None, random_state=seed, progress=progress, **options)
         for study in studies.values():
-            _show(study)
+            show_study(study)
         table, title = ball_drop_table(studies), "Every ball: trajectory error on drop 2, m"
         output_console().print(table_of(table, title=title))
         shown = max(studies.values(), key=lambda study: study.gain.ratio)
         shown.diagnosis.report_.add_table(title, table)
-        _write_report(shown, path, force)
+        write_report(shown, path, force)
 
 
 @demo.command("cube-tosses")
@@ -97,11 +114,11 @@ def demo_cube_tosses(
     with clear_errors():
         from skat.experiments.studies import study_cube_tosses
 
-        path = _report_path(output, "skat-cube-tosses-report.html", force)
+        path = report_path(output, "skat-cube-tosses-report.html", force)
         with progress_bars() as progress:
             study = study_cube_tosses(n_fit=fit, n_test=test, random_state=seed, progress=progress)
-        _show(study)
-        _write_report(study, path, force)
+        show_study(study)
+        write_report(study, path, force)
 
 
 @demo.command("pendulum")
@@ -115,60 +132,11 @@ def demo_pendulum(
     with clear_errors():
         from skat.experiments.studies import study_pendulum
 
-        path = _report_path(output, "skat-pendulum-report.html", force)
+        path = report_path(output, "skat-pendulum-report.html", force)
         with progress_bars() as progress:
             study = study_pendulum(seconds=seconds, random_state=seed, progress=progress)
-        _show(study)
-        _write_report(study, path, force)
-
-
-@app.command()
-def diagnose(
-    model: Model,
-    log: Annotated[Path, typer.Argument(metavar="LOG.csv", help="What was measured.")],
-    frame_skip: FrameSkip = None,
-    effect: Effects = None,
-    hidden: Annotated[
-        list[str] | None, typer.Option(help="Name of a state column that is a guess, no measurement; repeat.")
-    ] = None,
-    alpha: Alpha = 0.01,
-    max_effects: Annotated[int, typer.Option(min=1, help="Name this many causes at most.")] = 6,
-    test_size: Annotated[float, typer.Option(help="Part of the log that measures the gain; 0: none.")] = 0.3,
-    extended: Annotated[Path | None, typer.Option(help="File to write the extended model to (MJCF).")] = None,
-    output: Output = None,
-    force: Force = False,
-    seed: Seed = 0,
-    jobs: Jobs = None,
-):
-    """Find out what MODEL.xml gets wrong about LOG.csv.
-
-    Columns of the log: time, episode (optional), qpos.<joint>, qvel.<joint>, ctrl.<actuator>.
-    """
-    with clear_errors():
-        from skat.experiments.studies import study_log
-
-        path = _report_path(output, f"{log.stem}-report.html", force)
-        if extended is not None:
-            extended = output_file(extended, force=force)
-            output_file(extended.with_suffix(".effects.json"), force=force)
-        data = _log_of(model, log, frame_skip)
-        with progress_bars() as progress:
-            study = study_log(
-                data,
-                effects=effect or "all",
-                hidden=hidden or (),
-                alpha=alpha,
-                max_effects=max_effects,
-                test_size=test_size,
-                random_state=seed,
-                n_jobs=jobs,
-                progress=progress,
-            )
-        _show(study)
-        _write_report(study, path, force)
-        if extended is not None:
-            for path in study.diagnosis.extended_simulator_.to_mjcf(extended, force=force):
-                print_line(f"Extended model: {path}")
+        show_study(study)
+        write_report(study, path, force)
 
 
 @app.command()
@@ -180,62 +148,31 @@ def effects(
             min=1, help="Steps of the model in a transition; the ranges of delay and timestep depend on it."
         ),
     ] = 1,
+    base: Annotated[
+        str | None,
+        typer.Option(metavar="fixed|free", help="Whether its root is bolted down or moves freely."),
+    ] = None,
+    motors: Annotated[
+        str | None, typer.Option(metavar="torque|position:KP,KV", help="What drives the joints of a URDF.")
+    ] = None,
 ):
-    """List the effects that MODEL.xml may be diagnosed for."""
+    """List the effects that MODEL may be diagnosed for."""
     with clear_errors():
         import pandas as pd
 
         from skat.simulators import MujocoSimulator
 
-        listed = MujocoSimulator(existing_file(model, "a MuJoCo model"), frame_skip=frame_skip).effects()
-        rows = [(effect.name, effect.unit, effect.neutral, *effect.bounds) for effect in listed]
-        columns = ["effect", "unit", "neutral", "lowest", "highest"]
+        path = existing_path(model, "a model: MJCF, URDF or a robot's folder")
+        listed = MujocoSimulator(path, frame_skip=frame_skip, base=base, motors=motors).effects()
+        rows = [
+            (effect.name, effect.unit, effect.neutral, *effect.bounds, effect.meaning) for effect in listed
+        ]
+        columns = ["effect", "unit", "neutral", "lowest", "highest", "meaning"]
         output_console().print(table_of(pd.DataFrame(rows, columns=columns)))
 
 
-@app.command()
-def preflight(
-    model: Model,
-    log: Annotated[
-        Path, typer.Argument(metavar="LOG.csv", help="States and actions such as you plan to measure.")
-    ],
-    frame_skip: FrameSkip = None,
-    effect: Effects = None,
-    alpha: Alpha = 0.01,
-    output: Annotated[Path | None, typer.Option("--output", "-o", help="CSV file for the table.")] = None,
-    force: Force = False,
-):
-    """Say, before measuring, how small an effect a log like LOG.csv would show, and what it would pass for.
-
-    Columns of the log as for diagnose; it may come from the simulation.
-    """
-    with clear_errors():
-        from skat.diagnosis import SimulationDiagnosis
-
-        output = None if output is None else output_file(output, force=force)
-        data = _log_of(model, log, frame_skip)
-        diagnosis = SimulationDiagnosis(data.simulator, effects=effect or "all", alpha=alpha)
-        with progress_bars() as progress:
-            progress("differentiate", 0, 1)
-            table = diagnosis.preflight(data.data, groups=data.groups).reset_index()
-            progress("differentiate", 1, 1)
-        shown = table["smallest"] < float("inf")
-        title = f"Named one time in two in {len(data.data)} transitions with noise of 1 % of each channel's spread"
-        columns = table[shown].rename(
-            columns={
-                "smallest": "from this size on",
-                "nearest_alias": "nearest alias",
-                "separating_excitation": "told apart by",
-            }
-        )
-        output_console().print(table_of(columns, title=title, formats={"similarity": ".3f"}))
-        if not shown.all():
-            print_line(f"Not shown within their bounds: {', '.join(table['effect'][~shown])}")
-        if output is not None:
-            table.to_csv(output, index=False)
-            print_line(f"Table: {output}")
-
-
+# Of a log, what is no sample: a transport leaves them as they are.
+STAMPS = ["time", "episode"]
 PUCKS_ARE_SIMULATED = (
     "The recordings of real pucks in the paper are not public; the blue and the red puck here are simulations with "
     "another time step, friction and slope, and 0.05 m of noise from strike to strike."
@@ -265,12 +202,16 @@ def transport(
 ):
     """Carry the rows of SOURCE.csv onto those of TARGET.csv."""
     with clear_errors():
+        import pandas as pd
+
         from skat import CORAL, AffineTransport, ExactTransport, ProcrustesAffineTransport
-        from skat.datasets.logs import numeric_columns, with_same_columns
+        from skat.logs.tables import numeric_columns, with_same_columns
 
         path = output_file(output, force=force)
-        rows = numeric_columns(existing_file(source, "simulated rows in CSV"))
-        measured = with_same_columns(numeric_columns(existing_file(target, "measured rows in CSV")), rows)
+        rows = numeric_columns(existing_file(source, "simulated rows in CSV"), beside=STAMPS)
+        measured = numeric_columns(existing_file(target, "measured rows in CSV"), beside=STAMPS)
+        rows, stamps = rows.drop(columns=STAMPS, errors="ignore"), rows.filter(STAMPS)
+        measured = with_same_columns(measured.drop(columns=STAMPS, errors="ignore"), rows)
         estimators = {
             Method.affine: AffineTransport,
             Method.procrustes: ProcrustesAffineTransport,
@@ -284,7 +225,8 @@ def transport(
             moved[:] = estimator.transform(rows.to_numpy())
             score = estimator.score(rows.to_numpy(), measured.to_numpy())
             progress("fitting", 1, 1)
-        moved.to_csv(path, index=False)
+        with whole(path) as draft:
+            pd.concat([stamps, moved], axis=1).to_csv(draft, index=False)
         output_console().print(table_of(_moments(source=rows, target=measured, transported=moved)))
         print_line(f"Affinity score of the transported and the target rows: {score:.4g}")
         print_line(f"Transported rows: {path}")
@@ -341,23 +283,17 @@ def experiment(
         if name in (Experiment.puck, Experiment.learning_curve):
             print_line(PUCKS_ARE_SIMULATED)
         if output is not None:
-            table.to_csv(output, index=False)
+            with whole(output) as draft:
+                table.to_csv(draft, index=False)
             print_line(f"Table: {output}")
         if plot is not None:
-            figure(table).savefig(plot)
+            with whole(plot) as draft:
+                figure(table).savefig(draft)
             print_line(f"Picture: {plot}")
 
 
-def _log_of(model, log, frame_skip):
-    from skat.datasets import load_log
-    from skat.simulators import MujocoSimulator
-
-    existing_file(model, "a MuJoCo model")
-    existing_file(log, "a log in CSV")
-    return load_log(log, MujocoSimulator(model), frame_skip=frame_skip)
-
-
-def _show(study):
+def show_study(study):
+    """Print the verdict, the causes, and the errors on data not used."""
     from skat.diagnosis.report.sentences import capital, share_sentence, verdict_sentences
 
     console = output_console()
@@ -415,10 +351,12 @@ def _moments(**tables):
     return pd.DataFrame(moments)
 
 
-def _report_path(given, default, force):
+def report_path(given, default, force):
+    """Return where to write the report: where the user said, or under a name that is free."""
     return unused(default) if given is None else output_file(given, force=force)
 
 
-def _write_report(study, path, force):
+def write_report(study, path, force):
+    """Write the report, and say where."""
     study.diagnosis.report_.to_html(path, force=force)
     print_line(f"Report with pictures: {path}")

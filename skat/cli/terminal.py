@@ -35,7 +35,7 @@ def clear_errors():
             warnings.simplefilter("default")
             warnings.showwarning = lambda message, *_, **__: _say(console, "Warning", "yellow", message)
             yield
-    except (ValueError, OSError, RuntimeError, TypeError) as error:
+    except (ValueError, OSError, RuntimeError, TypeError, ImportError) as error:
         _say(console, "Error", "red", error)
         raise typer.Exit(EXIT_BAD_INPUT) from error
 
@@ -51,6 +51,19 @@ def existing_file(path, what):
     if not Path(path).is_file():
         found = "It is a folder." if Path(path).is_dir() else "Check the path."
         raise FileNotFoundError(f"There is no file {path}; expected {what}. {found}")
+    return Path(path)
+
+
+def existing_path(path, what):
+    """Return a path that the user named, after a check that it is there; a folder is one, too.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is nothing.
+    """
+    if not Path(path).exists():
+        raise FileNotFoundError(f"There is no file {path}; expected {what}. Check the path.")
     return Path(path)
 
 
@@ -135,8 +148,8 @@ def _cell(value, number):
 
 
 def _console(stream):
-    # A pipe has no width; 110 keeps rows of a table on one line.
-    return Console(file=stream, highlight=False, width=None if stream.isatty() else 110)
+    # A pipe has no width; 160 keeps rows of a table on one line.
+    return Console(file=stream, highlight=False, width=None if stream.isatty() else 160)
 
 
 def _stage_printer(console):

@@ -208,7 +208,12 @@ def read_workbook(path):
     DataFrame
         Columns ball, drop, time_s, height_m, velocity_m_s; balls in the order of the workbook.
     """
-    import openpyxl
+    try:
+        import openpyxl
+    except ImportError as error:
+        raise ImportError(
+            'the ball drops are an Excel file, which openpyxl reads: python -m pip install "skat[excel]"'
+        ) from error
 
     columns = {
         "Drop #": "drop",

@@ -6,8 +6,8 @@ import numpy as np
 from sklearn.utils import Bunch
 
 from skat.datasets.originals import Source, original_files, provided, verified
-from skat.datasets.torch_arrays import read_torch_array
 from skat.simulators import MujocoSimulator
+from skat.torch_arrays import read_torch_array
 
 FRAME_INTERVAL = 1 / 148
 HALF_WIDTH = 0.0524

@@ -1,10 +1,12 @@
 """Where the original files of measured data are found, and proof that they are the originals."""
 
+import gzip
 import hashlib
 import os
+import zlib
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
@@ -23,11 +25,15 @@ class Source:
 
     hashes : mapping of str to str
         File name to SHA-256, as hexadecimal digits.
+
+    paths : mapping of str to str
+        File name to the path below `url`, of those that have another name there.
     """
 
     folder: str
     url: str
     hashes: Mapping[str, str]
+    paths: Mapping[str, str] = field(default_factory=dict)
 
 
 def data_home(path=None):
@@ -51,8 +57,8 @@ def data_home(path=None):
 def original_files(source, names, *, home=None, download_if_missing=True):
     """Return verified copies of original files, downloading those that are not there yet.
 
-    A file is looked for in ``$SKAT_DATA_HOME/<folder>``, there also in ``raw/``, then in the cache.
-    Whatever is found or downloaded must have the hash of the original.
+    A file is looked for in ``$SKAT_DATA_HOME/<folder>``, there also in ``raw/``, then in the cache; also compressed by
+    gzip, with another ending ``.gz``. Whatever is found or downloaded must have the hash of the original.
 
     Parameters
     ----------
@@ -105,7 +111,7 @@ def verified(path, sha256):
         An existing file.
 
     sha256 : str
-        The hash it should have, as hexadecimal digits.
+        The hash it should have, as hexadecimal digits; where the path ends in ``.gz``, what is compressed there.
 
     Returns
     -------
@@ -117,7 +123,13 @@ def verified(path, sha256):
     ValueError
         If the hash differs.
     """
-    actual = hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    content = Path(path).read_bytes()
+    if Path(path).suffix == ".gz":
+        try:
+            content = gzip.decompress(content)
+        except (EOFError, zlib.error, gzip.BadGzipFile):
+            content = b""
+    actual = hashlib.sha256(content).hexdigest()
     if actual != sha256:
         raise ValueError(
             f"{path} is not the original file: its SHA-256 is {actual}, expected {sha256}. "
@@ -146,13 +158,19 @@ def provided(folder):
 def _present(source, name, cache):
     mine = provided(source.folder)
     places = [cache / name] if mine is None else [mine / name, mine / "raw" / name, cache / name]
+    places = [form for place in places for form in (place, place.with_name(f"{place.name}.gz"))]
     return next((verified(place, source.hashes[name]) for place in places if place.is_file()), None)
 
 
 def _download(source, names: Iterable[str], cache) -> dict[str, Path]:
     import pooch
 
-    fetcher = pooch.create(cache, source.url, registry={name: source.hashes[name] for name in names})
+    fetcher = pooch.create(
+        cache,
+        source.url,
+        registry={name: source.hashes[name] for name in names},
+        urls={name: source.url + source.paths[name] for name in names if name in source.paths},
+    )
     fetch = partial(fetcher.fetch, downloader=pooch.HTTPDownloader(timeout=30))
     log = pooch.get_logger()
     level = log.level

@@ -13,6 +13,8 @@ MASS, LENGTH = 0.6755, 0.5
 # The pendulum is up where it hangs less than this far from upright; rad.
 UP = 0.3
 STEPS = 5
+# Of the files, by the weight in kg.
+ENDINGS = {0.5: ".csv", 1.0: "_1kg.csv"}
 
 SOURCE = Source(
     folder="pendulum",
@@ -42,13 +44,13 @@ Licence: BSD-3-Clause, copyright (c) 2021 DFKI RIC Underactuated Robotics Lab.
 """
 
 
-def fetch_pendulum(*, loaded=False, part="swing-up", seconds=0.5, data_home=None, download_if_missing=True):
+def fetch_pendulum(*, load=0.5, part="swing-up", seconds=0.5, data_home=None, download_if_missing=True):
     """Load a run of a motor-driven pendulum as transitions of 5 ms.
 
     Parameters
     ----------
-    loaded : bool, default=False
-        Whether the run with another, heavier weight.
+    load : {0.5, 1.0}, default=0.5
+        Weight at the end of the rod, kg: the run with that one.
 
     part : {"swing-up", "all"}, default="swing-up"
         Whether only the rows until the pendulum is up for the first time, 4 or 8 s of the 20.
@@ -83,6 +85,8 @@ def fetch_pendulum(*, loaded=False, part="swing-up", seconds=0.5, data_home=None
             Unit of each name.
         dt : float
             Seconds per transition.
+        files : list of Path
+            The originals.
         frame : DataFrame
             Original rows of the whole run: time_s, position_rad, velocity_rad_s, torque_N_m as reported and
             commanded_N_m.
@@ -92,8 +96,8 @@ def fetch_pendulum(*, loaded=False, part="swing-up", seconds=0.5, data_home=None
     Raises
     ------
     ValueError
-        If there is no such part, a piece would be shorter than 20 transitions or longer than the part, or a file is not
-        the original.
+        If there is no such load or part, a piece would be shorter than 20 transitions or longer than the part, or a
+        file is not the original.
 
     OSError
         If a file is not there and may not or cannot be downloaded.
@@ -104,7 +108,9 @@ def fetch_pendulum(*, loaded=False, part="swing-up", seconds=0.5, data_home=None
     """
     if part not in ("swing-up", "all"):
         raise ValueError(f'part must be "swing-up" or "all"; it is {part!r}.')
-    ending = "_1kg.csv" if loaded else ".csv"
+    if load not in ENDINGS:
+        raise ValueError(f"load must be one of {', '.join(map(str, ENDINGS))}, in kg; it is {load!r}.")
+    ending = ENDINGS[load]
     names = [f"data_measured{ending}", f"data_desired{ending}"]
     files = original_files(SOURCE, names, home=data_home, download_if_missing=download_if_missing)
     measured, commanded = (pd.read_csv(files[name]) for name in names)
@@ -140,6 +146,7 @@ def fetch_pendulum(*, loaded=False, part="swing-up", seconds=0.5, data_home=None
         hidden=["qvel.hinge"],
         units={"qpos.hinge": "rad", "qvel.hinge": "rad/s", "ctrl.motor": "N m"},
         dt=INTERVAL,
+        files=list(files.values()),
         frame=frame,
         DESCR=DESCR,
     )

@@ -5,6 +5,7 @@ import warnings
 import numpy as np
 from scipy import stats
 from sklearn.base import BaseEstimator, RegressorMixin
+from sklearn.exceptions import NotFittedError
 from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted
 
@@ -314,6 +315,13 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
     def _repr_html_(self):
         return self.report_.html(figures=False) if hasattr(self, "report_") else super()._repr_html_()
 
+    def __getattr__(self, name):
+        if name.endswith("_") and not name.startswith("_") and "verdict_" not in vars(self):
+            raise NotFittedError(
+                f"this {type(self).__name__} is not fitted yet, so it has no {name}; call fit(X, y, groups=...) first."
+            )
+        raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+
     # -- parts of fit ------------------------------------------------------------------------------------------------
 
     def _check_parameters(self):
@@ -328,6 +336,11 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             raise ValueError(f"test_size must be at least 0 and below 1; it is {self.test_size!r}.")
         if not (isinstance(self.max_effects, int | np.integer) and self.max_effects >= 1):
             raise ValueError(f"max_effects must be a whole number of at least 1; it is {self.max_effects!r}.")
+        if self.n_jobs is not None and (not isinstance(self.n_jobs, int | np.integer) or self.n_jobs == 0):
+            raise ValueError(
+                f"n_jobs must be a number of processes, -1 for one per core, or None; it is {self.n_jobs!r} (on the "
+                "command line --jobs)."
+            )
 
     def _chosen_effects(self):
         known = {effect.name: effect for effect in self.simulator.effects()}

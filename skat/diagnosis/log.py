@@ -8,6 +8,7 @@ import pandas as pd
 from sklearn.utils import check_array
 
 from skat.episodes import FEWEST_ROWS, drawn_episodes
+from skat.simulators.tables import refuse_text
 
 # Rows whitened together, and rows that count as one independent piece of evidence.
 CHAIN_LENGTH = 60
@@ -247,6 +248,7 @@ def check_matrix(values, what, names):
         values = values[list(names)] if known else values
     if what == "y" and len(names) == 1 and np.ndim(values) == 1:
         values = np.reshape(values, (-1, 1))
+    given = values
     try:
         values = check_array(values, dtype=np.float64, ensure_min_samples=1, input_name=what)
     except ValueError as error:
@@ -261,6 +263,7 @@ def check_matrix(values, what, names):
                     "a finite number. Leave such rows out and start a new episode behind the gap."
                 ) from error
         raise
+    refuse_text(given, what)
     if values.shape[1] != len(names):
         raise ValueError(
             f"{what} has {values.shape[1]} columns; the simulator's are {len(names)}: {', '.join(names)}."

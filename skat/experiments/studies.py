@@ -1,11 +1,12 @@
 """A diagnosis with its test on data that it did not use, for the data sets of skat and a user's log."""
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from sklearn.utils import Bunch
 
 from skat.datasets import (
     ball_drop_simulator,
@@ -242,13 +243,16 @@ def study_pendulum(
     )
 
 
-def study_log(log, *, test_size=0.3, random_state=0, progress=None, **parameters):
+def study_log(log, *, test=None, test_size=0.3, random_state=0, progress=None, **parameters):
     """Diagnose a log's simulator on a part of the log, and measure the gain on the rest.
 
     Parameters
     ----------
-    log : Bunch
-        As `load_log` returns it.
+    log : Log
+        As `load_log` returns it. Channels that were not measured are hidden; where a frame is lost, an episode ends.
+
+    test : Log, default=None
+        Another log, of the same simulator, that measures the gain; all of `log` is fitted then.
 
     test_size : float, default=0.3
         Part of the log that measures the gain; 0: all of it is fitted, and the gain is None.
@@ -262,9 +266,18 @@ def study_log(log, *, test_size=0.3, random_state=0, progress=None, **parameters
         The gain is in one-step errors, in units of the noise; with `hidden` channels, in those of whole episodes in
         open loop, as far as they were measured, from fitted initial states.
     """
-    fit, test = (
-        (log, None) if test_size == 0 else split_episodes(log, test_size=test_size, random_state=random_state)
-    )
+    if test is not None and set(test.unmeasured) - set(log.unmeasured):
+        raise ValueError(
+            f"{test.source} lacks {', '.join(test.unmeasured)}, which {log.source} has: both are compared in what both "
+            "have. Leave these channels out of the first log as well (--map 'NAME=-')."
+        )
+    log, parameters = _complete(log, parameters)
+    if test is not None:
+        fit, (test, _) = log, _complete(test, parameters)
+    elif test_size == 0:
+        fit, test = log, None
+    else:
+        fit, test = split_episodes(log, test_size=test_size, random_state=random_state)
     if hidden := parameters.get("hidden"):
         names = np.array(log.simulator.residual_names)[measured_channels(log.simulator, hidden)]
         units = {log.simulator.units.get(name, "") for name in names}
@@ -278,6 +291,22 @@ def study_log(log, *, test_size=0.3, random_state=0, progress=None, **parameters
             "error_name": f"trajectory error, all measured channels{ending}",
         }
     return _study("Log", log.simulator, fit, test, random_state, progress, **parameters)
+
+
+def _complete(log, parameters):
+    """Return rows without NaN, and the parameters that name what was not measured."""
+    X, y = log.X.copy(), log.y.copy()
+    lacking = [log.simulator.state_names.index(name) for name in log.unmeasured]
+    X[:, lacking] = y[:, lacking] = 0.0
+    log = replace(log, X=X, y=y).rows(np.isfinite(X).all(axis=1) & np.isfinite(y).all(axis=1))
+    hidden = tuple(
+        dict.fromkeys(
+            (*parameters.get("hidden", ()), *(log.simulator.state_names[column] for column in lacking))
+        )
+    )
+    return Bunch(data=log.X, target=log.y, groups=log.groups, simulator=log.simulator), (
+        parameters | {"hidden": hidden} if hidden else parameters
+    )
 
 
 def _study(

@@ -4,6 +4,7 @@ import json
 import math
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from functools import partial
 from os import PathLike
 from pathlib import Path
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from skat.effects import FAMILIES, Effect
-from skat.files import writable
+from skat.files import whole, writable
 from skat.simulators.anatomy import EXPLICIT_INTEGRATOR, Anatomy, actuator_name
 from skat.simulators.base import Acting, Simulator, sensor_lags
 from skat.simulators.catalogue import Listing, effect_listing
@@ -24,9 +25,18 @@ from skat.simulators.compiling import checked_model, compile_spec, lean_spec
 from skat.simulators.derived import write_down
 from skat.simulators.edits import PLAY, add_payload
 from skat.simulators.friction import NEUTRAL
-from skat.simulators.source import NOTES, ModelSource, broken_model, read_source, write_xml
+from skat.simulators.furnishing import with_base, with_motors
+from skat.simulators.source import (
+    NOTES,
+    ModelSource,
+    broken_model,
+    differing_fields,
+    read_source,
+    write_xml,
+)
 from skat.simulators.stepping import Forces, Job, Play, Stepper
 from skat.simulators.tables import Array
+from skat.simulators.urdf import DERIVED, HELD, edited_urdf
 
 CACHED_MODELS = 256
 NO_DYNAMICS = int(mujoco.mjtDyn.mjDYN_NONE)
@@ -45,11 +55,18 @@ class MujocoSimulator(Simulator):
 
     Parameters
     ----------
-    model : path, str or mujoco.MjSpec
-        Path of an MJCF file, MJCF text, or a MjSpec. It is read at once; the simulator holds the text and
-        assets, so it pickles, deep-copies and survives `sklearn.base.clone`.
+    model : path, str, mujoco.MjSpec or mujoco.MjModel
+        Path of an MJCF or URDF file, or of a robot's folder as in MuJoCo Menagerie; MJCF or URDF text; a MjSpec; the
+        MjModel that MuJoCo read last. It is read at once; the simulator holds the text and assets, so it pickles,
+        deep-copies and survives `sklearn.base.clone`.
     frame_skip : int, default=1
         Time steps per transition.
+    base : {"fixed", "free"}, optional
+        Whether the root is welded to the world where the model places it, or moves freely. Needed for a URDF without
+        a joint to the world; by default as the model says.
+    motors : str, optional
+        ``"torque"`` or ``"position:kp,kv"``: what drives each joint of a model without actuators, as a URDF is,
+        within the URDF's effort limits. ``"none"``: nothing, also where a log has commands.
     built_in : mapping from name to value, optional
         Effects that are built in; see `extended`.
     extra_effects : sequence of Effect, default=()
@@ -82,14 +99,19 @@ class MujocoSimulator(Simulator):
 
     def __init__(
         self,
-        model: str | PathLike[str] | mujoco.MjSpec | ModelSource,
+        model: str | PathLike[str] | mujoco.MjSpec | mujoco.MjModel | ModelSource,
         *,
         frame_skip: int = 1,
+        base: str | None = None,
+        motors: str | None = None,
         built_in: Mapping[str, float] | None = None,
         extra_effects: Sequence[Effect] = (),
     ):
-        self.model = read_source(model)  # text, as a MjSpec can be neither copied nor pickled
+        # Text, as a MjSpec can be neither copied nor pickled.
+        self.model = with_motors(with_base(read_source(model), base), motors)
         self.frame_skip = frame_skip
+        self.base = base
+        self.motors = motors
         self.built_in = built_in
         self.extra_effects = extra_effects
         self._nominal  # noqa: B018 - a model that does not compile is of no use to anybody
@@ -196,7 +218,8 @@ class MujocoSimulator(Simulator):
     def to_mjcf(self, path: str | PathLike[str], *, force: bool = False) -> tuple[Path, ...]:
         """Write the model, with the effects that are built in, for any user of MuJoCo.
 
-        Numbers are written with all digits: plain MuJoCo predicts what this simulator predicts. What MJCF
+        Numbers are written with all digits: plain MuJoCo predicts what this simulator predicts. A time step that does
+        not divide a transition is written as the nearest one that does; the notes beside the model say so. What MJCF
         cannot express (wind, drag on bodies that turn, friction that grows with position or load or falls with
         speed, forces on joints, dead zones, torque that lags or falls with speed, sensors, a delay shorter than a time
         step, and any under the Runge-Kutta integrator, which reads delayed controls between time steps) is written
@@ -227,34 +250,102 @@ class MujocoSimulator(Simulator):
         write_down(spec)
         substeps = self.frame_skip
         beside: dict[str, float] = {}
+        rounded: dict[str, float] = {}
         edits = {effect.name: edit for effect, edit in self._edited(values)}
         for effect in self._edit_order(values):
             value = values[effect.name]
-            fits = effect.family != "timestep" or len(self._substeps(values)) == 1
-            fits &= effect.family != "delay" or self._reads_delayed(spec, value, values)
             of_payload = effect.family == "payload" and effect.unit == "m"
+            if effect.family == "timestep":
+                substeps = round(self.frame_skip / value) or 1
+                written = self.frame_skip / substeps
+                if len(self._substeps(values)) > 1:
+                    rounded[effect.name] = written
+                edits[effect.name](spec, written)
+                continue
+            fits = effect.family != "delay" or self._reads_delayed(spec, value, values)
             if effect.name not in edits or not fits or effect.family in STEPPED:
                 beside |= {} if of_payload else {effect.name: value}
             else:
                 edits[effect.name](spec, value)
-                substeps = self._substeps(values)[0][1] if effect.family == "timestep" else substeps
         beside |= {name: value for name, value in values.items() if name not in self._own_by_name}
         said = [f"One transition is {substeps} time steps."]
         said += [self._all_by_name[name].describe(value) + "." for name, value in values.items()]
+        said += [f"{name} is written as {value:g}, in whole time steps." for name, value in rounded.items()]
         spec.comment = " ".join(said)
         spec.compile()
         files = {target: write_xml(spec).encode()}
         files |= {target.parent / name: content for name, content in self.model.assets.items()}
+        return self._write(files, target, beside, rounded, force=force)
+
+    def to_urdf(self, path: str | PathLike[str], *, force: bool = False) -> tuple[Path, ...]:
+        """Write the URDF that the model was read from, with the effects that are built in.
+
+        Only the elements that an effect changes differ from those of the original: masses, inertias, centres of mass,
+        places of joints, damping, friction, effort limits. What a URDF does not say (the time step, delays, armature,
+        gains of motors, sensors, contacts) is written beside it, into ``<name>.effects.json``.
+
+        Parameters
+        ----------
+        path : path
+            Where to write it; meshes are meant by the names that the original has for them.
+        force : bool, default=False
+            Whether to overwrite files that exist.
+
+        Returns
+        -------
+        tuple of Path
+            The files written.
+
+        Raises
+        ------
+        FileExistsError
+            If one of the files exists and `force` is False; nothing is written then.
+        FileNotFoundError
+            If the folder does not exist.
+        ValueError
+            If the model was not read from a URDF.
+        """
+        if self.model.urdf is None:
+            raise ValueError("the model was not read from a URDF; write it as MJCF, by to_mjcf")
+        target = writable(path, force=force)
+        values = self._built_in()
+        held = {name: value for name, value in values.items() if self._is_held_by_urdf(name, value)}
+        nominal = self._model({}, self.frame_skip)
+        text = edited_urdf(self.model.urdf, nominal, self._model(held, self.frame_skip))
+        beside = {name: value for name, value in values.items() if name not in held}
+        return self._write({target: text.encode()}, target, beside, {}, force=force)
+
+    def _is_held_by_urdf(self, name: str, value: float) -> bool:
+        effect = self._own_by_name.get(name)
+        if effect is None or effect.apply is None or effect.family in {"timestep", "delay"}:
+            return False
+        models = self._model({}, self.frame_skip), self._model({name: value}, self.frame_skip)
+        return set(differing_fields(*models)) <= HELD | DERIVED
+
+    def _write(
+        self,
+        files: dict[Path, bytes],
+        target: Path,
+        beside: Mapping[str, float],
+        rounded: Mapping[str, float],
+        *,
+        force: bool,
+    ) -> tuple[Path, ...]:
+        """Write the files of a model, and the notes of what they cannot express, all of them or none."""
         notes = writable(target.with_suffix(NOTES), force=force)
-        if beside:
-            files[notes] = (json.dumps(self._beside(beside), indent=2) + "\n").encode()
+        if beside or rounded:
+            text = json.dumps(
+                self._beside(beside) | ({"written rounded": rounded} if rounded else {}), indent=2
+            )
+            files = files | {notes: (text + "\n").encode()}
         changed = [file for file, content in files.items() if not _holds(file, content)]
         for file in changed:
             writable(file, force=force)
-        if not beside:
+        with ExitStack() as drafts:
+            for file in changed:
+                drafts.enter_context(whole(file)).write_bytes(files[file])
+        if notes not in files:
             notes.unlink(missing_ok=True)  # of another model that had this name
-        for file in changed:
-            file.write_bytes(files[file])
         return tuple(files)
 
     def compiled(self, effects: Mapping[str, float] | None = None) -> mujoco.MjModel:

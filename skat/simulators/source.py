@@ -8,20 +8,36 @@ import re
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Self
 
 import mujoco
+import numpy as np
 
 from skat.simulators.derived import write_down
+from skat.simulators.urdf import SAME, is_urdf, spec_of_urdf
 
 FULL_PRECISION = 17
 # Beside a model, what MJCF cannot express of it.
 NOTES = ".effects.json"
 # What refers to files that no element of the parsed model names.
 ELSEWHERE = re.compile(r"<(include|attach|model|flexcomp[^>]*\sfile)\b")
+# In what two models may differ that are the same otherwise.
+UNLIKE = frozenset(
+    {
+        "signature",
+        "paths",
+        "mesh_pathadr",
+        "hfield_pathadr",
+        "tex_pathadr",
+        "skin_pathadr",
+        "npaths",
+        "nbuffer",
+    }
+)
 # MuJoCo's words for a file that it does not find.
 MISSING = re.compile(r"Error opening file '(.*?)'")
 
@@ -34,10 +50,19 @@ class ModelSource:
     ----------
     xml : str
     assets : mapping from file name to bytes
+    urdf : str or None
+        The URDF that it was read from.
+    motors : str or None
+        Those that were added to it; see `skat.simulators.furnishing`.
+    notes : tuple of str
+        What was chosen, added or left out as it was read.
     """
 
     xml: str
     assets: Mapping[str, bytes] = field(default_factory=dict)
+    urdf: str | None = None
+    motors: str | None = None
+    notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return f"<MJCF, {len(self.xml)} characters, {len(self.assets)} assets>"
@@ -53,7 +78,12 @@ class ModelSource:
 
 
 def read_source(model: Any) -> ModelSource:
-    """Return the text and assets of a model given as a path, XML text, MjSpec or ModelSource.
+    """Return the text and assets of a model given as a path, XML text, MjSpec, MjModel or ModelSource.
+
+    Parameters
+    ----------
+    model : path, str, mujoco.MjSpec, mujoco.MjModel or ModelSource
+        The last one is taken as it is.
 
     Raises
     ------
@@ -79,21 +109,125 @@ def read_source(model: Any) -> ModelSource:
 def _read(model: Any) -> ModelSource:
     if isinstance(model, mujoco.MjSpec):
         return _source_of_spec(model.copy())
+    if isinstance(model, mujoco.MjModel):
+        return _source_of_model(model)
     if not isinstance(model, str | PathLike):
-        raise TypeError(f"model must be a path, MJCF text or a mujoco.MjSpec; got {type(model).__name__}")
+        raise TypeError(
+            f"model must be a path, MJCF or URDF text, a mujoco.MjSpec or a mujoco.MjModel; got {type(model).__name__}"
+        )
     if isinstance(model, str) and "<" in model:
+        if is_urdf(model):
+            return _source_of_urdf(model, None, "the URDF text")
         spec = _parsed(lambda: mujoco.MjSpec.from_string(model), "the MJCF text")
         return ModelSource(model) if _stands_alone(spec, model) else _source_of_spec(spec)
     path = Path(model)
+    if path.is_dir():
+        return replace(_read(chosen := model_in_folder(path)), notes=(f"The model is {chosen}.",))
     if not path.is_file():
         raise FileNotFoundError(
-            f"there is no model file {str(model)!r} (looked in {Path.cwd()}); give the path of an MJCF "
-            f"file, or MJCF text"
+            f"there is no model file {str(model)!r} (looked in {Path.cwd()}); give the path of an MJCF or URDF "
+            f"file, or of a folder that holds one, or MJCF text"
         )
-    _warn_of_notes(path.with_suffix(NOTES))
-    spec = _parsed(lambda: mujoco.MjSpec.from_file(str(path)), f"the model {str(path)!r}")
     text = path.read_text(encoding="utf-8", errors="replace")
+    _warn_of_notes(path.with_suffix(NOTES))
+    if is_urdf(text):
+        return _source_of_urdf(text, path.parent, f"the URDF {str(path)!r}")
+    spec = _parsed(lambda: mujoco.MjSpec.from_file(str(path)), f"the model {str(path)!r}")
     return ModelSource(text) if _stands_alone(spec, text) else _source_of_spec(spec)
+
+
+def model_in_folder(folder: Path) -> Path:
+    """Return the model of a robot's folder, laid out as in MuJoCo Menagerie: the robot, and a scene that includes it.
+
+    A robot that moves freely needs the ground of its scene.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no model in the folder.
+    ValueError
+        If there are several, and no scene says which.
+    """
+    models = sorted(path for path in folder.glob("*.xml") if "<mujoco" in path.read_text(errors="replace"))
+    scene = folder / "scene.xml"
+    included = (
+        set(re.findall(r"<include\s+file=[\"']([^\"']+)", scene.read_text())) if scene in models else set()
+    )
+    robots = [path for path in models if path.name in included] or [path for path in models if path != scene]
+    robots = robots or [*folder.glob("*.urdf"), *folder.glob("urdf/*.urdf")] or models
+    if not robots:
+        raise FileNotFoundError(
+            f"there is no model in the folder {folder}; expected an MJCF (.xml) or URDF file in it"
+        )
+    if len(robots) > 1:
+        names = ", ".join(path.name for path in robots)
+        raise ValueError(f"the folder {folder} holds several models, {names}; give the path of one of them")
+    if scene in models and re.search(
+        r"<freejoint\b|type=[\"']free[\"']", robots[0].read_text(errors="replace")
+    ):
+        return scene
+    return robots[0]
+
+
+def _source_of_urdf(text: str, folder: Path | None, what: str) -> ModelSource:
+    try:
+        spec, notes = spec_of_urdf(text, folder)
+        spec.compile()
+    except ValueError as error:
+        message = " ".join(str(error).split())
+        raise ValueError(f"{what} cannot be read: {message}. Correct it there") from None
+    return replace(_source_of_spec(spec), urdf=text, notes=notes)
+
+
+def _source_of_model(model: mujoco.MjModel) -> ModelSource:
+    """Return the source of the compiled model that MuJoCo read last, with the numbers that it has now.
+
+    Raises
+    ------
+    ValueError
+        If it is not that one: a compiled model no longer holds its MJCF.
+    """
+    try:
+        with TemporaryDirectory() as folder, _full_precision():
+            path = Path(folder, "model.xml")
+            mujoco.mj_saveLastXML(str(path), model)
+            source = _source_of_spec(mujoco.MjSpec.from_string(path.read_text()))
+            again = source.spec().compile()
+    except (mujoco.FatalError, ValueError, OSError) as error:
+        differing = [" ".join(str(error).split())]
+    else:
+        differing = differing_fields(model, again)
+    if differing:
+        raise ValueError(
+            "a compiled MjModel does not hold its MJCF, and this one is not the model that MuJoCo read last from XML "
+            f"({', '.join(differing[:3])}): pass the path of the MJCF file, or the mujoco.MjSpec"
+        )
+    return source
+
+
+def differing_fields(first: mujoco.MjModel, second: mujoco.MjModel) -> list[str]:
+    """Return the names of what two compiled models differ in, by more than rounding."""
+    if first.names != second.names:
+        return ["names"]
+    pairs = [
+        (name, getattr(first, name), getattr(second, name))
+        for name in dir(first)
+        if not name.startswith("_") and isinstance(getattr(first, name), np.ndarray | int | float)
+    ]
+    pairs += [
+        (f"opt.{name}", getattr(first.opt, name), getattr(second.opt, name))
+        for name in dir(first.opt)
+        if not name.startswith("_") and isinstance(getattr(first.opt, name), np.ndarray | int | float)
+    ]
+    return [
+        name
+        for name, one, other in pairs
+        if name not in UNLIKE
+        and (
+            np.shape(one) != np.shape(other)
+            or not np.allclose(one, other, rtol=SAME, atol=1e-12, equal_nan=True)
+        )
+    ]
 
 
 def _warn_of_notes(path: Path) -> None:
@@ -101,6 +235,8 @@ def _warn_of_notes(path: Path) -> None:
     try:
         values = {one["name"]: one["value"] for one in json.loads(path.read_text())["effects"]}
     except (OSError, ValueError, KeyError, TypeError):
+        return
+    if not values:
         return
     warnings.warn(
         f"{path} holds effects that this model had and that MJCF cannot express; they are not read with it. Build them "

@@ -33,6 +33,7 @@ def checked_columns(table: Any, names: Sequence[str], argument: str) -> Array:
                 f"{argument} lacks the columns {', '.join(missing)}; expected {', '.join(names)}"
             )
         table = table[list(names)].to_numpy()
+    refuse_text(table, argument)
     try:
         array = np.asarray(table, dtype=float)
     except (TypeError, ValueError) as error:
@@ -52,6 +53,32 @@ def checked_columns(table: Any, names: Sequence[str], argument: str) -> Array:
             f"{names[column]!r}; remove or fill these rows"
         )
     return array
+
+
+def refuse_text(table: Any, argument: str) -> None:
+    """Raise if a table holds texts, which numpy would take for the numbers that they spell.
+
+    Parameters
+    ----------
+    table : array-like or data frame
+    argument : str
+        How the caller names the table, for the message.
+
+    Raises
+    ------
+    ValueError
+        With the first text and its place.
+    """
+    array = np.asarray(table)
+    if array.dtype.kind not in "OSUT":
+        return
+    for place, value in np.ndenumerate(array):
+        if isinstance(value, str | bytes):
+            where = ", ".join(f"{axis} {index}" for axis, index in zip(("row", "column"), place))
+            raise ValueError(
+                f"{argument} holds the text {value!r} in {where}; every value must be a number. Convert it where the "
+                "table is read, such as by table.astype(float)"
+            )
 
 
 def episode_starts(groups: ArrayLike | None, n_rows: int) -> NDArray[np.intp]:

@@ -5,9 +5,9 @@ import pytest
 from skat.datasets import fetch_pendulum, pendulum_simulator
 
 
-@pytest.mark.parametrize(("loaded", "ending", "n_pieces"), [(False, "", 8), (True, "_1kg", 16)])
-def test_rows_are_those_of_the_originals(measured_data, loaded, ending, n_pieces):
-    run = fetch_pendulum(loaded=loaded, download_if_missing=False)
+@pytest.mark.parametrize(("load", "ending", "n_pieces"), [(0.5, "", 8), (1.0, "_1kg", 16)])
+def test_rows_are_those_of_the_originals(measured_data, load, ending, n_pieces):
+    run = fetch_pendulum(load=load, download_if_missing=False)
     measured = pd.read_csv(measured_data / "pendulum" / f"data_measured{ending}.csv")
     commanded = pd.read_csv(measured_data / "pendulum" / f"data_desired{ending}.csv")
     n_rows = 100 * n_pieces

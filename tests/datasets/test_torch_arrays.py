@@ -6,7 +6,7 @@ import pickle
 import numpy as np
 import pytest
 
-from skat.datasets.torch_arrays import read_torch_array
+from skat.torch_arrays import read_torch_array
 
 
 class _Global:

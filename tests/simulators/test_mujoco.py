@@ -294,6 +294,21 @@ def test_written_effect_is_the_effect(bot, tmp_path, effect):
     )
 
 
+def test_a_time_step_that_divides_no_transition_is_written_as_the_nearest_that_does(bot, tmp_path):
+    extended = bot.extended({"timestep": 0.3})
+    model, beside = extended.to_mjcf(tmp_path / "fine.xml")
+    found = mujoco.MjModel.from_xml_path(str(model))
+    n_steps = round(5 / 0.3)
+    assert found.opt.timestep == pytest.approx(bot.dt / n_steps, rel=1e-12)
+    assert f"One transition is {n_steps} time steps" in model.read_text()
+    notes = json.loads(beside.read_text())
+    assert notes["effects"] == []
+    assert notes["written rounded"] == {"timestep": pytest.approx(5 / n_steps)}
+    rows = rows_of(bot, 5)
+    found, written = MujocoSimulator(model, frame_skip=n_steps), bot.extended(notes["written rounded"])
+    np.testing.assert_allclose(found.predict(rows), written.predict(rows), rtol=1e-10, atol=1e-10)
+
+
 def test_what_mjcf_cannot_express_is_written_beside(bot, tmp_path):
     values = {"wind[x]": 1.0, "air_drag[all]": 0.1, "bias[qpos.slider]": 0.01, "mass[leg]": 1.3}
     model, beside = bot.extended(values).to_mjcf(tmp_path / "windy.xml")
@@ -451,8 +466,8 @@ def test_broken_model_gets_mujocos_message(text, message):
 
 
 def test_model_of_another_type_is_refused():
-    with pytest.raises(TypeError, match=r"path, MJCF text or a mujoco\.MjSpec; got MjModel"):
-        MujocoSimulator(mujoco.MjModel.from_xml_string(BOT))
+    with pytest.raises(TypeError, match=r"a path, MJCF or URDF text, .* or a mujoco\.MjModel; got MjData"):
+        MujocoSimulator(mujoco.MjData(mujoco.MjModel.from_xml_string(BOT)))
     with pytest.raises(ValueError, match="frame_skip must be a positive whole number"):
         MujocoSimulator(BOT, frame_skip=0)
 

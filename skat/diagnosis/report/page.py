@@ -30,7 +30,7 @@ from skat.diagnosis.report.tables import (
     identifiability_table,
     remainder_table,
 )
-from skat.files import writable
+from skat.files import whole, writable
 
 TEMPLATE = "page.html.jinja"
 LONGEST_REPR = 120
@@ -172,8 +172,8 @@ class Report:
             '<meta name="color-scheme" content="light dark">\n<title>Diagnosis of a simulation</title>\n'
             f"</head>\n<body>\n{body}\n</body>\n</html>\n"
         )
-        with path.open("w" if force else "x", encoding="utf-8") as file:
-            file.write(page)
+        with whole(path) as draft:
+            draft.write_text(page, encoding="utf-8")
         return path
 
     def add_table(self, title, frame):

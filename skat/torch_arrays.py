@@ -1,7 +1,9 @@
-"""Read one array from a legacy PyTorch file, without PyTorch and without running what the file asks for."""
+"""Read arrays from PyTorch files, without PyTorch and without running what a file asks for."""
 
 import collections
+import io
 import pickle
+import zipfile
 
 import numpy as np
 
@@ -67,6 +69,68 @@ def read_torch_array(path):
     return tensor.of(np.frombuffer(content, dtype=storage.dtype))
 
 
+def read_torch_arrays(path):
+    """Return the arrays that ``torch.save({name: tensor, ...}, path)`` wrote in the format since PyTorch 1.6.
+
+    The names that may be read are those of `read_torch_array`: what a tensor needs, and nothing else.
+
+    Parameters
+    ----------
+    path : str or Path
+        A file with a dictionary of dense tensors on the CPU.
+
+    Returns
+    -------
+    dict of str to ndarray
+
+    Raises
+    ------
+    ValueError
+        If the file is not such a file, is damaged, or asks for anything but the rebuilding of tensors.
+
+    References
+    ----------
+    .. [1] The format of ``torch.serialization``: a zip archive without compression with, in one folder, ``data.pkl``,
+       ``byteorder``, and the bytes of each storage as ``data/<key>``.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            (program,) = (
+                name for name in archive.namelist() if name.count("/") == 1 and name.endswith("/data.pkl")
+            )
+            folder = program.removesuffix("data.pkl")
+            found = _TensorUnpickler(io.BytesIO(archive.read(program))).load()
+            order = (
+                archive.read(folder + "byteorder")
+                if folder + "byteorder" in archive.namelist()
+                else b"little"
+            )
+            if order != b"little":
+                raise ValueError(f"{path} has its bytes in another order: {order!r}.")
+            if not isinstance(found, dict) or not all(isinstance(one, _Tensor) for one in found.values()):
+                raise ValueError(f"{path} holds a {type(found).__name__}; expected a dictionary of tensors.")
+            return {
+                str(name): tensor.of(_stored(archive, folder, tensor.storage, path))
+                for name, tensor in found.items()
+            }
+    except (
+        zipfile.BadZipFile,
+        pickle.UnpicklingError,
+        *(EOFError, IndexError, KeyError, TypeError, AttributeError, OverflowError, NotImplementedError),
+    ) as error:
+        raise ValueError(f"{path} is not a PyTorch file of tensors by name: {error}") from error
+
+
+def _stored(archive, folder, storage, path):
+    content = archive.read(f"{folder}data/{storage.key}")
+    if len(content) != storage.size * storage.dtype.itemsize:
+        raise ValueError(
+            f"{path} is cut short or damaged: {len(content)} bytes of values, "
+            f"expected {storage.size * storage.dtype.itemsize}."
+        )
+    return np.frombuffer(content, dtype=storage.dtype)
+
+
 class _Storage:
     def __init__(self, dtype, key, size):
         self.dtype, self.key, self.size = dtype, key, size
@@ -104,7 +168,12 @@ class _TensorUnpickler(pickle.Unpickler):
             raise pickle.UnpicklingError(f"it asks for {module}.{name}, which no tensor needs") from None
 
     def persistent_load(self, reference):
-        kind, dtype, key, location, size, view = reference
-        if kind != "storage" or location != "cpu" or view is not None or not isinstance(dtype, np.dtype):
+        kind, dtype, key, location, size, *view = reference  # of a view only the older format tells
+        if (
+            kind != "storage"
+            or location != "cpu"
+            or view not in ([], [None])
+            or not isinstance(dtype, np.dtype)
+        ):
             raise pickle.UnpicklingError(f"storage {reference!r} is not a dense one on the CPU")
         return _Storage(dtype, key, size)

@@ -1,0 +1,366 @@
+"""The commands that take a model and a log: ``skat diagnose``, ``check`` and ``preflight``."""
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from skat.cli.commands import (
+    Alpha,
+    Effects,
+    Force,
+    Model,
+    Seed,
+    app,
+    report_path,
+    show_study,
+    write_report,
+)
+from skat.cli.terminal import (
+    clear_errors,
+    existing_path,
+    output_console,
+    output_file,
+    print_line,
+    progress_bars,
+    table_of,
+)
+from skat.files import whole
+
+Logs = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="LOG...", help="What was measured: files or folders; each is episodes of its own."
+    ),
+]
+Maps = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--map",
+        metavar="NAME=THEIRS[:UNIT]",
+        help="Which column is which, such as 'qpos.elbow=q1:deg'; repeat.",
+    ),
+]
+Columns = Annotated[Path | None, typer.Option(help="File of such maps, as --save-map writes it.")]
+SaveMap = Annotated[Path | None, typer.Option(help="File to write the maps to that were used (TOML).")]
+Topic = Annotated[str | None, typer.Option(help="Topic of a bag that holds the state.")]
+Rate = Annotated[
+    float | None, typer.Option(help="Rows per second to resample to; of a log without times, its rate.")
+]
+Episodes = Annotated[
+    str | None,
+    typer.Option(metavar="COLUMN|gaps", help="What tells episodes apart. Default: such a column, and gaps."),
+]
+Base = Annotated[
+    str | None,
+    typer.Option(metavar="fixed|free", help="Whether the model's root is bolted down or moves freely."),
+]
+Motors = Annotated[
+    str | None,
+    typer.Option(
+        metavar="torque|position:KP,KV|none",
+        help="What drives the joints of a model without actuators, as a URDF is.",
+    ),
+]
+FrameSkip = Annotated[
+    int | None, typer.Option(min=1, help="Steps of the model between two rows; sets the rate.")
+]
+Jobs = Annotated[int | None, typer.Option(help="Processes to use; -1: one per core.")]
+
+
+@app.command()
+def diagnose(
+    model: Model,
+    log: Logs,
+    test: Annotated[
+        list[Path] | None, typer.Option(help="Another log, which measures the gain; repeat for several.")
+    ] = None,
+    maps: Maps = None,
+    columns: Columns = None,
+    save_map: SaveMap = None,
+    topic: Topic = None,
+    rate: Rate = None,
+    episodes: Episodes = None,
+    base: Base = None,
+    motors: Motors = None,
+    frame_skip: FrameSkip = None,
+    effect: Effects = None,
+    hidden: Annotated[
+        list[str] | None, typer.Option(help="Name of a state column that is a guess, no measurement; repeat.")
+    ] = None,
+    alpha: Alpha = 0.01,
+    max_effects: Annotated[int, typer.Option(min=1, help="Name this many causes at most.")] = 6,
+    test_size: Annotated[float, typer.Option(help="Part of the log that measures the gain; 0: none.")] = 0.3,
+    extended: Annotated[
+        Path | None, typer.Option(help="File to write the extended model to: MJCF, or URDF from a URDF.")
+    ] = None,
+    json: Annotated[Path | None, typer.Option(help="File to write the findings to, for programs.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--report", "--output", "-o", help="HTML report to write.")
+    ] = None,
+    force: Force = False,
+    seed: Seed = 0,
+    jobs: Jobs = None,
+):
+    """Find out what MODEL gets wrong about LOG.
+
+    MODEL is MJCF, URDF or a robot's folder; LOG is CSV, Parquet, NPZ, HDF5, a ROS bag, MCAP, LeRobot or Minari.
+    """
+    with clear_errors():
+        from skat.diagnosis.report.machine import findings_as_data
+        from skat.experiments.studies import study_log
+
+        path = report_path(output, f"{log[0].name.partition('.')[0]}-report.html", force)
+        save_map, json = (None if one is None else output_file(one, force=force) for one in (save_map, json))
+        simulator = _simulator(model, base, motors)
+        if extended is not None:
+            extended = _extended_file(extended, simulator, force)
+        options = _options(simulator, maps, columns, topic, rate, episodes, base, frame_skip)
+        fit = _log(log, simulator, options)
+        told = _show_log(fit, save_map, force)
+        tested = None if not test else _log(test, fit.simulator, options | {"rate": 1 / fit.dt})
+        with progress_bars() as progress:
+            study = study_log(
+                fit,
+                test=tested,
+                effects=effect or "all",
+                hidden=hidden or (),
+                alpha=alpha,
+                max_effects=max_effects,
+                test_size=test_size,
+                random_state=seed,
+                n_jobs=jobs,
+                progress=progress,
+            )
+        show_study(study)
+        mistakes = _show_mistakes(study, fit) if study.diagnosis.verdict_ == "unexplained" else []
+        write_report(study, path, force)
+        if json is not None:
+            context = {
+                "command": ["skat", *sys.argv[1:]],
+                "model": str(model),
+                "log": {
+                    "source": fit.source,
+                    "rows": len(fit),
+                    "episodes": len(fit.group_names),
+                    "dt": fit.dt,
+                    "matches": fit.matches,
+                    "notes": told,
+                    "test": None if tested is None else tested.source,
+                },
+                "mistakes": mistakes,
+                "report": str(path),
+                "extended": None if extended is None else str(extended),
+            }
+            _write_json(
+                json,
+                findings_as_data(study.diagnosis, gain=study.gain, error_name=study.error_name, **context),
+            )
+        if extended is not None:
+            better = study.diagnosis.extended_simulator_
+            write = better.to_urdf if extended.suffix.lower() == ".urdf" else better.to_mjcf
+            for path in write(extended, force=force):
+                print_line(f"Extended model: {path}")
+
+
+@app.command()
+def check(
+    model: Model,
+    log: Logs,
+    maps: Maps = None,
+    columns: Columns = None,
+    save_map: SaveMap = None,
+    topic: Topic = None,
+    rate: Rate = None,
+    episodes: Episodes = None,
+    base: Base = None,
+    motors: Motors = None,
+    frame_skip: FrameSkip = None,
+    preflight: Annotated[
+        bool, typer.Option(help="Whether to say what such a log could show; it takes longest.")
+    ] = True,
+    alpha: Alpha = 0.01,
+    force: Force = False,
+):
+    """Say how LOG is read with MODEL, and what it could show: names, units, clock, limits, excitation; no diagnosis."""
+    with clear_errors():
+        from skat.diagnosis.checks import channel_table
+
+        save_map = None if save_map is None else output_file(save_map, force=force)
+        simulator = _simulator(model, base, motors)
+        found = _log(
+            log, simulator, _options(simulator, maps, columns, topic, rate, episodes, base, frame_skip)
+        )
+        _show_log(found, save_map, force, table=False)
+        clock = (
+            f"{len(found)} rows of {found.dt:g} s ({1 / found.dt:g} Hz) in {len(found.group_names)} episodes"
+        )
+        steps = f", {found.simulator.frame_skip} time steps of the model each"
+        output_console().print(table_of(channel_table(found), title=clock + steps))
+        if not preflight:
+            return
+        if found.unmeasured:
+            print_line(
+                "What such a log could show is not told here: it lacks " + ", ".join(found.unmeasured) + "."
+            )
+        else:
+            _show_preflight(found, None, alpha, most=ROWS_LOOKED_AT)
+
+
+@app.command("preflight")
+def preflight_log(
+    model: Model,
+    log: Logs,
+    maps: Maps = None,
+    columns: Columns = None,
+    topic: Topic = None,
+    rate: Rate = None,
+    episodes: Episodes = None,
+    base: Base = None,
+    motors: Motors = None,
+    frame_skip: FrameSkip = None,
+    effect: Effects = None,
+    alpha: Alpha = 0.01,
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="CSV file for the table.")] = None,
+    force: Force = False,
+):
+    """Say, before measuring, how small an effect a log like LOG would show, and what it would pass for.
+
+    LOG has states and actions such as you plan to measure; it may come from the simulation.
+    """
+    with clear_errors():
+        output = None if output is None else output_file(output, force=force)
+        simulator = _simulator(model, base, motors)
+        found = _log(
+            log, simulator, _options(simulator, maps, columns, topic, rate, episodes, base, frame_skip)
+        )
+        if found.unmeasured:
+            raise ValueError(
+                f"{found.source} lacks {', '.join(found.unmeasured)}: a planned log has every state. Take the one that "
+                "the simulation gives (simulator.rollout)."
+            )
+        table = _show_preflight(found, effect, alpha)
+        if output is not None:
+            with whole(output) as draft:
+                table.to_csv(draft, index=False)
+            print_line(f"Table: {output}")
+
+
+def _simulator(model, base, motors):
+    from skat.simulators import MujocoSimulator
+
+    simulator = MujocoSimulator(
+        existing_path(model, "a model: MJCF, URDF or a robot's folder"), base=base, motors=motors
+    )
+    for note in simulator.model.notes:
+        print_line(note)
+    return simulator
+
+
+def _options(simulator, maps, columns, topic, rate, episodes, base, frame_skip) -> dict[str, Any]:
+    """Return the keyword arguments of `load_log`; a root that is fixed has been welded in the model already."""
+    from skat.logs import read_map
+
+    if rate is not None and frame_skip is not None:
+        raise ValueError("--rate and --frame-skip say the same; give one of them.")
+    if frame_skip is not None:
+        rate = 1 / (frame_skip * simulator.dt)
+    return {
+        "columns": read_map(maps or (), columns),
+        "topic": topic,
+        "rate": rate,
+        "episodes": episodes,
+        "base": "free" if base == "free" else None,
+    }
+
+
+def _log(paths, simulator, options):
+    from skat.logs import load_log
+
+    for path in paths:
+        existing_path(path, "a log")
+    return load_log(paths[0] if len(paths) == 1 else list(paths), simulator, **options)
+
+
+def _show_log(log, save_map, force, *, table=True):
+    """Show which column was taken for what, where that was not said by its name, and all that was done."""
+    from skat.logs import write_map
+
+    guessed = [
+        match for match in log.matches if match.how != "same name" and match.name not in ("time", "episode")
+    ]
+    if table and guessed:
+        output_console().print(table_of(log.table, title=f"{log.source}: columns"))
+    for note in log.notes:
+        print_line(f"  {note}")
+    if save_map is not None:
+        print_line(f"Map: {write_map(save_map, log, force=force)}")
+    return list(log.notes)
+
+
+def _show_mistakes(study, log):
+    """Show the usual mistakes in columns that would explain much of what is left."""
+    from skat.logs import suspects
+
+    found = [
+        one
+        for one in suspects(study.diagnosis.extended_simulator_, log)
+        if one.repaired < WORTH_TELLING * one.error
+    ][:3]
+    if found:
+        print_line("Usual mistakes that would explain it, with the error of the velocities that each leaves:")
+    for one in found:
+        print_line(f"  {one.sentence}: {one.error:.3g} -> {one.repaired:.3g}")
+    return found
+
+
+# Rows of a log from which `skat check` says what it could show; more of them would show still smaller effects.
+ROWS_LOOKED_AT = 600
+# A mistake is told that leaves less than this share of the error.
+WORTH_TELLING = 0.7
+
+
+def _show_preflight(log, effect, alpha, most=None):
+    from skat.diagnosis import SimulationDiagnosis
+    from skat.diagnosis.checks import rows_of
+
+    X, groups = rows_of(log, most)
+    diagnosis = SimulationDiagnosis(log.simulator, effects=effect or "all", alpha=alpha)
+    with progress_bars() as progress:
+        progress("differentiate", 0, 1)
+        table = diagnosis.preflight(X, groups=groups).reset_index()
+        progress("differentiate", 1, 1)
+    shown = table["smallest"] < float("inf")
+    title = f"Named one time in two in {len(X)} transitions with noise of 1 % of each channel's spread"
+    names = {
+        "smallest": "from this size on",
+        "nearest_alias": "nearest alias",
+        "separating_excitation": "told apart by",
+    }
+    output_console().print(
+        table_of(table[shown].rename(columns=names), title=title, formats={"similarity": ".3f"})
+    )
+    if not shown.all():
+        print_line(f"Not shown within their bounds: {', '.join(table['effect'][~shown])}")
+    return table
+
+
+def _extended_file(path, simulator, force):
+    """Return where to write the extended model, after a check that its name says a form that it can have."""
+    forms = [".xml", ".mjcf"] + ([".urdf"] if simulator.model.urdf is not None else [])
+    if path.suffix.lower() not in forms:
+        why = " (a URDF is written where MODEL is one)" if path.suffix.lower() == ".urdf" else ""
+        raise ValueError(f"--extended {path}: expected a name that ends in {' or '.join(forms)}{why}.")
+    output_file(path.with_suffix(".effects.json"), force=force)
+    return output_file(path, force=force)
+
+
+def _write_json(path, content):
+    import json
+
+    with whole(path) as draft:
+        draft.write_text(
+            json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8"
+        )
+    print_line(f"Findings: {path}")

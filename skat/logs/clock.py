@@ -1,0 +1,424 @@
+"""Times of a log: their unit, the even grid behind them, what is lost, and values between samples."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+
+from skat.logs.errors import LogError
+from skat.logs.units import BASE, LEAST_DATE
+
+# A sample this far from its place on the grid, in rows, counts as on it.
+ON_GRID = 0.01
+# More rows lost in a row than these begin another episode.
+LONGEST_LOSS = 10
+# Seconds from row to row that a robot's log may have; other numbers are in another unit.
+SLOWEST, FASTEST = 0.5, 5e-4
+# More backward steps than this share of the rows: the rows are not in time order.
+FEW = 0.05
+# Neighbours whose distance is more than so many rows have nothing between them.
+BETWEEN = 1.5
+NO_TIME = np.iinfo(np.int64).min
+# What a stamp in seconds since 1970 is at least, by unit.
+DATES = (("ns", 1e17), ("us", 1e14), ("ms", 1e11), ("s", LEAST_DATE))
+
+
+def in_seconds(
+    values: np.ndarray, unit: str | None, where: str, origin: float | None = None
+) -> tuple[np.ndarray, str, float]:
+    """Return times in s, the unit they were in, and the origin that was subtracted, in that unit.
+
+    Parameters
+    ----------
+    values : ndarray of shape (n_rows,)
+        Numbers, or texts in ISO 8601.
+    unit : str or None
+        "s", "ms", "us" or "ns"; None: found out, from stamps since 1970 and from the distance of rows.
+    where : str
+        For messages.
+    origin : float, optional
+        That of another stream of the log. None: the first stamp where that is a date, otherwise 0.
+
+    Raises
+    ------
+    LogError
+        If they are no times.
+    """
+    if values.dtype == object:
+        whole = _iso(values, where)
+        origin = float(whole[0]) if origin is None else origin
+        return (whole - np.int64(origin)) / 1e9 + np.where(whole == NO_TIME, np.nan, 0.0), "ISO 8601", origin
+    if unit is not None and (unit not in BASE or BASE[unit][1] != "S"):
+        raise LogError(
+            where, f"has the unit {unit!r}, which is none of time.", options={"units": {"time": "s"}}
+        )
+    unit = unit or _guessed_unit(values)
+    factor = round(1 / BASE[unit][0])
+    first = values[np.isfinite(values)][:1]
+    if origin is None:
+        origin = float(first[0]) if len(first) and abs(first[0] / factor) >= LEAST_DATE else 0.0
+    return (values - origin) / factor if origin or factor != 1 else values, unit, origin
+
+
+def _guessed_unit(values):
+    """Return the unit that stamps since 1970, or the distance of rows, show."""
+    first = values[np.isfinite(values)][:1]
+    if len(first) and abs(first[0]) >= LEAST_DATE:
+        unit = next((name for name, least in DATES if abs(first[0]) >= least), "s")
+        if unit != "s":
+            return unit
+    steps = np.diff(values)
+    steps = steps[np.isfinite(steps) & (steps > 0)]
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    if usual < 2 * SLOWEST:
+        return "s"
+    return next((name for name in ("ms", "us", "ns") if FASTEST <= usual * BASE[name][0] < SLOWEST), "s")
+
+
+def _iso(values, where):
+    """Return ns since 1970 of texts in ISO 8601."""
+    try:
+        stamps = pd.to_datetime(pd.Series(values), utc=True, format="ISO8601")
+        return stamps.astype("datetime64[ns, UTC]").astype("int64").to_numpy()
+    except (ValueError, TypeError, OverflowError) as error:
+        raise LogError(
+            where,
+            f"holds no times: {str(error).split('.')[0][:150]}.",
+            "Expected numbers, or ISO 8601 as 2024-05-01T12:00:00.010Z.",
+        ) from None
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Rows of one episode without gaps, and the even grid that they are put on.
+
+    Attributes
+    ----------
+    name : str
+        The episode's.
+    rows : ndarray of int of shape (n_samples,)
+        In the stream.
+    times : ndarray of shape (n_samples,)
+        s.
+    start : float
+        Time of the first place of the grid.
+    slots : ndarray of int of shape (n_samples,) or None
+        Place of each sample on the grid; None where values are to be interpolated.
+    size : int
+        Number of places.
+    """
+
+    name: str
+    rows: np.ndarray
+    times: np.ndarray
+    start: float
+    slots: np.ndarray | None
+    size: int
+
+
+def usual_step(times: np.ndarray, apart: np.ndarray, where: str) -> float:
+    """Return the usual distance of rows, s; `apart` marks rows that begin an episode.
+
+    Raises
+    ------
+    LogError
+        If time does not grow.
+    """
+    steps = np.diff(times)[~apart[1:]]
+    backward = steps < 0
+    growing = steps[steps > 0]
+    if not len(growing) or backward.mean() > FEW:
+        told = f"{backward.mean():.0%} of the steps go back" if backward.any() else "it stands still"
+        raise LogError(
+            where,
+            f"time does not grow from row to row: {told}.",
+            "Sort the rows by time, and check which column is the time.",
+        )
+    return float(np.median(growing))
+
+
+def pieces(
+    times: np.ndarray,
+    labels: np.ndarray,
+    names: list[str],
+    dt: float,
+    where: Callable[[int], str],
+    moves: Callable[[], np.ndarray],
+) -> tuple[list[Piece], float, list[str]]:
+    """Return the pieces of a log on a grid of its own step, that step, and notes.
+
+    Parameters
+    ----------
+    times : ndarray of shape (n_rows,)
+        s.
+    labels : ndarray of int of shape (n_rows,)
+        Place of each row's episode in the names.
+    names : list of str
+        Of the episodes.
+    dt : float
+        The usual step, s.
+    where : callable
+        Says where a row stands.
+    moves : callable
+        Returns positions of shape (n_rows, n_positions), which tell whether stamps or samples jitter.
+    """
+    notes: list[str] = []
+    apart = np.r_[True, labels[1:] != labels[:-1]]
+    steps = np.diff(times, prepend=times[0] - dt)
+    back = np.flatnonzero((steps < 0) & ~apart)
+    if len(back):
+        starts = np.flatnonzero(apart)
+        firsts = times[starts[np.searchsorted(starts, back, side="right") - 1]]
+        restarts = times[back] <= firsts + 2 * dt
+        if not restarts.all():
+            row = int(back[~restarts][0])
+            raise LogError(
+                where(row),
+                f"time goes back by {-steps[row]:.6g} s.",
+                "Sort the rows by time, or name the column of episodes.",
+            )
+        notes.append(f"The clock starts anew {len(back)} times: an episode each.")
+        apart[back] = True
+    same = (steps == 0) & ~apart
+    keep = ~same
+    if same.any():
+        notes.append(f"{int(same.sum())} rows repeat the time of the row before: left out.")
+    gaps = np.flatnonzero(keep)
+    wide = np.diff(times[gaps], prepend=times[0]) > (LONGEST_LOSS + 1) * dt
+    wide &= ~apart[gaps]
+    if wide.any():
+        notes.append(
+            f"{int(wide.sum())} gaps of more than {LONGEST_LOSS} rows: an episode begins behind each."
+        )
+    begins = apart[gaps] | wide
+    groups = [part for part in np.split(gaps, np.flatnonzero(begins)) if len(part)]
+    dt = _refined(times, groups, dt)
+    placed = [_on_grid(times[rows], dt) for rows in groups]
+    worst = max((float(np.abs(jitter).max()) for _, _, jitter in placed), default=0.0) / dt
+    clashes = any((np.diff(slots) <= 0).any() for _, slots, _ in placed)
+    snap = worst <= ON_GRID and not clashes
+    if not snap and not clashes and not _samples_jitter(times, groups, placed, dt, moves()):
+        snap = True
+        notes.append(
+            f"The time stamps jitter by up to {worst * 1e3 * dt:.3g} ms, the samples do not (positions move evenly): "
+            "rows are taken as even."
+        )
+    elif not snap:
+        notes.append(
+            f"The clock is uneven, by up to {worst * 1e3 * dt:.3g} ms: positions are interpolated onto even times."
+        )
+    found = []
+    counts: dict[str, int] = {}
+    for rows, (start, slots, _) in zip(groups, placed):
+        name = names[labels[rows[0]]]
+        counts[name] = counts.get(name, 0) + 1
+        name = name if counts[name] == 1 else f"{name} ({counts[name]})"
+        found.append(
+            Piece(
+                name,
+                rows,
+                times[rows],
+                start if snap else times[rows[0]],
+                slots if snap else None,
+                int(slots.max()) + 1,
+            )
+        )
+    lost = sum(piece.size - len(piece.slots) for piece in found if piece.slots is not None)
+    if lost:
+        whole = sum(piece.size for piece in found)
+        notes.append(
+            f"{lost} of {whole} rows are lost ({lost / whole:.2g} of them): not measured there, commands held."
+        )
+    return found, dt, notes
+
+
+def _refined(times, groups, dt):
+    """Return the step that fits all stamps best; pieces have one step, and beginnings of their own."""
+    # First by the places that neighbours show, which an inexact step does not carry away.
+    for places_of in (_counted, lambda stamps, step: _on_grid(stamps, step)[1]):
+        upper = lower = 0.0
+        for rows in groups:
+            if len(rows) < 3:
+                continue
+            places = places_of(times[rows], dt)
+            places = places - places.mean()
+            upper += float(places @ (times[rows] - times[rows].mean()))
+            lower += float(places @ places)
+        better = upper / lower if lower else dt
+        dt = better if abs(better / dt - 1) < 0.1 else dt
+    return dt
+
+
+def _counted(times, dt):
+    """Return the places of samples, each counted from the one before."""
+    return np.concatenate([[0], np.cumsum(np.maximum(np.rint(np.diff(times) / dt), 0))]).astype(np.int64)
+
+
+def _on_grid(times, dt):
+    """Return (start, places, distance from them in s) of the samples of a piece."""
+    slots = _counted(times, dt)
+    start = times[0]
+    for _ in range(3):
+        start = float(np.median(times - slots * dt))
+        slots = np.rint((times - start) / dt).astype(np.int64)
+        start += float(slots[0]) * dt
+        slots -= slots[0]
+    return start, slots, times - start - slots * dt
+
+
+def _samples_jitter(times, groups, placed, dt, moves):
+    """Whether positions move further where stamps are further apart: the samples themselves are uneven."""
+    upper = lower = 0.0
+    for rows, (_, slots, _) in zip(groups, placed):
+        if len(rows) < 8:
+            continue
+        q, t = moves[rows], times[rows]
+        wide = (slots[5:] - slots[:-5]) * dt
+        speed = (q[5:] - q[:-5]) / wide[:, None]
+        nominal = (np.diff(slots) * dt)[2:-2]
+        moved = np.diff(q, axis=0)[2:-2] - speed * nominal[:, None]
+        expected = speed * (np.diff(t)[2:-2] - nominal)[:, None]
+        scale = np.nanstd(q, axis=0)
+        scale = np.where(scale > 0, scale, 1.0)
+        moved, expected = moved / scale, expected / scale
+        good = np.isfinite(moved) & np.isfinite(expected)
+        upper += float(np.sum(moved[good] * expected[good]))
+        lower += float(np.sum(expected[good] ** 2))
+    return lower > 0 and upper / lower > 0.5
+
+
+def resampled(found: list[Piece], dt: float, step: float) -> tuple[list[Piece], str]:
+    """Return the pieces on a grid of another step, and how: every so many rows, or interpolated."""
+    every = round(step / dt)
+    if every == 1 and abs(step / dt - 1) <= 1e-3:
+        return [piece if piece.slots is not None else _regridded(piece, step) for piece in found], ""
+    if (
+        every >= 1
+        and abs(step / dt - every) <= 1e-3 * every
+        and all(piece.slots is not None for piece in found)
+    ):
+        thinned = []
+        for piece in found:
+            slots = np.asarray(piece.slots)
+            kept = slots % every == 0
+            thinned.append(
+                Piece(
+                    piece.name,
+                    piece.rows[kept],
+                    piece.times[kept],
+                    piece.start,
+                    slots[kept] // every,
+                    (piece.size - 1) // every + 1,
+                )
+            )
+        return thinned, f"Every {every}th row is taken."
+    return [
+        _regridded(piece, step) for piece in found
+    ], f"Interpolated from {1 / dt:.6g} to {1 / step:.6g} rows per second."
+
+
+def _regridded(piece, step):
+    """Return a piece whose values are interpolated at another step, from its first sample on."""
+    size = int((piece.times[-1] - piece.start) / step + ON_GRID) + 1
+    return replace(piece, slots=None, size=size)
+
+
+def interpolated(
+    times: np.ndarray, values: np.ndarray, at: np.ndarray, dt: float
+) -> tuple[np.ndarray, np.ndarray]:
+    r"""Return values between samples, by cubics through the four around, and an estimate of the error.
+
+    .. math:: q(t) = \sum_{i=0}^{3} q_i \prod_{j \ne i} \frac{t - t_j}{t_i - t_j}
+
+    The estimate is the difference of the parabolas through the first and the last three, between which the cubic
+    lies: a bound for motion that is smooth from sample to sample. What held commands do between samples it cannot see.
+
+    Parameters
+    ----------
+    times : ndarray of shape (n_samples,)
+        Increasing, s.
+    values : ndarray of shape (n_samples, n_channels)
+    at : ndarray of shape (n_places,)
+        s.
+    dt : float
+        The usual distance of samples; places between samples further apart than 1.5 of it are NaN.
+
+    Returns
+    -------
+    values, errors : ndarray of shape (n_places, n_channels)
+    """
+    n = len(times)
+    if n < 4:
+        out = np.full((len(at), values.shape[1]), np.nan)
+        return out, np.zeros_like(out)
+    left = np.clip(np.searchsorted(times, at, side="right") - 1, 0, n - 2)
+    first = np.clip(left - 1, 0, n - 4)
+    nodes = first[:, None] + np.arange(4)
+    cubic = _lagrange(times[nodes], at)
+    left_three, right_three = _lagrange(times[nodes[:, :3]], at), _lagrange(times[nodes[:, 1:]], at)
+    around = values[nodes]
+    smooth = np.einsum("pn,pnc->pc", cubic, around)
+    errors = np.abs(
+        np.einsum("pn,pnc->pc", left_three, around[:, :3])
+        - np.einsum("pn,pnc->pc", right_three, around[:, 1:])
+    )
+    near = np.minimum(np.abs(times[left] - at), np.abs(times[left + 1] - at))
+    nearest = np.where(np.abs(times[left] - at) <= np.abs(times[left + 1] - at), left, left + 1)
+    exact = near <= ON_GRID * dt * 1e-3
+    smooth[exact], errors[exact] = values[nearest[exact]], 0.0
+    inside = (at >= times[0] - ON_GRID * dt) & (at <= times[-1] + ON_GRID * dt)
+    lost = ~(((times[left + 1] - times[left] <= BETWEEN * dt) & inside) | exact)
+    # Cubics reach over a gap beside them; what they make of it is not measured.
+    spread = times[nodes[:, 3]] - times[nodes[:, 0]] > (3 + BETWEEN) * dt
+    smooth[lost | (spread & ~exact)] = np.nan
+    return smooth, np.where(np.isfinite(smooth), errors, 0.0)
+
+
+def _lagrange(nodes, at):
+    weights = np.ones(nodes.shape)
+    for i in range(nodes.shape[1]):
+        for j in range(nodes.shape[1]):
+            if i != j:
+                weights[:, i] *= (at - nodes[:, j]) / (nodes[:, i] - nodes[:, j])
+    return weights
+
+
+def held(times: np.ndarray, values: np.ndarray, at: np.ndarray, dt: float) -> np.ndarray:
+    """Return commands that act from their stamp to the next one, averaged over each row.
+
+    Parameters
+    ----------
+    times : ndarray of shape (n_commands,)
+    values : ndarray of shape (n_commands,)
+    at : ndarray of shape (n_rows,)
+        Where each row begins.
+    dt : float
+        How long it lasts.
+
+    Returns
+    -------
+    ndarray of shape (n_rows,)
+        NaN before the first command.
+    """
+    good = np.isfinite(values) & np.isfinite(times)
+    times, values = times[good], values[good]
+    if not len(times):
+        return np.full(len(at), np.nan)
+    order = np.argsort(times, kind="stable")
+    times, values = times[order], values[order]
+    near = ON_GRID * dt
+    first = np.searchsorted(times, at + near, side="right") - 1
+    last = np.searchsorted(times, at + dt - near, side="left") - 1
+    out = np.where(first >= 0, values[np.maximum(first, 0)], np.nan)
+    changing = (last > first) & (first >= 0)
+    if changing.any():
+        sums = np.concatenate([[0.0], np.cumsum(np.diff(times) * values[:-1])])
+
+        def integral(t):
+            place = np.clip(np.searchsorted(times, t, side="right") - 1, 0, None)
+            return sums[place] + (t - times[place]) * values[place]
+
+        begin = at[changing]
+        out[changing] = (integral(begin + dt) - integral(begin)) / dt
+    return out

@@ -1,0 +1,589 @@
+"""Read any log as transitions of a simulator."""
+
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from typing import Any, Literal
+
+import numpy as np
+
+from skat.episodes import FEWEST_ROWS
+from skat.logs import clock
+from skat.logs.errors import LogError
+from skat.logs.log import Log, joined
+from skat.logs.mapping import checked_columns
+from skat.logs.matching import Plan, plan, simulator_inputs, with_lacking
+from skat.logs.readers import recording
+from skat.logs.streams import Recording, Stream
+from skat.logs.suspects import in_degrees
+from skat.simulators import Simulator
+from skat.simulators.adapting import at_rate, without_root
+
+# The mean transition is known better than single rows, and what it misses of a whole number of steps acts in each.
+STEP_TOLERANCE = 1e-3
+# A rate that is told and one that is measured are the same within this.
+SAME_RATE = 0.01
+
+
+def load_log(
+    source: Any,
+    simulator: Simulator,
+    *,
+    columns: Any = None,
+    units: str | Mapping[str, str] | None = None,
+    rate: float | None = None,
+    topic: str | None = None,
+    episodes: str | None = None,
+    base: Literal["fixed", "free"] | None = None,
+) -> Log:
+    r"""Load a log as transitions of a simulator.
+
+    Parameters
+    ----------
+    source : path, data frame, mapping from name to array, or sequence of these
+        A file or folder that is recognised by what is in it: CSV (also compressed by gzip), Parquet, NPZ, HDF5,
+        rosbag2 (SQLite or MCAP, a folder or a single file), ROS 1 bag, MCAP (ROS 2, JSON, protobuf), a LeRobot data
+        set v2.1 or v3, a Minari data set. A data frame of pandas or polars; a mapping from names to arrays, of which
+        one of shape (n, k) is k columns ``name[0]``, ... Several are joined, each its own episodes.
+
+    simulator : Simulator
+        With a state. Its inputs are what is looked for.
+
+    columns : mapping from name to str, or path, default=None
+        What is not found by its name: ``{"qpos.elbow": "q1:deg"}``, the simulator's name, then theirs (a column, an
+        element ``observation.state[2]`` of a vector, a field ``/commands.position`` of a topic), and, after a colon,
+        the unit. ``*`` stands for every joint: ``{"ctrl.*": "/commands.position"}``, ``{"qpos.*": "*_pos:deg"}``.
+        Also ``time`` and ``episode``. A number is a constant: ``{"ctrl.*": "0"}``; ``-`` leaves a channel out, as
+        not measured. A path is that of a ``map.toml``, as `write_map` writes it.
+
+    units : str or mapping from name to str, default=None
+        Units beside `columns`: ``{"qpos.*": "deg", "time": "ms"}``; one alone, such as ``"deg"``, is that of every
+        angle, its rate and its command. See the user guide for the list.
+
+    rate : float, default=None
+        Rows per second of the log that is returned. None: that of the log. Where the file has no times, its rate.
+
+    topic : str, default=None
+        Of a bag, the topic that holds the state, where there are several.
+
+    episodes : str, default=None
+        Name of the column that tells episodes apart; ``"gaps"``: gaps in time alone do. None: a column ``episode``,
+        or of that meaning, where there is one, and gaps in time.
+
+    base : {"fixed", "free"}, default=None
+        Of a model with a free root whose pose the log does not hold: whether the root is welded to the world, or
+        moves unmeasured.
+
+    Returns
+    -------
+    Log
+
+    Raises
+    ------
+    LogError
+        A ValueError with file, place and remedy: if the source is no log that can be read, or its columns cannot be
+        matched.
+    FileNotFoundError
+        If there is no such file.
+    ImportError
+        If a library that reads this format is missing; with the line that installs it.
+    TypeError
+        If the source is none of these.
+    """
+    if isinstance(source, Sequence) and not isinstance(source, str | PathLike | bytes):
+        options = {"units": units, "rate": rate, "topic": topic, "episodes": episodes, "base": base}
+        return joined([load_log(one, simulator, columns=columns, **options) for one in source])  # type: ignore[arg-type]
+    if not simulator.state_names:
+        raise ValueError(
+            "A log of states in time needs a simulator with a state; this one is one-shot. Read its inputs and outputs "
+            "by pandas.read_csv, and pass them to fit as X and y."
+        )
+    if rate is not None and not 0 < rate < np.inf:
+        raise ValueError(f"rate must be rows per second, positive and finite; it is {rate!r}.")
+    if base not in (None, "fixed", "free"):
+        raise ValueError(f'base must be "fixed", "free" or None; it is {base!r}.')
+    told = checked_columns(columns)
+    record = recording(source, topic=topic)
+    notes = list(record.notes)
+    if base == "fixed":
+        simulator, welded = _welded(simulator, record)
+        notes.append(welded)
+    found = plan(record, simulator, told, units, topic, episodes)
+    found = _with_base(found, simulator, base, record)
+    log = _timed(record, found, simulator, rate, notes)
+    _check_degrees(log, found, record)
+    return log
+
+
+def _welded(simulator, record):
+    """Return the simulator without its root's joint, and a note."""
+    roots = simulator_inputs(simulator).roots
+    if not roots:
+        raise LogError(
+            record.source, 'base="fixed" was said, and the model has no free root.', "Leave base out."
+        )
+    return without_root(simulator), "The root is welded to the world where the model has it (base: fixed)."
+
+
+def _with_base(found: Plan, simulator, base, record) -> Plan:
+    """Raise where a root's pose is lacking and nobody has said what it does."""
+    roots = simulator_inputs(simulator).roots
+    lacking = [name for name in roots if name in found.lacking]
+    if lacking and base is None and any(name.startswith("qpos.") for name in lacking):
+        raise LogError(
+            record.source,
+            f"does not hold the pose of the model's free root ({', '.join(lacking[:3])}, ...).",
+            'Say whether it was fixed to something, such as a stand (base="fixed"), or moved unmeasured (base="free"); '
+            "or name the columns.",
+            options={"base": "fixed"},
+        )
+    return with_lacking(found, found.lacking) if base == "free" else found
+
+
+def _timed(record: Recording, found: Plan, simulator, rate, notes) -> Log:
+    """Return the log on an even grid."""
+    names = tuple(simulator.input_names)
+    n_states = len(simulator.state_names)
+    main = _main_stream(record, found, simulator)
+    stream = record.streams[main]
+    data = _read(record, found)
+    n_rows = len(next(iter(data[main].values())))
+    if n_rows == 0:
+        raise LogError(_where(record, stream), "has no rows.", f"Record a log with at least {FEWEST_ROWS}.")
+    states = _states(record, found, data, n_states, names)
+    clocks = {column for column, _ in found.times.values()} | ({found.episode[1]} if found.episode else set())
+    data = {place: {name: read[name] for name in read if name in clocks} for place, read in data.items()}
+    labels, labels_text = _labels(record, found, data, main, n_rows)
+    notes += found.notes
+    times, good, step = _times(record, found, data, main, labels, simulator, rate, n_rows, notes)
+    mine = [name for name, (place, _, _) in found.found.items() if place == main and name in states]
+    empty = np.ones(n_rows, dtype=bool)
+    for name in mine:
+        empty &= np.isnan(states[name])
+    kept = np.flatnonzero(good & ~empty)
+    if empty.any() and mine:
+        notes.append(f"{int(empty.sum())} rows hold no state: not measured there.")
+    if len(kept) < 2:
+        raise LogError(
+            _where(record, stream),
+            f"holds {len(kept)} rows with a state.",
+            f"Record a log with at least {FEWEST_ROWS}.",
+        )
+
+    def moves():
+        return np.stack([states[name][kept] for name in mine[:8]], axis=1)
+
+    own, dt, said = clock.pieces(
+        times[kept],
+        labels[kept],
+        labels_text,
+        step,
+        lambda row: f"{record.source}, {stream.place(int(kept[row]))}",
+        moves,
+    )
+    notes += said
+    simulator, step, said = _stepped(simulator, dt, rate, record, own)
+    notes += said
+    own, how = clock.resampled(own, dt, step)
+    notes += [how] if how else []
+    own = [piece for piece in own if piece.size >= 2]
+    grid, groups, errors = _grid(
+        record, found, data, states, own, kept, main, names, n_states, step, dt, times
+    )
+    return _log(record, found, simulator, grid, groups, own, errors, n_states, step, notes)
+
+
+def _main_stream(record, found, simulator):
+    """Return the stream whose clock the log follows: the one with most of the state."""
+    counts: dict[int, int] = {}
+    for name, (place, _, _) in found.found.items():
+        counts[place] = counts.get(place, 0) + (1000 if name in simulator.state_names else 1)
+    return max(counts, key=lambda place: (counts[place], -place))
+
+
+def _read(record, found) -> dict[int, dict[str, np.ndarray]]:
+    wanted: dict[int, list[str]] = {}
+    for place, column, _ in found.found.values():
+        wanted.setdefault(place, []).append(column)
+    for place, (column, _) in found.times.items():
+        wanted.setdefault(place, []).append(column)
+    if found.episode is not None:
+        wanted.setdefault(found.episode[0], []).append(found.episode[1])
+    return {place: record.streams[place].read(list(dict.fromkeys(names))) for place, names in wanted.items()}
+
+
+def _states(record, found, data, n_states, names):
+    """Return the values of each channel in the simulator's units."""
+    states = {}
+    for name, (place, column, unit) in found.found.items():
+        stream = record.streams[place]
+        values = data[place][column]
+        if values.dtype == object:
+            row = next(row for row, cell in enumerate(values) if not _is_number(cell))
+            raise LogError(
+                f"{record.source}, {stream.place(row)}, column {column}",
+                f"expected a number for {name}, got {str(values[row])[:40]!r}.",
+                "Correct the cell, or empty it if it was not measured; or take another column for it.",
+            )
+        if np.isinf(values).any():
+            row = int(np.argmax(np.isinf(values)))
+            raise LogError(
+                f"{record.source}, {stream.place(row)}, column {column}",
+                f"expected a finite number for {name}, got {values[row]}.",
+                "Correct the cell, or empty it if it was not measured.",
+            )
+        if len(values) and np.isnan(values).all():
+            raise LogError(
+                f"{record.source}, column {column}",
+                f"is taken for {name} and holds no number.",
+                "Leave the channel out, as not measured; or take another column."
+                if name in names[:n_states]
+                else "Take another column.",
+                options={"columns": {name: "-" if name in names[:n_states] else "0"}},
+            )
+        states[name] = unit.applied(values)
+    return states
+
+
+def _is_number(cell):
+    try:
+        float(cell if str(cell).strip() else "nan")
+    except (TypeError, ValueError):
+        return False
+    return True
+
+
+def _labels(record, found, data, main, n_rows):
+    """Return the place of each row's episode in the list of their names, and that list."""
+    if found.episode is None:
+        return np.zeros(n_rows, dtype=np.int64), ["0"]
+    place, column = found.episode
+    if place != main:
+        raise LogError(
+            f"{record.source}, column {column}",
+            "tells episodes apart, and is in another topic than the state.",
+            options={"episodes": "gaps"},
+        )
+    values = data[place][column]
+    stream = record.streams[place]
+    if values.dtype.kind == "f":
+        if np.isnan(values).any():
+            _no_episode(record, stream, column, int(np.argmax(np.isnan(values))))
+        starts = np.r_[True, values[1:] != values[:-1]]
+        texts = [f"{value:g}" if value != int(value) else str(int(value)) for value in values[starts]]
+    else:
+        texts_all = np.array([str(value).strip() for value in values], dtype=object)
+        if (texts_all == "").any():
+            _no_episode(record, stream, column, int(np.argmax(texts_all == "")))
+        starts = np.r_[True, texts_all[1:] != texts_all[:-1]]
+        texts = texts_all[starts].tolist()
+    if len(set(texts)) < len(texts):
+        again = next(place for place, text in enumerate(texts) if text in texts[:place])
+        row = int(np.flatnonzero(starts)[again])
+        raise LogError(
+            f"{record.source}, {stream.place(row)}, column {column}",
+            f"episode {texts[again]} goes on after another one began; the rows of an episode stand together, in time "
+            "order.",
+            "Sort the rows; or leave the column aside, and let gaps in time tell episodes apart.",
+            options={"episodes": "gaps"},
+        )
+    return np.cumsum(starts) - 1, texts
+
+
+def _no_episode(record, stream, column, row):
+    raise LogError(
+        f"{record.source}, {stream.place(row)}, column {column}",
+        "is empty, and tells episodes apart.",
+        "Name the episode of every row; or leave the column aside.",
+        options={"episodes": "gaps"},
+    )
+
+
+def _times(record, found, data, main, labels, simulator, rate, n_rows, notes):
+    """Return (times in s of the main stream, rows that have one, usual step)."""
+    if main not in found.times:
+        step = _step_without_clock(record, simulator, rate, found)
+        starts = np.flatnonzero(np.r_[True, labels[1:] != labels[:-1]])
+        counted = np.arange(n_rows) - np.repeat(starts, np.diff(np.append(starts, n_rows)))
+        notes.append(
+            f"The log has no times: rows are {step:g} s apart, as "
+            + ("told." if rate or record.rate else "the simulator has it.")
+        )
+        return counted * step, np.ones(n_rows, dtype=bool), step
+    column, unit = found.times[main]
+    where = f"{record.source}, column {column}"
+    times, in_unit, _ = clock.in_seconds(data[main][column], unit, where)
+    if in_unit not in ("s", unit):
+        notes.append(f"Times in {column} are taken as {in_unit}.")
+    good = np.isfinite(times)
+    if not good.any():
+        raise LogError(
+            where,
+            "holds no times.",
+            "Name the column of times, or leave it out and say the rate.",
+            options={"columns": {"time": "-"}, "rate": 1 / simulator.dt if simulator.dt else 100.0},
+        )
+    if not good.all():
+        notes.append(f"{int((~good).sum())} rows have no time: left out.")
+    if good.sum() < 2:
+        raise LogError(
+            record.source, f"holds {int(good.sum())} rows.", f"Record a log with at least {FEWEST_ROWS}."
+        )
+    chosen = np.flatnonzero(good)
+    apart = np.r_[True, labels[chosen][1:] != labels[chosen][:-1]]
+    step = clock.usual_step(times[chosen], apart, where)
+    return times, good, step
+
+
+def _step_without_clock(record, simulator, rate, found):
+    if rate is not None:
+        return 1 / rate
+    if record.rate is not None:
+        return 1 / record.rate
+    settled = "frame_skip" not in simulator.get_params(deep=False) or simulator.frame_skip != 1
+    if settled and simulator.dt is not None:
+        return simulator.dt
+    raise LogError(
+        record.source,
+        "has no column of times, and nobody has said how many rows a second it has.",
+        "Say it; or name the column of times, as time.",
+        options={"rate": 1 / simulator.dt if simulator.dt else 100.0},
+    )
+
+
+def _stepped(simulator, dt, rate, record, own):
+    """Return (the simulator for rows of this log, their step in s, notes)."""
+    step, notes = dt, []
+    if rate is not None:
+        step = 1 / rate
+    elif record.rate is not None and abs(dt * record.rate - 1) < SAME_RATE:
+        step = 1 / record.rate
+    if rate is not None and abs(step / dt - 1) <= SAME_RATE:
+        notes.append(f"Rows are taken as {step:g} s apart, as told; the clock says {dt:.6g}.") if abs(
+            step / dt - 1
+        ) > STEP_TOLERANCE else None
+        return *at_rate(simulator, step), notes
+    if "frame_skip" not in simulator.get_params(deep=False):
+        own_step = simulator.dt
+        if own_step is None:
+            raise ValueError(
+                "The simulator has no dt, the seconds of a transition, to compare the log's times with."
+            )
+        if dt > own_step * (1 + STEP_TOLERANCE):
+            raise LogError(
+                record.source,
+                f"{dt:g} s from row to row, while a transition of the simulator takes {own_step:g} s (dt).",
+                "Write the function for the log's step, or record faster.",
+            )
+        return simulator, own_step, notes
+    changed, exact = at_rate(simulator, step)
+    own_step = changed.dt / changed.frame_skip
+    before = simulator.dt / simulator.frame_skip
+    if abs(own_step / before - 1) > STEP_TOLERANCE:
+        notes.append(
+            f"{step:.6g} s from row to row is no multiple of the model's time step of {before:g} s: it is simulated in "
+            f"{changed.frame_skip} steps of {own_step:.6g} s."
+        )
+    return changed, exact, notes
+
+
+def _grid(record, found, data, states, own, kept, main, names, n_states, step, dt, clock_times):
+    """Return (values on the grid, its episodes, squared errors of interpolation by channel)."""
+    size = sum(piece.size for piece in own)
+    grid = np.full((size, len(names)), np.nan)
+    groups = np.repeat(np.arange(len(own)), [piece.size for piece in own])
+    times_of = {place: _stream_times(record, found, data, place, main, clock_times) for place in data}
+    errors: dict[str, float] = {}
+    offsets = np.cumsum([0, *(piece.size for piece in own)])
+    for column, name in enumerate(names):
+        if name in found.constants:
+            grid[:, column] = found.constants[name]
+            continue
+        if name not in states:
+            continue
+        place = found.found[name][0]
+        values, sums = states[name], [0.0, 0]
+        for piece, offset in zip(own, offsets):
+            part = grid[offset : offset + piece.size, column]
+            if place == main and piece.slots is not None:
+                part[piece.slots] = values[kept[piece.rows]]
+                if column >= n_states:
+                    _fill(part)
+                continue
+            at = piece.start + step * np.arange(piece.size)
+            if column >= n_states:
+                if place == main:
+                    stamps, commands = piece.times, values[kept[piece.rows]]
+                else:
+                    stamps, commands = times_of[place], values
+                part[:] = clock.held(stamps, commands, at, step)
+                continue
+            if place == main:
+                stamps, samples = piece.times, values[kept[piece.rows]]
+            else:
+                stamps, samples = times_of[place], values
+            _interpolate(part, stamps, samples, at, step, dt, sums)
+        if sums[1]:
+            errors[name] = float(np.sqrt(sums[0] / sums[1]))
+        del values
+        states.pop(name)
+    return grid, groups, errors
+
+
+def _interpolate(part, stamps, samples, at, step, dt, sums):
+    """Write samples at the places of a grid, as they are where they were taken there, otherwise between them."""
+    good = np.isfinite(samples) & np.isfinite(stamps)
+    stamps, samples = stamps[good], samples[good]
+    if not len(stamps):
+        return
+    fresh = np.r_[True, np.diff(stamps) > 0]
+    stamps, samples = stamps[fresh], samples[fresh]
+    if len(stamps) < 2 or (np.diff(stamps) <= 0).any():
+        return
+    usual = float(np.median(np.diff(stamps)))
+    nearest = np.clip(np.searchsorted(stamps, at), 1, len(stamps) - 1)
+    nearest -= at - stamps[nearest - 1] < stamps[nearest] - at
+    on = np.abs(stamps[nearest] - at) <= clock.ON_GRID * min(step, usual)
+    if on.mean() > 0.5:
+        part[on] = samples[nearest[on]]
+        on |= np.abs(stamps[nearest] - at) > usual / 2
+        at, rest = at[~on], np.flatnonzero(~on)
+    else:
+        rest = np.arange(len(at))
+    if not len(rest):
+        return
+    values, missed = clock.interpolated(stamps, samples[:, None], at, max(usual, dt if usual < dt else usual))
+    part[rest] = values[:, 0]
+    finite = np.isfinite(values[:, 0])
+    sums[0] += float(np.sum(missed[finite, 0] ** 2))
+    sums[1] += int(finite.sum())
+
+
+def _fill(part):
+    """Hold the last command where one is lost, in place."""
+    lost = np.isnan(part)
+    if not lost.any():
+        return
+    places = np.where(lost, 0, np.arange(len(part)))
+    np.maximum.accumulate(places, out=places)
+    part[:] = part[places]
+
+
+def _stream_times(record, found, data, place, main, clock_times):
+    if place == main:
+        return clock_times
+    if place not in found.times:
+        raise LogError(
+            _where(record, record.streams[place]),
+            "has no times, and is another table than the state's.",
+            "Name its column of times.",
+        )
+    column, unit = found.times[place]
+    origin = 0.0
+    if main in found.times:
+        _, _, origin = clock.in_seconds(data[main][found.times[main][0]], found.times[main][1], record.source)
+    return clock.in_seconds(data[place][column], unit, f"{record.source}, column {column}", origin)[0]
+
+
+def _log(record, found, simulator, grid, groups, own, errors, n_states, step, notes) -> Log:
+    """Return the log of values on a grid."""
+    _normalise(grid, groups, simulator)
+    known = np.isfinite(grid[:, n_states:]).all(axis=1)
+    measured = np.isfinite(grid[:, :n_states]).any(axis=1)
+    first = np.r_[True, groups[1:] != groups[:-1]]
+    if not known.all():
+        missing = [
+            name
+            for name, bad in zip(simulator.input_names[n_states:], ~np.isfinite(grid[:, n_states:]))
+            if bad.any()
+        ]
+        notes.append(f"{int((~known).sum())} rows are left out, before the first command.")
+        del missing
+        grid, groups, measured = grid[known], groups[known], measured[known]
+        first = np.r_[True, groups[1:] != groups[:-1]][: len(groups)]
+        kept_times = np.concatenate([piece.start + step * np.arange(piece.size) for piece in own])[known]
+    else:
+        kept_times = (
+            np.concatenate([piece.start + step * np.arange(piece.size) for piece in own])
+            if own
+            else np.empty(0)
+        )
+    n_rows = len(grid) - int(first.sum())
+    seen = int((measured[:-1] & ~first[1:]).sum()) if len(grid) else 0
+    if seen < FEWEST_ROWS:
+        raise LogError(
+            record.source,
+            f"holds {max(seen, 0)} transitions in {int(first.sum())} episodes; at least {FEWEST_ROWS} are needed.",
+            "Record longer, or give several logs.",
+        )
+    if int(first.sum()) == 1:
+        X, y, rows = grid[:-1], grid[1:, :n_states], groups[:-1]
+        times = kept_times[:-1]
+    else:
+        arrivals = np.flatnonzero(~first)
+        X, y, rows, times = (
+            grid[arrivals - 1],
+            grid[arrivals, :n_states],
+            groups[arrivals],
+            kept_times[arrivals - 1],
+        )
+    changes = np.r_[True, rows[1:] != rows[:-1]]
+    present, renumbered = rows[changes], np.cumsum(changes) - 1
+    del n_rows
+    if errors:
+        notes.append(
+            "Error of interpolation (standard deviation): "
+            + ", ".join(
+                f"{name} {size:.2g} {simulator.units.get(name, '')}".rstrip() for name, size in errors.items()
+            )
+            + "."
+        )
+    for array in (X, y, renumbered, times):
+        array.flags.writeable = False
+    return Log(
+        X=X,
+        y=y,
+        groups=renumbered,
+        group_names=tuple(own[group].name for group in present),
+        time=times,
+        simulator=simulator,
+        matches=found.matches,
+        notes=tuple(notes),
+        interpolation=errors,
+        source=record.source,
+    )
+
+
+def _normalise(grid, groups, simulator):
+    """Give quaternions unit length and one sign along an episode, in place."""
+    names = list(simulator.state_names)
+    for column, name in enumerate(names):
+        if not (name.startswith("qpos.") and name.endswith(".qw")):
+            continue
+        block = grid[:, column : column + 4]
+        length = np.linalg.norm(block, axis=1)
+        good = np.isfinite(length) & (np.abs(length - 1) < 0.2)
+        moved = np.abs(length - 1) > 1e-6
+        block[good & moved] /= length[good & moved, None]
+
+
+def _check_degrees(log, found, record):
+    """Raise where angles that nobody gave a unit are in degrees."""
+    angles = [
+        name
+        for name in log.simulator.angle_names
+        if name not in found.told_units and name not in log.unmeasured
+    ]
+    if not angles:
+        return
+    said = in_degrees(log.simulator, log, told=found.told_units)
+    if said is not None:
+        raise LogError(
+            record.source,
+            said.sentence,
+            "If they are in rad, say so by units=\"rad\" (--map '*=:rad').",
+            options=said.options,
+        )
+
+
+def _where(record: Recording, stream: Stream) -> str:
+    return f"{record.source}, {stream.name}" if stream.name else record.source

@@ -1,0 +1,155 @@
+"""HDF5: data sets of one length are columns; groups of the same data sets are episodes."""
+
+from pathlib import Path
+
+import numpy as np
+
+from skat.logs.errors import LogError
+from skat.logs.streams import MOST_BYTES, MOST_COLUMNS, Recording, Stream, as_numbers, plain_array, required
+
+READ_ERRORS = (
+    OSError,
+    ValueError,
+    KeyError,
+    RuntimeError,
+    TypeError,
+    OverflowError,
+    MemoryError,
+    AttributeError,
+)
+DEEPEST = 12
+
+
+def read(path: Path, topic: str | None = None) -> Recording:
+    """Return the recording of an HDF5 file.
+
+    Parameters
+    ----------
+    path : Path
+    topic : str, optional
+        A group; by default the whole file.
+
+    Raises
+    ------
+    LogError
+        If it is damaged or has no table.
+    """
+    h5py = required("h5py", "An HDF5 file")
+    try:
+        with h5py.File(path, "r") as file:
+            shapes = _shapes(h5py, file, path)
+    except LogError:
+        raise
+    except READ_ERRORS as error:
+        raise _damaged(path, error) from None
+    if topic is not None:
+        prefix = topic.strip("/") + "/"
+        inside = {name: shape for name, shape in shapes.items() if name.startswith(prefix)}
+        if not inside:
+            groups = sorted({name.rpartition("/")[0] for name in shapes} - {""})
+            raise LogError(
+                str(path), f"has no group {topic!r}.", f"It has: {', '.join(groups[:12]) or 'none'}."
+            )
+        shapes = inside
+    if not shapes:
+        raise LogError(
+            str(path),
+            "holds no data set with rows.",
+            "A log has a data set for each column, or (rows, columns).",
+        )
+    groups = _episodes(shapes)
+    lengths = [shape[0] for shape in (groups[0][1].values() if groups else shapes.values())]
+    usual = max(set(lengths), key=lengths.count)
+    parts = groups or [("", shapes)]
+    names = [name for name, shape in parts[0][1].items() if shape[0] == usual]
+    wide = {name: int(np.prod(parts[0][1][name][1:])) if len(parts[0][1][name]) > 1 else 0 for name in names}
+    columns: list[str] = []
+    for name, width in wide.items():
+        if width <= MOST_COLUMNS:
+            columns += [f"{name}[{element}]" for element in range(width)] if width else [name]
+    if groups:
+        columns.append("episode")
+    prefix = "" if topic is None else topic.strip("/") + "/"
+    shown = {column: column.removeprefix(prefix) for column in columns}
+    theirs = {short: column for column, short in shown.items()}
+
+    def read_columns(wanted):
+        try:
+            with h5py.File(path, "r") as file:
+                return {name: _column(file, parts, wide, theirs[name], groups) for name in wanted}
+        except LogError:
+            raise
+        except READ_ERRORS as error:
+            raise _damaged(path, error) from None
+
+    return Recording(str(path), (Stream("", tuple(shown.values()), read_columns),))
+
+
+def _shapes(h5py, file, path):
+    """Return the shape of each data set of numbers or texts, by name."""
+    shapes: dict[str, tuple[int, ...]] = {}
+
+    def walk(group, prefix, depth):
+        for name in group:
+            link = group.get(name, getlink=True)
+            if not isinstance(link, h5py.HardLink) or depth > DEEPEST or len(shapes) > MOST_COLUMNS:
+                continue
+            item = group[name]
+            if isinstance(item, h5py.Group):
+                walk(item, f"{prefix}{name}/", depth + 1)
+            elif (
+                isinstance(item, h5py.Dataset)
+                and item.shape
+                and item.dtype.kind in "fiubOSU"
+                and item.shape[0]
+            ):
+                if (
+                    item.dtype.kind in "fiub"
+                    and item.nbytes > MOST_BYTES
+                    and item.nbytes > 200 * max(item.id.get_storage_size(), 1)
+                ):
+                    raise LogError(
+                        f"{path}, {prefix}{name}",
+                        f"announces {item.nbytes} bytes and holds {item.id.get_storage_size()}.",
+                        "Copy the file anew.",
+                    )
+                shapes[f"{prefix}{name}"] = tuple(int(size) for size in item.shape)
+
+    walk(file, "", 0)
+    return shapes
+
+
+def _episodes(shapes):
+    """Return [(group, {name in it: shape})] where groups hold the same data sets: episodes, in natural order."""
+    by_group: dict[str, dict[str, tuple[int, ...]]] = {}
+    for name, shape in shapes.items():
+        top, _, rest = name.partition("/")
+        if not rest:
+            return []
+        by_group.setdefault(top, {})[rest] = shape
+    names = sorted(by_group, key=lambda group: (len(group), group))
+    if len(names) < 2 or any(set(by_group[name]) != set(by_group[names[0]]) for name in names):
+        return []
+    return [(name, by_group[name]) for name in names]
+
+
+def _column(file, parts, wide, name, groups):
+    if groups and name == "episode":
+        first = next(iter(wide))
+        return np.concatenate([np.full(inside[first][0], group, dtype=object) for group, inside in parts])
+    base, element = (
+        (name, None) if name in wide else (name.rsplit("[", 1)[0], int(name.rsplit("[", 1)[1][:-1]))
+    )
+    pieces = []
+    for group, _ in parts:
+        item = file[f"{group}/{base}" if group else base]
+        values = item[:] if element is None or item.ndim != 2 else item[:, element]
+        if element is not None and item.ndim > 2:
+            values = values.reshape(len(values), -1)[:, element]
+        pieces.append(as_numbers(plain_array(values)))
+    return pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
+
+
+def _damaged(path, error):
+    told = " ".join(str(error).split())[:200]
+    return LogError(str(path), f"is cut or damaged, or no HDF5 file: {told}.", "Copy the file anew.")

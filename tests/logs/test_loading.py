@@ -1,0 +1,352 @@
+import numpy as np
+import pandas as pd
+import pytest
+
+from skat.logs import LogError, joined, load_log, read_map, write_map
+from skat.simulators import FunctionSimulator, MujocoSimulator
+
+CART = """
+<mujoco>
+  <option timestep="0.005"/>
+  <worldbody>
+    <body name="cart">
+      <joint name="rail" type="slide" axis="1 0 0"/>
+      <geom name="cart" type="box" size="0.1 0.1 0.1" mass="1"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="push" joint="rail"/></actuator>
+</mujoco>
+"""
+
+
+@pytest.fixture
+def cart():
+    return MujocoSimulator(CART)
+
+
+@pytest.fixture
+def table():
+    """Two episodes of 30 and 20 rows, every value a different number."""
+    rng = np.random.default_rng(0)
+    return pd.DataFrame(
+        {
+            "ctrl.push": rng.normal(size=50),
+            "time": np.r_[0.02 * np.arange(30), 5 + 0.02 * np.arange(20)],
+            "qvel.rail": rng.normal(size=50),
+            "qpos.rail": 0.02 * rng.normal(size=50),
+            "episode": ["first"] * 30 + ["second"] * 20,
+        }
+    )
+
+
+def written(tmp_path, table):
+    table.to_csv(tmp_path / "log.csv", index=False)
+    return tmp_path / "log.csv"
+
+
+def refusal(source, cart, **options):
+    with pytest.raises(ValueError) as caught:
+        load_log(source, cart, **options)
+    return str(caught.value)
+
+
+def smooth(n_rows, dt=0.02):
+    """A log whose positions are the integral of its velocities."""
+    time = dt * np.arange(n_rows)
+    return pd.DataFrame(
+        {
+            "time": time,
+            "qpos.rail": np.sin(3 * time),
+            "qvel.rail": 3 * np.cos(3 * time),
+            "ctrl.push": -9 * np.sin(3 * time),
+        }
+    )
+
+
+def test_transitions_stay_within_their_episode(tmp_path, table, cart):
+    log = load_log(written(tmp_path, table), cart)
+    values = table[["qpos.rail", "qvel.rail", "ctrl.push"]].to_numpy()
+    starts = np.r_[0:29, 30:49]
+    np.testing.assert_array_equal(log.X, values[starts])
+    np.testing.assert_array_equal(log.y, values[starts + 1, :2])
+    np.testing.assert_array_equal(log.groups, [0] * 29 + [1] * 19)
+    np.testing.assert_allclose(log.time, table["time"].to_numpy()[starts], atol=1e-12)
+    assert log.group_names == ("first", "second")
+
+
+def test_a_log_cannot_be_written_to(table, cart):
+    with pytest.raises(ValueError, match="read-only"):
+        load_log(table, cart).X[0, 0] = 1.0
+
+
+def test_a_transition_is_as_many_steps_as_fit_between_two_rows(table, cart):
+    log = load_log(table, cart)
+    assert log.simulator.frame_skip == 4
+    assert log.dt == pytest.approx(0.02) == pytest.approx(log.simulator.dt)
+    state = np.array([[0.3, 2.0, 0.0]])
+    np.testing.assert_allclose(log.simulator.predict(state), [[0.3 + 2 * 0.02, 2.0]], atol=1e-12)
+
+
+def test_a_step_that_is_no_multiple_is_met_by_the_time_step_and_said(table, cart):
+    """A camera at 15 frames a second is not 13 steps of 5 ms: the model would be 2.5 % short in every row."""
+    table["time"] = np.r_[np.arange(30) / 15, 5 + np.arange(20) / 15]
+    log = load_log(table, cart)
+    assert log.simulator.frame_skip == 14
+    assert log.dt == pytest.approx(1 / 15, rel=1e-9)
+    assert any("0.0666667 s from row to row is no multiple" in note for note in log.notes)
+    assert cart.dt == 0.005
+    faster = smooth(100, dt=0.002)
+    assert load_log(faster, cart).dt == pytest.approx(0.002)
+
+
+def test_a_rate_replaces_the_clock_where_there_is_none(table, cart):
+    bare = table.drop(columns="time")
+    assert load_log(bare, cart, rate=50).simulator.frame_skip == 4
+    assert "Try load_log(..., rate=200.0), on the command line --rate 200." in refusal(bare, cart)
+    settled = MujocoSimulator(CART, frame_skip=4)
+    assert load_log(bare, settled).dt == pytest.approx(0.02)
+
+
+def test_a_rate_thins_a_faster_log_or_interpolates_it(cart):
+    thinned = load_log(smooth(200), cart, rate=25)
+    np.testing.assert_array_equal(thinned.X[:, 0], smooth(200)["qpos.rail"][:-2:2])
+    assert not thinned.interpolation
+    between = load_log(smooth(200), cart, rate=40)
+    assert between.dt == pytest.approx(0.025)
+    missed = between.X[:, 0] - np.sin(3 * between.time)
+    assert np.sqrt(np.mean(missed**2)) <= between.interpolation["qpos.rail"] < 1e-3
+
+
+def test_a_jittering_clock_within_one_percent_is_accepted(table, cart):
+    table["time"] += np.random.default_rng(1).uniform(-4e-5, 4e-5, size=50)
+    log = load_log(table, cart)
+    assert log.simulator.frame_skip == 4
+    assert not log.interpolation
+
+
+def test_stamps_that_jitter_over_even_samples_are_told_from_samples_that_jitter(cart):
+    """Where only the stamps are late, interpolation would make an error that is not there."""
+    rng = np.random.default_rng(2)
+    even, jitter = smooth(300), rng.uniform(-0.004, 0.004, size=300)
+    stamps = even.assign(time=even["time"] + jitter)
+    log = load_log(stamps, cart)
+    np.testing.assert_array_equal(log.X[:, 0], even["qpos.rail"][:-1])
+    assert any("time stamps jitter" in note for note in log.notes)
+    time = even["time"] + jitter
+    uneven = even.assign(**{"time": time, "qpos.rail": np.sin(3 * time), "qvel.rail": 3 * np.cos(3 * time)})
+    log = load_log(uneven, cart)
+    assert any("positions are interpolated" in note for note in log.notes)
+    missed = log.X[:, 0] - np.sin(3 * log.time)
+    assert np.sqrt(np.nanmean(missed**2)) <= log.interpolation["qpos.rail"] < 1e-4
+
+
+def test_lost_rows_are_not_measured_and_commands_are_held(table, cart):
+    log = load_log(table.drop(index=[10, 11]), cart)
+    assert len(log) == 48
+    lost = ~np.isfinite(log.X[:, 0])
+    np.testing.assert_array_equal(np.flatnonzero(lost), [10, 11])
+    np.testing.assert_array_equal(np.flatnonzero(~np.isfinite(log.y[:, 0])), [9, 10])
+    np.testing.assert_array_equal(log.X[10:12, 2], table["ctrl.push"][9])
+    assert any("2 of 50 rows are lost" in note for note in log.notes)
+    assert log.measured["qpos.rail"] == pytest.approx(46 / 48)
+
+
+def test_a_row_repeated_is_left_out(table, cart):
+    log = load_log(pd.concat([table[:5], table[4:]]), cart)
+    np.testing.assert_array_equal(log.X, load_log(table, cart).X)
+    assert any("1 rows repeat the time" in note for note in log.notes)
+
+
+def test_gaps_become_episodes(cart):
+    long = smooth(100)
+    long.loc[60:, "time"] += 3.0
+    log = load_log(long, cart)
+    np.testing.assert_array_equal(log.groups, [0] * 59 + [1] * 39)
+    assert log.group_names == ("0", "0 (2)")
+
+
+def test_a_clock_that_starts_anew_begins_an_episode(table, cart):
+    table["time"] %= 5
+    log = load_log(table.drop(columns="episode"), cart)
+    np.testing.assert_array_equal(log.groups, [0] * 29 + [1] * 19)
+    ignored = load_log(table, cart, episodes="gaps")
+    np.testing.assert_array_equal(ignored.groups, log.groups)
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor", "origin"),
+    [("ms", 1e3, 0), ("us", 1e6, 0), ("ns", 1e9, 0), ("ns", 1e9, 1.7e18), ("us", 1e6, 1.7e15), ("s", 1, 0)],
+)
+def test_the_unit_of_times_is_found_out(unit, factor, origin, table, cart):
+    table["time"] = np.rint(table["time"] * factor) + origin if unit != "s" else table["time"]
+    log = load_log(table, cart)
+    assert log.dt == pytest.approx(0.02)
+    assert any(unit in note for note in log.notes) == (unit != "s")
+
+
+def test_times_may_be_iso_dates(tmp_path, table, cart):
+    stamps = pd.Timestamp("2024-05-01T12:00:00Z") + pd.to_timedelta(table["time"], unit="s")
+    table["time"] = stamps.dt.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+    log = load_log(written(tmp_path, table), cart)
+    np.testing.assert_allclose(log.time[:3], [0, 0.02, 0.04], atol=1e-9)
+    assert log.simulator.frame_skip == 4
+
+
+def test_what_the_log_lacks_is_not_measured(table, cart):
+    log = load_log(table.drop(columns="qvel.rail"), cart)
+    assert log.unmeasured == ("qvel.rail",)
+    assert np.isnan(log.X[:, 1]).all()
+    assert np.isnan(log.y[:, 1]).all()
+    assert any("not measured: qvel.rail" in note for note in log.notes)
+
+
+def test_commands_of_another_topic_are_held_and_averaged(cart):
+    """A command at half of a row acts in half of it."""
+    state = smooth(60)
+    times = np.r_[0.0, 0.41, 0.80]
+    sources = {
+        "arm": state.drop(columns="ctrl.push"),
+        "told": pd.DataFrame({"time": times, "u": [1.0, 2.0, 3.0]}),
+    }
+
+    def parts(folder):
+        for name, part in sources.items():
+            part.to_csv(folder / f"{name}.csv", index=False)
+        return folder
+
+    import pathlib
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        log = load_log(parts(pathlib.Path(folder)), cart, columns={"ctrl.push": "told.u"})
+    commands = log.X[:, 2]
+    np.testing.assert_allclose(commands[[0, 19, 20, 21, 39, 40, 58]], [1, 1, 1.5, 2, 2, 3, 3])
+
+
+def test_columns_are_mapped_with_units_signs_and_offsets(table, cart):
+    theirs = table.rename(columns={"qpos.rail": "x", "qvel.rail": "v", "ctrl.push": "amps"})
+    theirs["x"] = 25 - 1000 * theirs["x"]
+    theirs["v"] = 1000 * theirs["v"]
+    theirs["amps"] = theirs["amps"] / 0.12
+    columns = {"qpos.rail": "x:-mm+25", "qvel.rail": "v:mm", "ctrl.push": "amps:A:0.12"}
+    log = load_log(theirs, cart, columns=columns)
+    np.testing.assert_allclose(log.X, load_log(table, cart).X, rtol=1e-12, atol=1e-15)
+    assert log.table.set_index("name").loc["qpos.rail", "unit"] == "-mm+25"
+
+
+def test_units_in_names_are_taken(table, cart):
+    theirs = table.rename(
+        columns={"qpos.rail": "rail_pos_mm", "qvel.rail": "rail_vel_mm_s", "time": "time_ms"}
+    )
+    theirs = theirs.rename(columns={"rail_vel_mm_s": "rail_vel [mm/s]"})
+    theirs[["rail_pos_mm", "rail_vel [mm/s]", "time_ms"]] *= 1000
+    log = load_log(theirs, cart)
+    np.testing.assert_allclose(log.X, load_log(table, cart).X, rtol=1e-12, atol=1e-15)
+
+
+def test_a_map_comes_back_from_its_file(tmp_path, table, cart):
+    theirs = table.rename(columns={"qpos.rail": "x", "qvel.rail": "v", "ctrl.push": "force"})
+    log = load_log(theirs, cart, columns=read_map(["qpos.rail=x:m", "qvel.rail=v", "ctrl.*=force"]))
+    path = write_map(tmp_path / "map.toml", log)
+    again = load_log(theirs, cart, columns=path)
+    np.testing.assert_array_equal(again.X, log.X)
+    assert [match.theirs for match in again.matches] == [match.theirs for match in log.matches]
+    with pytest.raises(FileExistsError):
+        write_map(path, log)
+
+
+def test_columns_that_nobody_uses_are_left_aside_with_a_note(table, cart):
+    log = load_log(table.assign(temperature=30.0), cart)
+    assert any("Left aside: temperature." in note for note in log.notes)
+
+
+def glide(X):
+    return np.stack([X[:, 0] + 0.02 * X[:, 1], X[:, 1] + 0.02 * X[:, 2]], axis=1)
+
+
+def test_log_of_a_function_has_its_columns_and_its_step(table):
+    names = ("qpos.rail", "qvel.rail", "ctrl.push")
+    columns = {"input_names": names, "output_names": names[:2], "state_names": names[:2]}
+    log = load_log(table, FunctionSimulator(glide, **columns, dt=0.02))
+    np.testing.assert_array_equal(log.X, table[list(names)].to_numpy()[np.r_[0:29, 30:49]])
+    assert (log.dt, log.simulator.dt) == (0.02, 0.02)
+    faster = FunctionSimulator(glide, **columns, dt=0.01)
+    assert "0.02 s from row to row, while a transition of the simulator takes 0.01 s" in refusal(
+        table, faster
+    )
+    assert "has no dt" in refusal(table, FunctionSimulator(glide, **columns))
+    slower = FunctionSimulator(glide, **columns, dt=0.04)
+    np.testing.assert_array_equal(load_log(table, slower).X[:5, 0], table["qpos.rail"][:10:2])
+    shot = FunctionSimulator(glide, input_names=names, output_names=("a", "b"))
+    assert "needs a simulator with a state" in refusal(table, shot)
+
+
+def test_names_of_episodes_are_texts(tmp_path, table, cart):
+    table["episode"] = np.repeat(["01", "1", "NA"], [30, 10, 10])
+    assert load_log(written(tmp_path, table), cart).group_names == ("01", "1", "NA")
+
+
+def test_blank_lines_count_in_messages(tmp_path, table, cart):
+    path = written(tmp_path, table)
+    lines = path.read_text().splitlines()
+    lines[5] = lines[5].replace(lines[5].split(",")[2], "n/a")
+    path.write_text("\n".join(["\n", *lines[:4], "  ", "", *lines[4:]]))
+    with pytest.raises(ValueError, match=r"line 10, column .*: expected a number for qvel.rail, got 'n/a'"):
+        load_log(path, cart)
+
+
+def test_several_logs_are_joined_each_its_own_episodes(table, cart):
+    log = load_log([table, table.head(30)], cart)
+    assert len(log) == 48 + 29
+    assert len(log.group_names) == 3
+    with pytest.raises(ValueError, match="--rate"):
+        joined([load_log(table, cart), load_log(table, cart, rate=25)])
+
+
+QUADRUPED = """
+<mujoco>
+  <worldbody>
+    <body name="base" pos="0 0 1">
+      <freejoint name="root"/>
+      <geom size="0.2" mass="5"/>
+      <body name="leg"><joint name="hip" axis="0 1 0"/><geom size="0.05" pos="0 0 -0.3" mass="1"/></body>
+    </body>
+  </worldbody>
+  <actuator><motor name="hip" joint="hip"/></actuator>
+  <keyframe><key qpos="0 0 1 1 0 0 0 0.3"/></keyframe>
+</mujoco>
+"""
+
+
+def test_a_root_that_is_not_in_the_log_is_welded_or_not_measured():
+    robot = MujocoSimulator(QUADRUPED, frame_skip=5)
+    time = 0.01 * np.arange(60)
+    log = {"time": time, "hip_pos": np.sin(time), "hip_vel": np.cos(time), "hip_cmd": 0 * time}
+    message = refusal(log, robot)
+    assert "does not hold the pose of the model's free root" in message
+    assert "--base fixed" in message
+    free = load_log(log, robot, base="free")
+    assert len(free.unmeasured) == 13
+    fixed = load_log(log, robot, base="fixed")
+    assert fixed.simulator.input_names == ("qpos.hip", "qvel.hip", "ctrl.hip")
+    assert np.isfinite(fixed.X).all()
+
+
+def test_a_constant_stands_for_commands_that_were_not_given(table, cart):
+    log = load_log(table.drop(columns="ctrl.push"), cart, columns={"ctrl.*": "0"})
+    assert (log.X[:, 2] == 0).all()
+
+
+def test_an_error_of_a_log_survives_pickling():
+    import pickle
+
+    error = LogError("log.csv", "is empty.", "Fill it.", options={"rate": 50.0})
+    again = pickle.loads(pickle.dumps(error))
+    assert (str(again), again.options) == (str(error), error.options)
+
+
+def test_rows_of_a_log_that_leave_a_gap_begin_an_episode(table, cart):
+    log = load_log(table, cart)
+    part = log.rows(np.r_[0:10, 12:20])
+    np.testing.assert_array_equal(part.groups, [0] * 10 + [1] * 8)
+    assert part.group_names == ("first", "first")

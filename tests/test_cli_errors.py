@@ -1,0 +1,170 @@
+"""Bad calls of the command line: each ends with one message that says where and what to do, and changes nothing."""
+
+import gzip
+import json
+import re
+import shlex
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from skat.cli import app
+
+MODEL = """
+<mujoco>
+  <option timestep="0.005"/>
+  <worldbody>
+    <body name="cart">
+      <joint name="rail" type="slide" axis="1 0 0"/>
+      <geom name="cart" type="box" size="0.1 0.1 0.1" mass="1"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="push" joint="rail"/></actuator>
+</mujoco>
+"""
+INERTIA = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+LINK = '<link name="{}"><inertial><mass value="1"/>' + INERTIA + "</inertial></link>"
+URDF = f"""<robot name="cart"><link name="world"/>{LINK.format("cart")}
+<joint name="rail" type="prismatic"><parent link="world"/><child link="cart"/><axis xyz="1 0 0"/>
+<limit lower="-9" upper="9" effort="20" velocity="9"/></joint></robot>
+"""
+UNBOLTED = f"""<robot name="cart">{LINK.format("track")}{LINK.format("cart")}
+<joint name="rail" type="prismatic"><parent link="track"/><child link="cart"/><axis xyz="1 0 0"/>
+<limit lower="-9" upper="9" effort="20" velocity="9"/></joint></robot>
+"""
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    rng = np.random.default_rng(0)
+    time, push = 0.02 * np.arange(60), rng.normal(size=60)
+    speed = np.cumsum(np.r_[0, 0.02 * push[:-1]])
+    place = np.cumsum(np.r_[0, 0.02 * speed[1:]])
+    columns = {"time": time, "qpos.rail": place, "qvel.rail": speed, "ctrl.push": push}
+    log = pd.DataFrame(columns)
+    log.to_csv(tmp_path / "log.csv", index=False)
+    log.drop(columns="ctrl.push").to_csv(tmp_path / "free.csv", index=False)
+    log.head(5).to_csv(tmp_path / "short.csv", index=False)
+    log.rename(columns={"qpos.rail": "gps", "qvel.rail": "gps2"}).to_csv(tmp_path / "other.csv", index=False)
+    log.rename(columns={"qpos.rail": "x_mm"}).to_csv(tmp_path / "named.csv", index=False)
+    log.assign(**{"qvel.rail": "fast"}).to_csv(tmp_path / "text.csv", index=False)
+    (tmp_path / "empty.csv").write_text("")
+    (tmp_path / "head.csv").write_text("time,qpos.rail,qvel.rail,ctrl.push\n")
+    (tmp_path / "noise.bin").write_bytes(rng.bytes(2000))
+    (tmp_path / "cut.csv.gz").write_bytes(gzip.compress((tmp_path / "log.csv").read_bytes())[:300])
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "map.toml").write_text("[columns\n")
+    for name, text in (("model.xml", MODEL), ("cart.urdf", URDF), ("unbolted.urdf", UNBOLTED)):
+        (tmp_path / name).write_text(text)
+    (tmp_path / "broken.xml").write_text("<mujoco><worldbody>")
+    (tmp_path / "broken.urdf").write_text(URDF.replace('link="world"', 'link="wrold"'))
+    (tmp_path / "mine.html").write_text("mine")
+    (tmp_path / "mine.json").write_text("mine")
+    (tmp_path / "mine.toml").write_text("mine")
+    (tmp_path / "mine.xml").write_text("mine")
+    return tmp_path
+
+
+# A call; what its message says of the place; what it says to do.
+BAD_CALLS = [
+    ("diagnose none.xml log.csv", "There is no file none.xml", "Check the path"),
+    ("diagnose model.xml none.csv", "There is no file none.csv", "Check the path"),
+    ("diagnose model.xml log.csv none.csv", "There is no file none.csv", "Check the path"),
+    ("diagnose model.xml log.csv --test none.csv", "There is no file none.csv", "Check the path"),
+    ("diagnose broken.xml log.csv", "'broken.xml'", "Correct the MJCF"),
+    ("diagnose broken.urdf log.csv", "'broken.urdf'", "Correct it there"),
+    ("diagnose folder log.csv", "folder folder", "expected an MJCF (.xml) or URDF file"),
+    ("diagnose log.csv log.csv", "log.csv", "Correct the MJCF"),
+    ("diagnose unbolted.urdf log.csv", "root link 'track'", "--base"),
+    ("check unbolted.urdf log.csv --base loose", "'loose'", "base must be 'fixed' or 'free'"),
+    ("diagnose cart.urdf log.csv", "log.csv", "--motors torque"),
+    ("diagnose cart.urdf log.csv --motors pid", "'pid'", "position:kp,kv"),
+    ("diagnose model.xml log.csv --motors torque", "1 actuators of its own", "models without any"),
+    ("check model.xml other.csv", "other.csv", "--map"),
+    ("check model.xml free.csv", "ctrl.push", "--map 'ctrl.*=0'"),
+    ("check model.xml short.csv", "short.csv", "Record longer"),
+    ("check model.xml text.csv", "text.csv", "qvel.rail"),
+    ("check model.xml empty.csv", "empty.csv", ""),
+    ("check model.xml head.csv", "head.csv", ""),
+    ("check model.xml noise.bin", "noise.bin", "Formats that are read: CSV"),
+    ("check model.xml cut.csv.gz", "cut.csv.gz", ""),
+    ("check model.xml folder", "folder", "Formats that are read: CSV"),
+    ("check model.xml log.csv --map qpos.rail", "qpos.rail", "NAME=THEIRS"),
+    ("check model.xml log.csv --map qpos.rial=time", "qpos.rial", "qpos.rail"),
+    ("check model.xml log.csv --map qpos.rail=place", "place", "qpos.rail"),
+    ("check model.xml log.csv --map qpos.rail=qpos.rail:parsec", "parsec", "mm"),
+    ("check model.xml log.csv --columns none.toml", "none.toml", "Check the path"),
+    ("check model.xml log.csv --columns map.toml", "map.toml", "qpos.elbow"),
+    ("check model.xml log.csv --rate 0", "rate", "positive"),
+    ("check model.xml log.csv --rate 50 --frame-skip 4", "--rate and --frame-skip", "one of them"),
+    ("check model.xml log.csv --episodes run", "run", "gaps"),
+    ("diagnose model.xml log.csv --report mine.html", "mine.html exists", "--force"),
+    ("diagnose model.xml log.csv --json mine.json", "mine.json exists", "--force"),
+    ("diagnose model.xml log.csv --extended mine.xml", "mine.xml exists", "--force"),
+    ("check model.xml log.csv --save-map mine.toml", "mine.toml exists", "--force"),
+    ("diagnose model.xml log.csv --report no/new.html", "no folder no", "Make it first"),
+    ("diagnose model.xml log.csv --extended better.txt", "better.txt", "ends in .xml"),
+    ("diagnose model.xml log.csv --extended better.urdf", "better.urdf", "where MODEL is one"),
+    ("diagnose model.xml log.csv --jobs 0", "n_jobs", "--jobs"),
+    ("diagnose model.xml log.csv --alpha 2", "alpha", "between 0 and 1"),
+    ("diagnose model.xml log.csv --effect dumping[rail]", "dumping[rail]", "damping[rail]"),
+    ("preflight model.xml named.csv --map qpos.rail=-", "qpos.rail", ""),
+    ("effects unbolted.urdf", "root link 'track'", "--base"),
+]
+
+
+@pytest.mark.parametrize(("call", "place", "remedy"), BAD_CALLS, ids=[call for call, _, _ in BAD_CALLS])
+def test_a_bad_call_ends_with_place_and_remedy_and_changes_nothing(here, call, place, remedy):
+    before = {path: path.read_bytes() for path in here.rglob("*") if path.is_file()}
+    result = CliRunner().invoke(app, shlex.split(call))
+    assert result.exit_code == 2, result.output
+    assert isinstance(result.exception, SystemExit)
+    assert "Traceback" not in result.output
+    message = result.stderr.splitlines()[-1]
+    assert message.startswith("Error: ")
+    assert place in message
+    assert remedy in message
+    assert {path: path.read_bytes() for path in here.rglob("*") if path.is_file()} == before
+
+
+def test_remedies_of_a_urdf_work(here):
+    for call in (
+        "check cart.urdf log.csv --motors torque --no-preflight",
+        "check cart.urdf log.csv --motors position:20,1 --no-preflight",
+        "check cart.urdf log.csv --motors none --no-preflight",
+        "check unbolted.urdf log.csv --base fixed --motors torque --no-preflight",
+        "check model.xml free.csv --map 'ctrl.*=0' --no-preflight",
+    ):
+        arguments = shlex.split(call)
+        if "urdf" in call:  # its motor has the joint's name
+            arguments += ["--map", "ctrl.*=ctrl.push"] if "none" not in call else []
+        result = CliRunner().invoke(app, arguments)
+        assert result.exit_code == 0, (call, result.output)
+
+
+def test_findings_for_programs_have_the_documented_fields(here):
+    call = "diagnose model.xml log.csv --effect damping[rail] --json found.json --test log.csv --save-map used.toml"
+    result = CliRunner().invoke(app, shlex.split(call))
+    assert result.exit_code == 0, result.output
+    found = json.loads((here / "found.json").read_text())
+    assert found["schema"] == 1
+    assert found["verdict"] in ("nothing detected", "named", "ambiguous", "unexplained")
+    assert set(found["log"]) == {"source", "rows", "episodes", "dt", "matches", "notes", "test"}
+    assert found["log"]["rows"] == 59
+    assert found["log"]["test"] == "log.csv"
+    assert set(found["noise"]) == {"qpos.rail", "qvel.rail"}
+    guide = documented_fields()
+    assert set(found) == set(guide)
+    assert '"qpos.rail" = "qpos.rail"' in (here / "used.toml").read_text()
+    again = CliRunner().invoke(app, shlex.split("check model.xml log.csv --columns used.toml --no-preflight"))
+    assert again.exit_code == 0, again.output
+
+
+def documented_fields():
+    from pathlib import Path
+
+    text = (Path(__file__).parent.parent / "docs" / "user_guide" / "findings.rst").read_text()
+    return [line.strip().strip("`") for line in text.splitlines() if re.fullmatch("``[a-z]+``", line)]

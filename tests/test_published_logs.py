@@ -1,0 +1,89 @@
+"""The documented command for each published log reads it as it is."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from skat.cli import app
+
+GUIDE = Path(__file__).parent.parent / "docs" / "user_guide"
+COMMANDS = re.findall(r"^ +\$ skat (check .*)$", (GUIDE / "published_logs.rst").read_text(), re.MULTILINE)
+UR10 = [
+    f"{name}_joint" for name in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+]
+LEGS = [f"{leg}_{part}" for leg in ("FL", "FR", "RL", "RR") for part in ("hip", "thigh", "calf")]
+SO101 = ["shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper"]
+# The names in the guide, where the originals lie below $SKAT_DATA_HOME.
+ORIGINALS = {
+    "data_measured.csv": "pendulum/data_measured.csv",
+    "trajectory.csv": "double_pendulum/143339.csv.gz",
+    "multisine": "so101/multisine",
+    "traj_0.pt": "go2_air/traj_0.pt",
+    "ur10_exciting_trajectory.db3": "ur10_bag/ur10_exciting_trajectory.db3",
+    "measured.csv": "ricmonk/TVLQR_3xForward_170gm_asymmetricLoad.csv.gz",
+    "ricmonk.urdf": "ricmonk/ricmonk.urdf",
+}
+# Of each model: what is found in the log, in words of the output.
+FOUND = {
+    "pendulum.xml": "3999 rows of 0.00500",
+    "double_pendulum.xml": "4999 rows of 0.002 s",
+    "so101.xml": "5999 rows of 0.02006",
+    "go2.xml": "4697 rows of 0.00500",
+    "ur10.xml": "3440 rows of 0.008 s",
+    "ricmonk.urdf": "in 3 episodes",
+}
+
+
+def chain(joints, servo="motor", root=""):
+    """A model with a link and a motor for each joint."""
+    links = "".join(
+        f'<body pos="0 0 0.1"><joint name="{joint}"/><geom size="0.05" mass="1"/>' for joint in joints
+    )
+    motors = "".join(f'<{servo} name="{joint.removesuffix("_hinge")}" joint="{joint}"/>' for joint in joints)
+    body = f"{root}{links}{'</body>' * len(joints)}"
+    body = f"<body>{body}</body>" if root else body
+    return f"<mujoco><worldbody>{body}</worldbody><actuator>{motors}</actuator></mujoco>"
+
+
+MODELS = {
+    "pendulum.xml": chain(["hinge"]),
+    "double_pendulum.xml": chain(["shoulder", "elbow"]),
+    "so101.xml": chain(SO101, "position"),
+    "go2.xml": chain([f"{leg}_hinge" for leg in LEGS], "position", '<freejoint/><geom size="0.1"/>'),
+    "ur10.xml": chain(UR10),
+}
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    import os
+
+    home = os.environ.get("SKAT_DATA_HOME")
+    if not home:
+        pytest.skip("SKAT_DATA_HOME is not set: no measured data on this machine")
+    monkeypatch.chdir(tmp_path)
+    for name, original in ORIGINALS.items():
+        (tmp_path / name).symlink_to(Path(home, original))
+    for name, text in MODELS.items():
+        (tmp_path / name).write_text(text)
+    (tmp_path / "ricmonk.toml").write_text((GUIDE / "ricmonk.toml").read_text())
+    return tmp_path
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=[command.split()[1] for command in COMMANDS])
+def test_a_published_log_is_read_by_its_command(here, command):
+    if ".db3" in command:
+        pytest.importorskip("rosbags")
+    result = CliRunner().invoke(app, [*shlex.split(command), "--no-preflight"])
+    assert result.exit_code == 0, result.output
+    assert FOUND[shlex.split(command)[1]] in result.stdout
+    channels = [line for line in result.stdout.splitlines() if re.search(r"│ (qpos|qvel|ctrl)\.", line)]
+    assert len(channels) >= 3
+    assert not [line for line in channels if "not measured" in line and "│ qvel." not in line]
+
+
+def test_every_measured_log_of_an_arm_has_a_command():
+    assert sorted(command.split()[1] for command in COMMANDS) == sorted(FOUND)
