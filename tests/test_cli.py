@@ -1,5 +1,6 @@
 """The command line: what it prints, what it writes, and how it ends when the input is wrong."""
 
+import json
 import re
 import subprocess
 import sys
@@ -194,6 +195,35 @@ def test_extended_model_is_one_that_mujoco_loads(here):
     assert result.exit_code == 0, result.output
     damping = mujoco.MjModel.from_xml_path(str(here / "better.xml")).dof_damping
     np.testing.assert_allclose(np.ravel(damping)[0], 0.6, atol=0.02)
+
+
+CART_URDF = """<robot name="cart">
+  <link name="world"/>
+  <link name="cart">
+    <inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+  </link>
+  <joint name="rail" type="prismatic">
+    <parent link="world"/><child link="cart"/><axis xyz="1 0 0"/>
+    <limit lower="-100" upper="100" effort="20" velocity="9"/>
+  </joint>
+</robot>
+"""
+
+
+def test_a_urdf_in_gives_a_urdf_out_with_one_element_more(here):
+    (here / "cart.urdf").write_text(CART_URDF)
+    call = ("diagnose", "cart.urdf", "log.csv", "--motors", "torque", "--map", "ctrl.rail=ctrl.push")
+    result = skat(*call, "--effect", "damping[rail]", "--extended", "better.urdf", "--json", "found.json")
+    assert result.exit_code == 0, result.output
+    assert "Added a torque motor on rail; limits of effort: rail 20." in result.stdout
+    better = (here / "better.urdf").read_text()
+    value = float(re.search(r'<dynamics damping="([\d.]+)"/>', better)[1])
+    assert value == pytest.approx(0.6, abs=0.02)
+    assert re.sub(r"\s*<dynamics[^>]*>", "", better).split() == CART_URDF.split()
+    found = json.loads((here / "found.json").read_text())
+    assert found["causes"][0]["name"] == "damping[rail]"
+    assert found["causes"][0]["value"] == pytest.approx(value)
+    assert found["extended"] == "better.urdf"
 
 
 def test_a_second_report_gets_another_name_unless_one_is_given(here):

@@ -70,6 +70,7 @@ def fetch_double_pendulum(runs=None, *, data_home=None, download_if_missing=True
         groups : ndarray of shape (n_transitions,)
             Episode of each transition: a run, or what of it has no gap in time.
         group_names : list of str
+            Name of each episode.
         feature_names, target_names : list of str
             ``qpos.shoulder``, ``qpos.elbow``, ``qvel.shoulder``, ...; ``ctrl.shoulder``, ``ctrl.elbow``.
         hidden : list of str

@@ -55,6 +55,7 @@ def fetch_go2_air(*, data_home=None, download_if_missing=True):
         groups : ndarray of shape (n_transitions,)
             Episode of each transition: a run, or what of it has no gap in time.
         group_names : list of str
+            Name of each episode.
         feature_names, target_names : list of str
             ``qpos.<joint>``, ``qvel.<joint>``; ``ctrl.<motor>``; names as in MuJoCo Menagerie.
         hidden : list of str

@@ -71,6 +71,7 @@ def fetch_ricmonk(runs="no load", *, data_home=None, download_if_missing=True):
         groups : ndarray of shape (n_transitions,)
             Episode of each transition: a run, or what of it has no gap in time.
         group_names : list of str
+            Name of each episode.
         feature_names, target_names : list of str
             ``qpos.arm1``, ``qpos.tail``, ``qpos.phi``, ``qvel.arm1``, ...; ``ctrl.tail``, ``ctrl.phi``.
         hidden : list of str

@@ -56,6 +56,7 @@ def fetch_ur10(*, data_home=None, download_if_missing=True):
         groups : ndarray of shape (n_transitions,)
             Episode of each transition: a run, or what of it has no gap in time.
         group_names : list of str
+            Name of each episode.
         feature_names, target_names : list of str
             ``qpos.<joint>``, ``qvel.<joint>``; ``ctrl.<joint>``; joints as ROS calls them.
         hidden : list of str

@@ -121,7 +121,7 @@ def _read(model: Any) -> ModelSource:
         spec = _parsed(lambda: mujoco.MjSpec.from_string(model), "the MJCF text")
         return ModelSource(model) if _stands_alone(spec, model) else _source_of_spec(spec)
     path = Path(model)
-    if path.is_dir():
+    if str(model) and path.is_dir():
         return replace(_read(chosen := model_in_folder(path)), notes=(f"The model is {chosen}.",))
     if not path.is_file():
         raise FileNotFoundError(

@@ -259,8 +259,10 @@ def test_delay_of_a_sensor_is_kept_and_acts_on_nothing(tmp_path):
 
 
 @pytest.mark.parametrize("nothing", ["", Path("."), Path("/")])
-def test_no_model_is_no_model_file(nothing):
+def test_no_model_is_no_model_file(nothing, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     with pytest.raises(
-        FileNotFoundError, match=r"there is no model file '[./]?' .*give the path of an MJCF file"
+        FileNotFoundError,
+        match=r"there is no model file '' .*give the path of an MJCF or URDF file|there is no model in the folder [./]",
     ):
         MujocoSimulator(nothing)
