@@ -2,7 +2,7 @@
 
 Run from the root of the repository, on a quiet machine, some minutes::
 
-    OMP_NUM_THREADS=1 python benchmarks/speed.py > benchmarks/results/speed.txt     # and without the limit for wall time
+    OMP_NUM_THREADS=1 python benchmarks/speed.py > benchmarks/results/speed.txt
 
 Everything is the median of five runs, interleaved; CPU is that of the process, over all threads. ``--sizes`` takes some
 of the sizes. POT is ``ot.da.LinearTransport``, the floor the two products X'X and Y'Y.
