@@ -7,8 +7,8 @@ Run from the root of the repository::
     python benchmarks/experiments.py --small              # a cut of two minutes, for a look
 
 A robot's table is made in pieces, one for each seed, number of rows and world to carry from, which are kept in
-``--pieces`` and not made
-again, so that a run that was ended goes on where it was. Pieces of several runs at once may lie in one folder.
+``--pieces`` and not made again, so that a run that was
+ended goes on where it was. Pieces of several runs at once may lie in one folder.
 
 Each experiment writes ``benchmarks/results/experiments_<name>.csv``; the pucks' also
 ``experiments_puck_paper.csv``, in the columns of the paper, and a robot's ``experiments_<robot>_covariance.csv``,

@@ -11,8 +11,8 @@ from skat.metrics.samples import two_samples
 
 __all__ = ["Distances", "Support", "importance_weights"]
 
-# The quantile of one row in a hundred is known to a sixth of itself from as many rows.
-MOST_CALIBRATING_ROWS = 4000
+# The share of rows beyond what one in a hundred exceeds is known to a fifth of a point from as many.
+MOST_CALIBRATING_ROWS = 2000
 LEVELS = np.concatenate(
     [np.linspace(0.0, 0.9, 46), 1.0 - np.geomspace(0.1, 1.0 / MOST_CALIBRATING_ROWS, 128)[1:]]
 )
