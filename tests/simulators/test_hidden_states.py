@@ -146,8 +146,9 @@ def test_native_delays_are_mujocos(delay, interp):
         '<intvelocity name="a" joint="shoulder" kp="30" actrange="-1 1"/>',
         '<dcmotor name="a" joint="shoulder" motorconst="1" resistance="2" inductance=".05"/>',
         '<dcmotor name="a" joint="shoulder" motorconst="1" resistance="2"/>',
+        '<pid name="a" joint="shoulder" kp="30" ki="20" input="pos"/>',
     ],
-    ids=["timeconst", "filter", "muscle", "intvelocity", "inductance", "dcmotor"],
+    ids=["timeconst", "filter", "muscle", "intvelocity", "inductance", "dcmotor", "pid"],
 )
 def test_activations_are_carried_from_row_to_row(actuator):
     text = SERVO_ARM.partition("<actuator>")[0] + f"<actuator>{actuator}</actuator></mujoco>"
