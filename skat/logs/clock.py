@@ -107,6 +107,8 @@ class Piece:
         Place of each sample on the grid; None where values are to be interpolated.
     size : int
         Number of places.
+    spacing : float
+        Between places, s of the log's own clock.
     """
 
     name: str
@@ -115,6 +117,7 @@ class Piece:
     start: float
     slots: np.ndarray | None
     size: int
+    spacing: float
 
 
 def usual_step(times: np.ndarray, apart: np.ndarray, where: str) -> float:
@@ -222,6 +225,7 @@ def pieces(
                 start if snap else times[rows[0]],
                 slots if snap else None,
                 int(slots.max()) + 1,
+                dt,
             )
         )
     lost = sum(piece.size - len(piece.slots) for piece in found if piece.slots is not None)
@@ -288,10 +292,21 @@ def _samples_jitter(times, groups, placed, dt, moves):
     return lower > 0 and upper / lower > 0.5
 
 
-def resampled(found: list[Piece], dt: float, step: float) -> tuple[list[Piece], str]:
-    """Return the pieces on a grid of another step, and how: every so many rows, or interpolated."""
+def resampled(found: list[Piece], dt: float, step: float, *, same: bool = False) -> tuple[list[Piece], str]:
+    """Return the pieces on a grid of another step, and how: every so many rows, or interpolated.
+
+    Parameters
+    ----------
+    found : list of Piece
+    dt : float
+        Step of the log's clock, s.
+    step : float
+        Step of the grid, s.
+    same : bool, default=False
+        Whether the two are known to be the same, whatever the clock says.
+    """
     every = round(step / dt)
-    if every == 1 and abs(step / dt - 1) <= 1e-3:
+    if every == 1 and (same or abs(step / dt - 1) <= 1e-3):
         return [piece if piece.slots is not None else _regridded(piece, step) for piece in found], ""
     if (
         every >= 1
@@ -310,6 +325,7 @@ def resampled(found: list[Piece], dt: float, step: float) -> tuple[list[Piece], 
                     piece.start,
                     slots[kept] // every,
                     (piece.size - 1) // every + 1,
+                    piece.spacing * every,
                 )
             )
         return thinned, f"Every {every}th row is taken."
@@ -321,7 +337,7 @@ def resampled(found: list[Piece], dt: float, step: float) -> tuple[list[Piece], 
 def _regridded(piece, step):
     """Return a piece whose values are interpolated at another step, from its first sample on."""
     size = int((piece.times[-1] - piece.start) / step + ON_GRID) + 1
-    return replace(piece, slots=None, size=size)
+    return replace(piece, slots=None, size=size, spacing=step)
 
 
 def interpolated(

@@ -11,7 +11,7 @@ from skat.logs import clock
 from skat.logs.errors import LogError
 from skat.logs.log import Log, joined
 from skat.logs.mapping import checked_columns
-from skat.logs.matching import Plan, plan, simulator_inputs, with_lacking
+from skat.logs.matching import Plan, plan, simulator_inputs
 from skat.logs.readers import recording
 from skat.logs.streams import Recording, Stream
 from skat.logs.suspects import in_degrees
@@ -108,7 +108,7 @@ def load_log(
         simulator, welded = _welded(simulator, record)
         notes.append(welded)
     found = plan(record, simulator, told, units, topic, episodes)
-    found = _with_base(found, simulator, base, record)
+    _check_base(found, simulator, base, record)
     log = _timed(record, found, simulator, rate, notes)
     _check_degrees(log, found, record)
     return log
@@ -124,7 +124,7 @@ def _welded(simulator, record):
     return without_root(simulator), "The root is welded to the world where the model has it (base: fixed)."
 
 
-def _with_base(found: Plan, simulator, base, record) -> Plan:
+def _check_base(found: Plan, simulator, base, record):
     """Raise where a root's pose is lacking and nobody has said what it does."""
     roots = simulator_inputs(simulator).roots
     lacking = [name for name in roots if name in found.lacking]
@@ -136,7 +136,6 @@ def _with_base(found: Plan, simulator, base, record) -> Plan:
             "or name the columns.",
             options={"base": "fixed"},
         )
-    return with_lacking(found, found.lacking) if base == "free" else found
 
 
 def _timed(record: Recording, found: Plan, simulator, rate, notes) -> Log:
@@ -181,9 +180,14 @@ def _timed(record: Recording, found: Plan, simulator, rate, notes) -> Log:
         moves,
     )
     notes += said
-    simulator, step, said = _stepped(simulator, dt, rate, record, own)
+    simulator, step, said = _stepped(simulator, dt, rate, record)
     notes += said
-    own, how = clock.resampled(own, dt, step)
+    told = rate or record.rate
+    apart = abs(dt * told - 1) if told else np.inf
+    same = apart <= SAME_RATE
+    if same and apart > STEP_TOLERANCE:
+        notes.append(f"Rows are taken as {step:g} s apart, as told; the clock says {dt:.6g} s.")
+    own, how = clock.resampled(own, dt, step, same=same)
     notes += [how] if how else []
     own = [piece for piece in own if piece.size >= 2]
     grid, groups, errors = _grid(
@@ -241,7 +245,20 @@ def _states(record, found, data, n_states, names):
                 options={"columns": {name: "-" if name in names[:n_states] else "0"}},
             )
         states[name] = unit.applied(values)
+    _align(states)
     return states
+
+
+def _align(states):
+    """Give quaternions one sign from row to row, in place: between opposite ones nothing can be interpolated."""
+    for name in [name for name in states if name.startswith("qpos.") and name.endswith(".qw")]:
+        parts = [name[:-1] + part for part in "wxyz"]
+        if not all(part in states for part in parts) or len({len(states[part]) for part in parts}) > 1:
+            continue
+        turned = sum(states[part][1:] * states[part][:-1] for part in parts) < 0
+        if turned.any():
+            signs = np.cumprod(np.r_[1.0, np.where(turned, -1.0, 1.0)])
+            states |= {part: signs * states[part] for part in parts}
 
 
 def _is_number(cell):
@@ -350,18 +367,14 @@ def _step_without_clock(record, simulator, rate, found):
     )
 
 
-def _stepped(simulator, dt, rate, record, own):
+def _stepped(simulator, dt, rate, record):
     """Return (the simulator for rows of this log, their step in s, notes)."""
-    step, notes = dt, []
+    notes: list[str] = []
+    step = dt
     if rate is not None:
         step = 1 / rate
     elif record.rate is not None and abs(dt * record.rate - 1) < SAME_RATE:
         step = 1 / record.rate
-    if rate is not None and abs(step / dt - 1) <= SAME_RATE:
-        notes.append(f"Rows are taken as {step:g} s apart, as told; the clock says {dt:.6g}.") if abs(
-            step / dt - 1
-        ) > STEP_TOLERANCE else None
-        return *at_rate(simulator, step), notes
     if "frame_skip" not in simulator.get_params(deep=False):
         own_step = simulator.dt
         if own_step is None:
@@ -409,19 +422,19 @@ def _grid(record, found, data, states, own, kept, main, names, n_states, step, d
                 if column >= n_states:
                     _fill(part)
                 continue
-            at = piece.start + step * np.arange(piece.size)
+            at = piece.start + piece.spacing * np.arange(piece.size)
             if column >= n_states:
                 if place == main:
                     stamps, commands = piece.times, values[kept[piece.rows]]
                 else:
                     stamps, commands = times_of[place], values
-                part[:] = clock.held(stamps, commands, at, step)
+                part[:] = clock.held(stamps, commands, at, piece.spacing)
                 continue
             if place == main:
                 stamps, samples = piece.times, values[kept[piece.rows]]
             else:
                 stamps, samples = times_of[place], values
-            _interpolate(part, stamps, samples, at, step, dt, sums)
+            _interpolate(part, stamps, samples, at, piece.spacing, sums)
         if sums[1]:
             errors[name] = float(np.sqrt(sums[0] / sums[1]))
         del values
@@ -429,7 +442,7 @@ def _grid(record, found, data, states, own, kept, main, names, n_states, step, d
     return grid, groups, errors
 
 
-def _interpolate(part, stamps, samples, at, step, dt, sums):
+def _interpolate(part, stamps, samples, at, step, sums):
     """Write samples at the places of a grid, as they are where they were taken there, otherwise between them."""
     good = np.isfinite(samples) & np.isfinite(stamps)
     stamps, samples = stamps[good], samples[good]
@@ -451,7 +464,7 @@ def _interpolate(part, stamps, samples, at, step, dt, sums):
         rest = np.arange(len(at))
     if not len(rest):
         return
-    values, missed = clock.interpolated(stamps, samples[:, None], at, max(usual, dt if usual < dt else usual))
+    values, missed = clock.interpolated(stamps, samples[:, None], at, usual)
     part[rest] = values[:, 0]
     finite = np.isfinite(values[:, 0])
     sums[0] += float(np.sum(missed[finite, 0] ** 2))
@@ -500,10 +513,12 @@ def _log(record, found, simulator, grid, groups, own, errors, n_states, step, no
         del missing
         grid, groups, measured = grid[known], groups[known], measured[known]
         first = np.r_[True, groups[1:] != groups[:-1]][: len(groups)]
-        kept_times = np.concatenate([piece.start + step * np.arange(piece.size) for piece in own])[known]
+        kept_times = np.concatenate([piece.start + piece.spacing * np.arange(piece.size) for piece in own])[
+            known
+        ]
     else:
         kept_times = (
-            np.concatenate([piece.start + step * np.arange(piece.size) for piece in own])
+            np.concatenate([piece.start + piece.spacing * np.arange(piece.size) for piece in own])
             if own
             else np.empty(0)
         )
@@ -554,7 +569,7 @@ def _log(record, found, simulator, grid, groups, own, errors, n_states, step, no
 
 
 def _normalise(grid, groups, simulator):
-    """Give quaternions unit length and one sign along an episode, in place."""
+    """Give quaternions unit length, in place."""
     names = list(simulator.state_names)
     for column, name in enumerate(names):
         if not (name.startswith("qpos.") and name.endswith(".qw")):

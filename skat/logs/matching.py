@@ -1,7 +1,7 @@
 """Find out which column of a recording stands for which input of a simulator."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 from skat.logs.errors import LogError
@@ -644,8 +644,3 @@ def _leftovers(known, used, lacking):
 def _listed(names: Any, limit: int = 12) -> str:
     names = list(names)
     return ", ".join(names[:limit]) + (f", ... ({len(names)} in all)" if len(names) > limit else "")
-
-
-def with_lacking(found: Plan, names: tuple[str, ...]) -> Plan:
-    """Return the plan with other names that the log lacks."""
-    return replace(found, lacking=names)
