@@ -43,7 +43,7 @@ def skat(command):
 
 
 def test_readme_names_the_commands():
-    assert [command.split()[0] for command in COMMANDS] == ["effects", "preflight", "diagnose"]
+    assert [command.split()[0] for command in COMMANDS] == ["effects", "check", "preflight", "diagnose"]
 
 
 def test_effects_of_the_arm_are_listed(arm):
@@ -51,17 +51,22 @@ def test_effects_of_the_arm_are_listed(arm):
     assert "dry_friction[elbow]" in skat(COMMANDS[0])
 
 
+def test_check_of_the_log_says_how_it_is_read(arm):
+    arm(".", **QUICK)
+    assert "qpos.elbow" in skat(COMMANDS[1] + " --no-preflight")
+
+
 @pytest.mark.parametrize("log", LOGS)
 def test_preflight_of_the_log_shows_the_friction(arm, log):
     arm(".", **log)
-    assert "dry_friction[elbow]" in skat(COMMANDS[1] + " --effect dry_friction[elbow]" * bool(log))
+    assert "dry_friction[elbow]" in skat(COMMANDS[2] + " --effect dry_friction[elbow]" * bool(log))
 
 
 @pytest.mark.filterwarnings("ignore:The positions lag:UserWarning")
 @pytest.mark.parametrize("log", LOGS)
 def test_the_elbows_friction_is_named_and_written_into_a_model_for_plain_mujoco(arm, log):
     arm(".", **log)
-    assert "dry_friction[elbow]" in skat(COMMANDS[2] + " --effect dry_friction[elbow]" * bool(log))
+    assert "dry_friction[elbow]" in skat(COMMANDS[3] + " --effect dry_friction[elbow]" * bool(log))
     better = mujoco.MjModel.from_xml_path("better.xml")
     assert better.dof_frictionloss[better.joint("elbow").dofadr[0]] == pytest.approx(0.6, rel=0.1)
 

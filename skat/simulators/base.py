@@ -335,6 +335,10 @@ class Simulator(BaseEstimator, ABC):
         parameters["built_in"] = self._total(effects) or None
         return type(self)(**parameters)
 
+    def _lags(self, values: Mapping[str, float]) -> int:
+        """Return how many rows back the inputs act on a row."""
+        return 0
+
     @abstractmethod
     def _own_effects(self) -> tuple[Effect, ...]:
         """Return the effects other than those of sensors, whether or not some are built in."""

@@ -76,7 +76,7 @@ def test_processes_do_not_change_the_answer(log, alone, shared_calls):
 def test_cluster_does_not_change_the_answer(log, alone, shared_calls):
     distributed = pytest.importorskip("distributed")
     with (
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as cluster,
         distributed.Client(cluster),
         joblib.parallel_config(backend="dask"),
     ):

@@ -113,7 +113,7 @@ def test_partial_fit_takes_dask():
 def test_a_cluster_fits_an_array_larger_than_the_memory_of_any_worker():
     distributed = pytest.importorskip("distributed")
     limit = 320 * 2**20
-    settings = {"n_workers": 2, "threads_per_worker": 1, "memory_limit": limit, "dashboard_address": None}
+    settings = {"n_workers": 2, "threads_per_worker": 1, "memory_limit": limit, "dashboard_address": ":0"}
     with distributed.LocalCluster(processes=True, **settings) as cluster, distributed.Client(cluster):
         X = da.random.default_rng(0).normal(size=(850_000, 50), chunks=(50_000, 50))
         assert X.nbytes > limit
