@@ -14,6 +14,7 @@ from skat.gaussian import transport_map
 from skat.metrics import (
     affine_discrepancy_bound,
     affine_error_bound,
+    affinity_estimate,
     affinity_score,
     gaussian_wasserstein_distance,
     gelbrich_bound,
@@ -118,6 +119,13 @@ def test_exact_transport_of_too_many_rows_names_the_estimate_before_it_allocates
         assert tracemalloc.get_traced_memory()[1] < 100 * rows.nbytes
     finally:
         tracemalloc.stop()
+
+
+def test_score_of_too_many_rows_is_the_estimate():
+    X, y = np.random.default_rng(0).normal(size=(2, 40_000, 2))
+    transport = AffineTransport().fit(X, y)
+    expected = affinity_estimate(transport.transform(X), y, random_state=0).score
+    assert transport.score(X, y) == expected > 0.9
 
 
 @pytest.mark.parametrize(

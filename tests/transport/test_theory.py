@@ -5,8 +5,15 @@ import pytest
 import scipy.linalg
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sklearn.linear_model import LinearRegression
 
-from skat import AffineTransport, ConditionalAffineTransport, ProcrustesAffineTransport
+from skat import (
+    AffineTransport,
+    ConditionalAffineTransport,
+    IdentityTransport,
+    ProcrustesAffineTransport,
+    ResidualTransport,
+)
 from skat.gaussian import gaussian_wasserstein_distance, transport_map
 from skat.metrics.wasserstein import affinity, wasserstein_distance
 from tests.transport.reference import relative_error
@@ -253,3 +260,70 @@ def test_estimated_map_approaches_the_true_one_at_the_rate_of_the_square_root_of
 
     # Sixty repetitions know each mean error to about five per cent.
     assert error(200) / error(3200) == pytest.approx(4, rel=0.25)
+
+
+def test_a_noise_free_linear_simulation_is_carried_to_the_targets_mean_given_the_context():
+    rng = np.random.default_rng(0)
+    inputs, slope = rng.normal(size=(400, 3)), rng.normal(size=(3, 2))
+    X = np.hstack([inputs, inputs @ slope])
+    y = np.hstack([inputs, 1.2 * inputs @ slope + 0.05 * rng.normal(size=(400, 2))])
+    with pytest.warns(UserWarning, match=r"% of the target's variance cannot be reached"):
+        transport = ConditionalAffineTransport(context=3).fit(X, y)
+    best = LinearRegression().fit(inputs, y[:, 3:]).predict(inputs)
+    np.testing.assert_allclose(transport.transform(X)[:, 3:], best, atol=1e-9)
+    residual = np.square(y[:, 3:] - best).sum() / np.square(y[:, 3:] - y[:, 3:].mean(axis=0)).sum()
+    assert transport.unreached_ == pytest.approx(residual, rel=1e-6)
+
+
+@pytest.mark.parametrize("transport", [AffineTransport, ProcrustesAffineTransport])
+def test_what_can_be_reached_is_carried_and_the_rest_is_the_share_that_is_said(transport):
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(300, 2)) @ rng.normal(size=(2, 4))
+    y = X + 0.1 * rng.normal(size=X.shape)
+    with pytest.raises(np.linalg.LinAlgError, match='rank_deficient="reach"'):
+        transport().fit(X, y)
+    with pytest.warns(UserWarning, match="cannot be reached"):
+        fitted = transport(rank_deficient="reach").fit(X, y)
+    carried = fitted.transform(X)
+    assert fitted.rank_ == 2
+    assert 1 - carried.var(axis=0).sum() / y.var(axis=0).sum() == pytest.approx(fitted.unreached_, rel=1e-9)
+    # What is carried is part of the target: its covariance exceeds that of the carried rows in no direction.
+    least = np.linalg.eigvalsh(np.cov(y.T, bias=True) - np.cov(carried.T, bias=True))[0]
+    assert least > -1e-12
+
+
+def test_a_slope_drawn_to_the_sources_needs_fewer_rows_and_agrees_with_many():
+    rng = np.random.default_rng(0)
+    slope = rng.normal(size=(8, 3))
+
+    def world(n_rows, factor):
+        inputs = rng.normal(size=(n_rows, 8))
+        return np.hstack([inputs, factor * inputs @ slope + 0.3 * rng.normal(size=(n_rows, 3))])
+
+    X, test = world(2000, 1.0), rng.normal(size=(500, 8))
+    expected = 1.05 * test @ slope
+    errors = {}
+    for n_rows in (15, 5000):
+        y = world(n_rows, 1.05)
+        for shrinkage in (None, "source"):
+            fitted = ConditionalAffineTransport(context=8, shrinkage=shrinkage).fit(X, y)
+            carried = fitted.transform(np.hstack([test, test @ slope]))[:, 8:]
+            errors[n_rows, shrinkage] = np.linalg.norm(carried - expected, axis=1).mean()
+    assert errors[15, "source"] < 0.6 * errors[15, None]
+    assert errors[5000, "source"] == pytest.approx(errors[5000, None], rel=0.3)
+
+
+def test_a_residual_regression_bends_the_map_where_pairs_show_it_and_is_left_out_where_they_do_not():
+    rng = np.random.default_rng(0)
+    X, fresh = rng.normal(size=(2, 300, 2))
+
+    def bent(rows):
+        return rows + np.column_stack([np.sin(2 * rows[:, 0]), np.zeros(len(rows))])
+
+    plain, residual = (each.fit(X, bent(X)) for each in (ProcrustesAffineTransport(), ResidualTransport()))
+    errors = [np.abs(each.transform(fresh) - bent(fresh)).mean() for each in (plain, residual)]
+    assert errors[1] < 0.3 * errors[0]
+    # A transport that matches a noisy target's variance errs more than one that does not, which has nothing to mend.
+    nothing = ResidualTransport(IdentityTransport()).fit(X, X + rng.normal(size=X.shape))
+    assert nothing.weights_.max() < 0.5
+    assert np.abs(nothing.transform(fresh) - fresh).mean() < 0.1
