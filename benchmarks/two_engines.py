@@ -1,0 +1,147 @@
+"""The state-space engine beside the present one, on the same logs of worlds that share no code with either.
+
+python benchmarks/two_engines.py            # a line of JSON a case in results/two_engines.jsonl; resumes
+python benchmarks/two_engines.py --report   # prints the table
+python benchmarks/two_engines.py --present  # asks the present engine as well (slow)
+"""
+
+import argparse
+import json
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+from tables import source_hash
+from worlds.robots import make_log
+
+RESULTS = Path(__file__).parent / "results" / "two_engines.jsonl"
+CAUSES = {
+    "two_link": ({}, {"dry_friction[elbow]": 0.1}, {"mass[lower]": 1.15}, {"gain[shoulder]": 0.9}),
+    "cart_pole": ({}, {"mass[pole]": 1.2}, {"damping[slider]": 0.3}),
+    "torque_arm": ({}, {"mass[forearm]": 1.1}, {"damping[elbow]": 1.0}),
+    "hopper": ({}, {"mass[torso]": 1.1}, {"gain[leg_joint]": 0.9}),
+}
+SENSORS = ("ideal",)
+FORCES = (None, "white5", "white20", "memory20", "resonance20")
+SEEDS = range(9100, 9102)
+
+
+def cases():
+    """Yield (key, robot, truth, sensor, force, seed)."""
+    for seed in SEEDS:
+        for robot, truths in CAUSES.items():
+            for truth in truths:
+                for sensor in SENSORS:
+                    for force in FORCES:
+                        yield f"{robot} {truth} {sensor} {force} {seed}", robot, truth, sensor, force, seed
+
+
+def ask_state_space(simulator, log):
+    """Return what the state-space engine names."""
+    from skat.diagnosis.search import name_causes
+    from skat.diagnosis.statespace import state_space
+
+    episodes = np.unique(log.groups, return_inverse=True)[1]
+    space = state_space(simulator, log.X, log.y, episodes, consecutive=True)
+    named = name_causes(space, simulator.effects())
+    noise = np.sqrt(named.fitted.estimate.noise.error[: space.d])
+    return {
+        "values": named.values,
+        "intervals": named.intervals,
+        "worth": named.worth,
+        "settled": named.settled,
+        "noise": list(np.round(noise / log.sigma, 3)),
+        "memory": list(np.round(named.fitted.shares, 3)),
+    }
+
+
+def ask_present(simulator, log):
+    """Return what SimulationDiagnosis names."""
+    from skat.diagnosis import SimulationDiagnosis
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        diagnosis = SimulationDiagnosis(simulator, random_state=0, test_size=0.0).fit(
+            log.X, log.y, groups=log.groups
+        )
+    return {
+        "values": {cause.name: cause.value for cause in diagnosis.causes_},
+        "intervals": {cause.name: cause.interval for cause in diagnosis.causes_},
+        "verdict": diagnosis.verdict_,
+    }
+
+
+def run(engines, limit):
+    """Ask the engines about each case that has no line yet."""
+    from skat.simulators import MujocoSimulator
+
+    there = {(one["key"], one["engine"], one["source"]) for one in lines()}
+    source = source_hash()
+    for key, robot, truth, sensor, force, seed in list(cases())[:limit]:
+        for engine in engines:
+            if (key, engine, source) in there:
+                continue
+            log = make_log(robot, truth, sensor=sensor, force=force, seed=seed)
+            simulator = MujocoSimulator(log.mjcf, frame_skip=log.frame_skip)
+            start = time.process_time()
+            answer = {"state space": ask_state_space, "present": ask_present}[engine](simulator, log)
+            line = {
+                "key": key,
+                "engine": engine,
+                "source": source,
+                "robot": robot,
+                "truth": log.truth,
+                "force": force,
+            }
+            line |= {"seed": seed, "cpu_s": round(time.process_time() - start, 1), **answer}
+            with RESULTS.open("a") as file:
+                file.write(json.dumps(line, default=float) + "\n")
+
+
+def lines():
+    """Return the lines there are."""
+    return [json.loads(one) for one in RESULTS.read_text().splitlines()] if RESULTS.exists() else []
+
+
+def report():
+    """Print, for each engine and kind of force, how many logs were answered rightly."""
+    for engine in ("present", "state space"):
+        for force in FORCES:
+            chosen = [one for one in lines() if one["engine"] == engine and one["force"] == force]
+            if not chosen:
+                continue
+            clean = [one for one in chosen if not one["truth"]]
+            hidden = [one for one in chosen if one["truth"]]
+            alone = sum(set(one["values"]) == set(one["truth"]) for one in hidden)
+            among = sum(set(one["truth"]) <= set(one["values"]) for one in hidden)
+            covered = [
+                one["intervals"][name][0] <= value <= one["intervals"][name][1]
+                for one in hidden
+                for name, value in one["truth"].items()
+                if name in one["values"]
+            ]
+            alarms = sum(bool(one["values"]) for one in clean)
+            unexplained = sum(one.get("verdict") == "unexplained" for one in chosen)
+            seconds = np.median([one["cpu_s"] for one in chosen])
+            print(
+                f"{engine:12} {force!s:12} alone {alone}/{len(hidden)}  among {among}/{len(hidden)}  "
+                f"covered {sum(covered)}/{len(covered)}  alarms {alarms}/{len(clean)}  "
+                f"unexplained {unexplained}/{len(chosen)}  {seconds:.1f} s"
+            )
+    for one in lines():
+        print(
+            one["engine"], one["key"], {name: float(f"{value:.4g}") for name, value in one["values"].items()}
+        )
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--report", action="store_true")
+    parser.add_argument("--present", action="store_true")
+    parser.add_argument("--limit", type=int)
+    options = parser.parse_args()
+    if options.report:
+        report()
+    else:
+        run(["state space", "present"] if options.present else ["state space"], options.limit)
