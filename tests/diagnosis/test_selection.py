@@ -12,7 +12,7 @@ from skat.diagnosis.residuals import Linearisation, Residuals
 from skat.diagnosis.selection import Selection
 from skat.diagnosis.transitions import TransitionResiduals
 from skat.effects import Effect
-from skat.simulators import FunctionSimulator
+from skat.simulators import FunctionSimulator, MujocoSimulator
 from tests.diagnosis.cart_pole import make_simulator, measure
 
 
@@ -411,3 +411,44 @@ def test_scale_that_passes_for_noise_at_a_stop_is_judged_at_the_noise_it_leaves(
     assert (diagnosis.verdict_, cause.name) == ("named", "scale[place1]")
     low, high = cause.interval
     assert 0.95 < low < 0.96 < high < 0.97
+
+
+DRIVEN = """
+<mujoco>
+  <option timestep="0.01"/>
+  <worldbody>
+    <body name="arm">
+      <joint name="shoulder" type="hinge" axis="0 1 0" damping="0.2"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -0.5" size="0.03" mass="1"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="motor" joint="shoulder"/></actuator>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize("delay", [0.01, 0.02, 0.03, 0.05])
+def test_delay_is_sought_at_every_time_step_and_row(delay):
+    simulator = MujocoSimulator(DRIVEN, frame_skip=2)
+    rng = np.random.default_rng(0)
+    commands = rng.uniform(-1, 1, (4, 40, 1))
+    states = simulator.rollout(
+        rng.normal(size=(4, 2)), commands, n_steps=40, effects={"delay[action]": delay}
+    )
+    states = states + 1e-3 * rng.normal(size=states.shape)
+    X = np.concatenate([states[:, :-1], commands], axis=2).reshape(-1, 3)
+    log = check_log(simulator, X, states[:, 1:].reshape(-1, 2), np.repeat(np.arange(4), 40))
+    selection = selection_by(TransitionResiduals(simulator, log, simulator.effects()))
+    line = selection.estimates.linearised({})
+    (found,) = selection.proposals.elsewhere({"delay[action]": 0.004}, ["delay[action]"])
+    assert found["delay[action]"] == pytest.approx(delay, rel=1e-9)
+    first = screen(
+        grams(line.residuals, line.derivatives, selection.estimates.clusters(len(line.names))),
+        line.names,
+        {},
+        selection.effects,
+        [],
+    )
+    models = next(selection.proposals.further({}, first, far_off=False, some_far_off=False))
+    (started,) = (model["delay[action]"] for model in models if "delay[action]" in model)
+    assert started == pytest.approx(delay, rel=1e-3)
