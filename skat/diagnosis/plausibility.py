@@ -300,8 +300,8 @@ def _lagging(simulator, log, hidden):
 
     What velocities that are late by a time sum up to lacks this time times their change. Their noise does not bias the
     ratio of the two: the change is the difference of its ends', the sum holds the sum of both. Errors in proportion to
-    the sum, and constant ones, are other sensors' faults and regressed out. The simulation's own integrator may take the
-    velocity at the end of a time step h for that of the step, so that its velocities are ahead by h / 2 (semi-implicit
+    the sum, and constant ones, are other sensors' faults and regressed out. The simulation's own integrator may take
+    the velocity at the end of a time step h for that of the step, so that its velocities lag by h / 2 (semi-implicit
     Euler). Reality has finer steps, or the same: any lag between none and the simulation's own is right.
     """
     pairs, dt = np.array(_motions(simulator, hidden)), simulator.dt
@@ -353,8 +353,8 @@ def _lagging(simulator, log, hidden):
             "filtered, or name them in hidden=, so that the positions alone tell."
             if lag > 0
             else f"The positions lag the velocities by {size}, as if a filter or another clock delayed them: that "
-            "passes for effects that the robot does not have. Log positions and velocities at the same moments, or move "
-            "the velocities back by that time."
+            "passes for effects that the robot does not have. Log positions and velocities at the same moments, or "
+            "move the velocities back by that time."
         )
 
 

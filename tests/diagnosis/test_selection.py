@@ -1,5 +1,7 @@
 """Which causes are kept and exchanged."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from sklearn.utils import check_random_state
@@ -8,6 +10,7 @@ from skat.diagnosis import SimulationDiagnosis
 from skat.diagnosis.aliases import _rivals
 from skat.diagnosis.evidence import grams, screen
 from skat.diagnosis.log import check_log
+from skat.diagnosis.refits import Fit
 from skat.diagnosis.residuals import Linearisation, Residuals
 from skat.diagnosis.selection import Selection
 from skat.diagnosis.transitions import TransitionResiduals
@@ -411,6 +414,23 @@ def test_scale_that_passes_for_noise_at_a_stop_is_judged_at_the_noise_it_leaves(
     assert (diagnosis.verdict_, cause.name) == ("named", "scale[place1]")
     low, high = cause.interval
     assert 0.95 < low < 0.96 < high < 0.97
+
+
+def test_ties_are_ordered_by_odds_then_as_listed_and_never_by_rounding(simulator):
+    selection = selection_of(simulator, {})
+    losses = {"hinge": 9.9, "gain": 10.0, "drag": 10.0 + 1e-9, "pole": 20.0, "bob": 20.5, "gravity": 12.0}
+    selection.names = ["gravity", "bob", "pole", "gain", "drag", "hinge"]
+    odds = {"hinge": 0.2}
+    selection.effects = {
+        name: replace(effect, odds=odds.get(name, 1.0)) for name, effect in selection.effects.items()
+    }
+    for sign in (-1e-7, 1e-7):
+        fits = [
+            Fit({"kept": 1.0, name: 2.0}, np.array([loss + sign * k]))
+            for k, (name, loss) in enumerate(losses.items())
+        ]
+        ranked = [list(fit.values)[1] for fit in selection._ranked(fits, {"kept": 1.0})]
+        assert ranked == ["gain", "drag", "hinge", "gravity", "bob", "pole"]
 
 
 DRIVEN = """
