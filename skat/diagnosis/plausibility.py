@@ -300,8 +300,9 @@ def _lagging(simulator, log, hidden):
 
     What velocities that are late by a time sum up to lacks this time times their change. Their noise does not bias the
     ratio of the two: the change is the difference of its ends', the sum holds the sum of both. Errors in proportion to
-    the sum, and constant ones, are other sensors' faults and regressed out, as is what the simulation's own integrator
-    does, which may take a velocity at the end of a step for that of the step.
+    the sum, and constant ones, are other sensors' faults and regressed out. The simulation's own integrator may take
+    the velocity at the end of a time step h for that of the step, so that its velocities lag by h / 2 (semi-implicit
+    Euler). Reality has finer steps, or the same: any lag between none and the simulation's own is right.
     """
     pairs, dt = np.array(_motions(simulator, hidden)), simulator.dt
     starts = np.flatnonzero(log.steps % ROWS_SUMMED == 0)
@@ -323,31 +324,37 @@ def _lagging(simulator, log, hidden):
     pairs, own = pairs[sums_up], own[sums_up]
     first, last = log.X[starts], log.y[starts + ROWS_SUMMED - 1]
     rows = starts[:, None] + np.arange(ROWS_SUMMED)
-    numerators, denominators = np.zeros(len(starts)), np.zeros(len(starts))
+    numerators, denominators = np.zeros((2, len(starts))), np.zeros(len(starts))
     for (position, velocity), by_itself in zip(pairs, own):
         change = last[:, velocity] - first[:, velocity]
         summed = dt * (log.X[rows, velocity].sum(axis=1) + change / 2)
-        missed = last[:, position] - first[:, position] - summed - by_itself * change
+        missed = last[:, position] - first[:, position] - summed
         others = np.stack([np.ones(len(starts)), summed / max(np.abs(summed).max(), 1e-300)], axis=1)
         fitted = np.linalg.lstsq(others, np.stack([missed, change], axis=1), rcond=None)[0]
         missed, change = (np.stack([missed, change], axis=1) - others @ fitted).T
-        size = 1.4826 * np.median(np.abs(missed))
+        # Beside a world with steps as fine as can be, and beside one with those of the simulation.
+        beside = missed - np.array([[0.0], [by_itself]]) * change
+        size = 1.4826 * np.median(np.abs(beside), axis=1).min()
         if size > 0:
-            numerators += np.clip(missed / size, -LARGEST_MISS, LARGEST_MISS) * change / size
+            numerators += np.clip(beside / size, -LARGEST_MISS, LARGEST_MISS) * change / size
             denominators += (change / size) ** 2
     if not denominators.any():
         return
-    lag = numerators.sum() / denominators.sum()
-    error = np.linalg.norm(numerators - lag * denominators) / denominators.sum()
-    if abs(lag) > max(PLAIN_LAG * error, LEAST_LAG * dt):
+    lags = numerators.sum(axis=1) / denominators.sum()
+    errors = np.linalg.norm(numerators - lags[:, None] * denominators, axis=1) / denominators.sum()
+    nearest = int(np.argmin(np.abs(lags)))
+    lag, error = lags[nearest], errors[nearest]
+    same_side = bool(np.all(lags > 0) or np.all(lags < 0))
+    if same_side and abs(lag) > max(PLAIN_LAG * error, LEAST_LAG * dt):
         size = f"about {abs(lag):.2g} s ({abs(100 * lag / dt):.0f} % of a row)"
         yield (
             f"The velocities lag the positions by {size}, as if a low-pass filter had made them: that passes for a "
             "delay of the commands, or for other effects, that the robot does not have. Log velocities that are not "
-            "filtered, or name them in hidden=."
+            "filtered, or name them in hidden=, so that the positions alone tell."
             if lag > 0
             else f"The positions lag the velocities by {size}, as if a filter or another clock delayed them: that "
-            "passes for effects that the robot does not have."
+            "passes for effects that the robot does not have. Log positions and velocities at the same moments, or "
+            "move the velocities back by that time."
         )
 
 

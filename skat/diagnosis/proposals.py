@@ -29,6 +29,8 @@ ROWS_OF_GRID = 72
 # A sixth of the rows says which values deserve all of them: one of so many.
 ROUGH_SHARE = 6
 GRID_SHARE = 8
+# Of the losses of many models, so many models are simulated at a time.
+AT_A_TIME = 32
 
 
 class Proposals:
@@ -42,6 +44,7 @@ class Proposals:
     def __init__(self, estimates):
         self.residuals, self.refits, self.effects = estimates.residuals, estimates.refits, estimates.effects
         self.n_screened = len(estimates.names)
+        self.time_step = self.residuals.simulator.time_step
         # Effects that change nothing anywhere in their range.
         self.dead: set[str] = set()
 
@@ -78,18 +81,34 @@ class Proposals:
             yield self._contenders(values, steps + grid)
 
     def _steps(self, values, first, least_p_value):
-        """Return linear steps {name: value} of the effects worth a refit, whole and shortened.
+        """Return linear steps {name: value} of the effects worth a refit, whole and shortened, and a delay's places.
 
         Where an effect bends, as at impacts, the whole of a linear step may overshoot.
         """
         worth = (first.gains > 0) & (first.p_values < least_p_value)
         order = [k for k in np.argsort(first.gains)[::-1] if worth[k] and first.names[k] not in values]
         telling = [k for k in np.argsort(first.p_values) if worth[k] and first.names[k] not in values]
-        return [
+        steps = [
             {first.names[k]: float(self.effects[first.names[k]].neutral + share * first.moves[k])}
             for k in dict.fromkeys(order[:SHORTLIST] + telling[:3])
             for share in SHARES_OF_STEP
         ]
+        late = [first.names[k] for k in range(len(first.names)) if first.p_values[k] < least_p_value]
+        return steps + [
+            {name: place} for name in late if name not in values for place in self._places(self.effects[name])
+        ]
+
+    def _places(self, effect):
+        """Return the values of a delay at which its derivative jumps, all of them starts: whole time steps, and rows.
+
+        A descent does not leave the time step that it begins in: the loss has a minimum of its own in each, where
+        commands change from row to row.
+        """
+        if effect.family != "delay" or not self.time_step:
+            return []
+        n_places = int(effect.bounds[1] / self.time_step + 1e-9)
+        places = (place * self.time_step for place in range(1, n_places + 1))
+        return [min(place, effect.bounds[1]) for place in places]
 
     def _grid(self, values, names):
         """Return the best starting values over the whole range of every effect: far off, a derivative misleads."""
@@ -186,19 +205,24 @@ class Proposals:
         """Return for each of the effects the best model that has it at quite another value."""
         best = []
         for name in names:
-            models = [{**values, name: point} for point in _points(self.effects[name])]
+            points = _points(self.effects[name]) + self._places(self.effects[name])
+            models = [{**values, name: point} for point in points if point != values.get(name)]
             if models:
                 best.append(models[int(np.argmin(self._losses(models)))])
         return best
 
     def _losses(self, models):
-        return [self.refits.losses(one).sum() for one in self.refits.whitened(models)]
+        return [
+            self.refits.losses(one).sum()
+            for first in range(0, len(models), AT_A_TIME)
+            for one in self.refits.whitened(models[first : first + AT_A_TIME])
+        ]
 
 
 def _points(effect, factors=FACTORS):
     """Return values over the whole range of an effect."""
     if effect.is_factor:
-        points = [*factors, 0.0, -1.0] if effect.bounds[0] < 0 else factors
+        points = [*factors, 0.0, -1.0] if effect.bounds[0] < 0 else list(factors)
     else:
         points = [effect.neutral + share * (end - effect.neutral) for share in GRID for end in effect.bounds]
     low, high = effect.bounds

@@ -250,8 +250,7 @@ class Selection:
         doubtful: list[Fit] = []
         for models in self.proposals.further(values, first, far_off=far_off, some_far_off=some_far_off):
             fits = self.refits.fit(models, race=True)
-            for index in np.argsort([fit.loss for fit in fits]):
-                fit = fits[index]
+            for fit in self._ranked(fits, values):
                 (new,) = set(fit.values) - set(values)
                 screened = min(first.p_values[first.names.index(new)], fall_p_value(present, fit.losses))
                 p_value = min(
@@ -278,6 +277,23 @@ class Selection:
         if found is not None:
             self.refused = None
         return found
+
+    def _ranked(self, fits, values):
+        """Return fits with a further effect, best first; tied ones by the odds of their effects, then as listed.
+
+        They are tied within what an exchange must be worth, so that none undoes the order; rounding decides nothing.
+        """
+        left, ranked = list(fits), []
+        while left:
+            best = min(fit.loss for fit in left)
+            tied = [fit for fit in left if fit.loss <= best + WORTH_AN_EXCHANGE]
+            tied.sort(key=lambda fit: self._rank(*(fit.values.keys() - values.keys())))
+            ranked += tied
+            left = [fit for fit in left if fit.loss > best + WORTH_AN_EXCHANGE]
+        return ranked
+
+    def _rank(self, name):
+        return -self.effects[name].odds, self.names.index(name)
 
     def _at_its_own_noise(self, fit, values, line):
         """Return the values of a model with a further effect that stands at the noise which it leaves, else None."""

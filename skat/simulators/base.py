@@ -59,6 +59,11 @@ class Simulator(BaseEstimator, ABC):
         return tuple(name for name in self.state_names if self.units.get(name) in ("rad", "rad/s"))
 
     @property
+    def time_step(self) -> float | None:
+        """Time within which commands that come late change in a straight line, s; None for one-shot simulations."""
+        return self.dt
+
+    @property
     def command_limits(self) -> dict[str, tuple[float, float]]:
         """Range that the simulation clips an input to, by name of the input."""
         return {}

@@ -168,7 +168,12 @@ class MujocoSimulator(Simulator):
     @property
     def dt(self) -> float:  # type: ignore[override]
         """Duration of a transition, s."""
-        return self.frame_skip * float(self._nominal.opt.timestep)
+        return self.frame_skip * self.time_step
+
+    @property
+    def time_step(self) -> float:
+        """Of the model, s."""
+        return float(self._nominal.opt.timestep)
 
     def residual(self, y: ArrayLike, prediction: ArrayLike) -> Array:
         """Return the difference "y minus prediction" in the tangent space of the prediction.

@@ -284,6 +284,17 @@ def test_velocities_of_a_filter_are_noticed_with_their_lag(simulator, seed):
     assert abs(share - 100 * 0.3 / 0.7) < 10
 
 
+@pytest.mark.parametrize("finer", [1, 2, 10])
+def test_finer_steps_of_reality_are_no_lag_and_hide_none(simulator, finer):
+    text = ARM.replace('timestep="0.01"', f'timestep="{0.01 / finer}"')
+    states, torques = swung(MujocoSimulator(text, frame_skip=2 * finer), 0)
+    assert doubts_about(simulator, states, torques) == []
+    for row in range(1, 51):
+        states[:, row, 1] = 0.3 * states[:, row - 1, 1] + 0.7 * states[:, row, 1]
+    (doubt,) = doubts_about(simulator, states, torques)
+    assert doubt.startswith("The velocities lag the positions by about")
+
+
 @pytest.mark.parametrize(
     "effects",
     [{"delay[action]": 0.01}, {"scale[qvel.shoulder]": 1.2, "bias[qvel.shoulder]": 0.3}, {"mass[all]": 1.5}],

@@ -1,5 +1,7 @@
 """Which causes are kept and exchanged."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from sklearn.utils import check_random_state
@@ -8,11 +10,12 @@ from skat.diagnosis import SimulationDiagnosis
 from skat.diagnosis.aliases import _rivals
 from skat.diagnosis.evidence import grams, screen
 from skat.diagnosis.log import check_log
+from skat.diagnosis.refits import Fit
 from skat.diagnosis.residuals import Linearisation, Residuals
 from skat.diagnosis.selection import Selection
 from skat.diagnosis.transitions import TransitionResiduals
 from skat.effects import Effect
-from skat.simulators import FunctionSimulator
+from skat.simulators import FunctionSimulator, MujocoSimulator
 from tests.diagnosis.cart_pole import make_simulator, measure
 
 
@@ -411,3 +414,61 @@ def test_scale_that_passes_for_noise_at_a_stop_is_judged_at_the_noise_it_leaves(
     assert (diagnosis.verdict_, cause.name) == ("named", "scale[place1]")
     low, high = cause.interval
     assert 0.95 < low < 0.96 < high < 0.97
+
+
+def test_ties_are_ordered_by_odds_then_as_listed_and_never_by_rounding(simulator):
+    selection = selection_of(simulator, {})
+    losses = {"hinge": 9.9, "gain": 10.0, "drag": 10.0 + 1e-9, "pole": 20.0, "bob": 20.5, "gravity": 12.0}
+    selection.names = ["gravity", "bob", "pole", "gain", "drag", "hinge"]
+    odds = {"hinge": 0.2}
+    selection.effects = {
+        name: replace(effect, odds=odds.get(name, 1.0)) for name, effect in selection.effects.items()
+    }
+    for sign in (-1e-7, 1e-7):
+        fits = [
+            Fit({"kept": 1.0, name: 2.0}, np.array([loss + sign * k]))
+            for k, (name, loss) in enumerate(losses.items())
+        ]
+        ranked = [list(fit.values)[1] for fit in selection._ranked(fits, {"kept": 1.0})]
+        assert ranked == ["gain", "drag", "hinge", "gravity", "bob", "pole"]
+
+
+DRIVEN = """
+<mujoco>
+  <option timestep="0.01"/>
+  <worldbody>
+    <body name="arm">
+      <joint name="shoulder" type="hinge" axis="0 1 0" damping="0.2"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -0.5" size="0.03" mass="1"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="motor" joint="shoulder"/></actuator>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize("delay", [0.01, 0.02, 0.03, 0.05])
+def test_delay_is_sought_at_every_time_step_and_row(delay):
+    simulator = MujocoSimulator(DRIVEN, frame_skip=2)
+    rng = np.random.default_rng(0)
+    commands = rng.uniform(-1, 1, (4, 40, 1))
+    states = simulator.rollout(
+        rng.normal(size=(4, 2)), commands, n_steps=40, effects={"delay[action]": delay}
+    )
+    states = states + 1e-3 * rng.normal(size=states.shape)
+    X = np.concatenate([states[:, :-1], commands], axis=2).reshape(-1, 3)
+    log = check_log(simulator, X, states[:, 1:].reshape(-1, 2), np.repeat(np.arange(4), 40))
+    selection = selection_by(TransitionResiduals(simulator, log, simulator.effects()))
+    line = selection.estimates.linearised({})
+    (found,) = selection.proposals.elsewhere({"delay[action]": 0.004}, ["delay[action]"])
+    assert found["delay[action]"] == pytest.approx(delay, rel=1e-9)
+    first = screen(
+        grams(line.residuals, line.derivatives, selection.estimates.clusters(len(line.names))),
+        line.names,
+        {},
+        selection.effects,
+        [],
+    )
+    models = next(selection.proposals.further({}, first, far_off=False, some_far_off=False))
+    (started,) = (model["delay[action]"] for model in models if "delay[action]" in model)
+    assert started == pytest.approx(delay, rel=1e-3)
