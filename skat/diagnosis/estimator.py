@@ -44,7 +44,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
     simulator : Simulator
         A `MujocoSimulator`, a `FunctionSimulator`, or what `make_simulator` returns.
     effects : "all" or list of str, default="all"
-        Names of the effects that may be found, of those in ``simulator.effects()``.
+        Names of the effects that may be found, of those in ``simulator.effects(also="all")``; "all" are those in
+        ``simulator.effects()``.
     noise : "estimate" or array-like of shape (n_residuals,), default="estimate"
         Standard deviation of the measurement noise of each channel, in the channel's unit; by default estimated.
     alpha : float, default=0.01
@@ -343,8 +344,9 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             )
 
     def _chosen_effects(self):
-        known = {effect.name: effect for effect in self.simulator.effects()}
+        known = {effect.name: effect for effect in self.simulator.effects(also="all")}
         if isinstance(self.effects, str) and self.effects == "all":
+            known = {effect.name: effect for effect in self.simulator.effects()}
             return [effect for effect in known.values() if not self._senses_hidden(effect)]
         named = [self.effects] if isinstance(self.effects, str | Effect) else list(self.effects)
         names = [effect.name if isinstance(effect, Effect) else effect for effect in named]

@@ -275,7 +275,7 @@ def derivatives(
         For each effect, two values between which the slope is taken; one of them may be that in `values`.
     """
     simulator, rows, base = space.simulator, space.rows(linear.path), linear.outputs
-    neutral = {effect.name: effect.neutral for effect in simulator.effects()}
+    neutral = {effect.name: effect.neutral for effect in simulator.effects(also="all")}
     safe = _finite(base, linear.path[:, 1:][space.places])
     columns = np.zeros((len(rows), space.d, len(steps)))
     names = list(steps)

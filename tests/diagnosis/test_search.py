@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from skat.diagnosis import SimulationDiagnosis
 from skat.diagnosis.search import name_causes
 from skat.diagnosis.statespace import linearise, state_space
 from skat.simulators import MujocoSimulator
@@ -107,3 +108,10 @@ def test_slopes_and_means_are_those_of_the_simulation(simulator):
     pushed = simulator.predict(rows, effects={"force[elbow]": 1e-3})
     carried = linear.chains.carrier[space.places][..., 1] * 1e-3
     np.testing.assert_allclose(pushed - linear.outputs, carried, rtol=1e-4, atol=1e-8)
+
+
+def test_effects_that_are_listed_when_asked_for_can_be_sought(simulator):
+    X, _, groups = measured(NOMINAL, 4, rows=40)
+    names = ["lag[elbow]", "payload[lower]", "damping[elbow]"]
+    diagnosis = SimulationDiagnosis(simulator, effects=names)
+    assert set(diagnosis.preflight(X, groups).index) == set(names)

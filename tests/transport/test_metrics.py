@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from skat import ExactTransport
+from skat import AffineTransport, ExactTransport
 from skat.gaussian import gaussian_wasserstein_distance as distance_of_moments
 from skat.gaussian import transport_map
 from skat.metrics import (

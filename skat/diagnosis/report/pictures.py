@@ -76,7 +76,7 @@ def cause_picture(diagnosis):
         return None
 
     def draw(figure):
-        neutral = {effect.name: effect.neutral for effect in diagnosis.simulator.effects()}
+        neutral = {effect.name: effect.neutral for effect in diagnosis.simulator.effects(also="all")}
         axes = figure.subplots()
         CauseDisplay.from_causes(diagnosis.causes_, neutral=neutral, ax=axes)
         axes.grid(False)

@@ -50,7 +50,7 @@ def verdict_sentences(diagnosis, comparisons):
         )
         if diagnosis.refused_ is not None:
             name, value = diagnosis.refused_
-            unit = {effect.name: effect.unit for effect in diagnosis.simulator.effects()}[name]
+            unit = {effect.name: effect.unit for effect in diagnosis.simulator.effects(also="all")}[name]
             size = f"{value:.3g} {unit}".removesuffix(" 1")
             sentences.insert(
                 1,
