@@ -13,10 +13,10 @@ from skat.effects import Effect
 
 # A path stands still when it moves by less than this share of what is not known of it.
 STILL = 0.1
-# Memories of random forces that are tried, in rows; of at most this share of a chain, so that what is steady stays a
+# Memories of random forces that are tried, in rows; of at most this share of an episode, so that what is steady stays a
 # cause; and what each of their numbers must be worth, in nats.
-MEMORIES = (2.0, 5.0, 12.0, 30.0)
-SHARE_OF_CHAIN = 0.2
+MEMORIES = (2.0, 5.0, 10.0, 20.0, 40.0)
+SHARE_OF_EPISODE = 0.1
 MEMORY_WORTH = 2.0
 FEWEST_FOR_MEMORY = 10
 
@@ -115,7 +115,7 @@ def _with_best_memory(
     plain = _without_memory(noise, space.d, n_forces)
     without = best = estimate_noise(linear.chains, plain, space.real, floor=floor)
     found = np.zeros(0)
-    longest = space.real.shape[1] * SHARE_OF_CHAIN
+    longest = SHARE_OF_EPISODE * np.unique(space.groups, return_counts=True)[1].max()
     for rows in MEMORIES:
         if rows > longest:
             continue
