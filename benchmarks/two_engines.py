@@ -22,8 +22,10 @@ CAUSES = {
     "torque_arm": ({}, {"mass[forearm]": 1.1}, {"damping[elbow]": 1.0}),
     "hopper": ({}, {"mass[torso]": 1.1}, {"gain[leg_joint]": 0.9}),
 }
-SENSORS = ("ideal",)
+SENSORS = ("ideal", "differences", "lowpass10", "zero_phase", "positions", "encoder")
 FORCES = (None, "white5", "white20", "memory20", "resonance20")
+# Every force with ideal sensors, every other sensor without one.
+PAIRS = [*(("ideal", force) for force in FORCES), *((sensor, None) for sensor in SENSORS[1:])]
 SEEDS = range(9100, 9102)
 
 
@@ -32,18 +34,23 @@ def cases():
     for seed in SEEDS:
         for robot, truths in CAUSES.items():
             for truth in truths:
-                for sensor in SENSORS:
-                    for force in FORCES:
-                        yield f"{robot} {truth} {sensor} {force} {seed}", robot, truth, sensor, force, seed
+                for sensor, force in PAIRS:
+                    yield f"{robot} {truth} {sensor} {force} {seed}", robot, truth, sensor, force, seed
 
 
 def ask_state_space(simulator, log):
     """Return what the state-space engine names."""
     from skat.diagnosis.search import name_causes
     from skat.diagnosis.statespace import state_space
+    from skat.diagnosis.velocities import computed_velocities
 
     episodes = np.unique(log.groups, return_inverse=True)[1]
-    space = state_space(simulator, log.X, log.y, episodes, consecutive=True)
+    X, y = log.X.copy(), log.y.copy()
+    computed = computed_velocities(simulator, X, y, log.groups)
+    for name in computed:
+        X[:, simulator.input_names.index(name)] = np.nan
+        y[:, simulator.output_names.index(name)] = np.nan
+    space = state_space(simulator, X, y, episodes, consecutive=True)
     named = name_causes(space, simulator.effects())
     noise = np.sqrt(named.fitted.estimate.noise.error[: space.d])
     return {
@@ -51,6 +58,7 @@ def ask_state_space(simulator, log):
         "intervals": named.intervals,
         "worth": named.worth,
         "settled": named.settled,
+        "computed": computed,
         "noise": list(np.round(noise / log.sigma, 3)),
         "memory": list(np.round(named.fitted.shares, 3)),
     }
@@ -107,8 +115,12 @@ def lines():
 def report():
     """Print, for each engine and kind of force, how many logs were answered rightly."""
     for engine in ("present", "state space"):
-        for force in FORCES:
-            chosen = [one for one in lines() if one["engine"] == engine and one["force"] == force]
+        for sensor, force in PAIRS:
+            chosen = [
+                one
+                for one in lines()
+                if (one["engine"], one["sensor"], one["force"]) == (engine, sensor, force)
+            ]
             if not chosen:
                 continue
             clean = [one for one in chosen if not one["truth"]]
@@ -125,7 +137,7 @@ def report():
             unexplained = sum(one.get("verdict") == "unexplained" for one in chosen)
             seconds = np.median([one["cpu_s"] for one in chosen])
             print(
-                f"{engine:12} {force!s:12} alone {alone}/{len(hidden)}  among {among}/{len(hidden)}  "
+                f"{engine:12} {sensor:12} {force!s:12} alone {alone}/{len(hidden)}  among {among}/{len(hidden)}  "
                 f"covered {sum(covered)}/{len(covered)}  alarms {alarms}/{len(clean)}  "
                 f"unexplained {unexplained}/{len(chosen)}  {seconds:.1f} s"
             )
