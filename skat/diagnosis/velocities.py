@@ -37,8 +37,8 @@ def is_computed(positions: Array, velocities: Array, episodes: Array) -> bool:
     Returns
     -------
     bool
-        False also where too few rows leave it open. Where positions have no noise, either answer may come: they then tell
-        what the velocity would.
+        False also where too few rows leave it open. Where positions have no noise, either answer may come: they then
+        tell what the velocity would.
 
     Examples
     --------
