@@ -27,6 +27,8 @@ from skat.diagnosis.filtering import (
     student_log_density,
 )
 
+# Of the variance of a chain's first state: finer than any sensor, and well above the rounding of a covariance.
+FINEST = 1e-13
 DEGREES_OF_FREEDOM = (np.inf, 10.0, 5.0, 3.0)
 
 
@@ -142,7 +144,7 @@ def estimate_noise(
     Estimate
         The last pass has the states' covariances.
     """
-    floor = np.maximum(floor, 1e-18 * chains.prior)
+    floor = np.maximum(floor, FINEST * chains.prior)
     best = passed(chains, noise, real)
     exponent, gain = 1.0, np.inf
     for _ in range(n_passes):

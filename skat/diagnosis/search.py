@@ -13,6 +13,8 @@ from skat.diagnosis.statespace import StateSpace
 from skat.effects import Effect
 
 LARGEST_SET = 40
+# Families that act on what a sensor reads, and so on nothing where it was not read.
+SENSORS = ("bias", "scale", "lag")
 # Relinearisations; a set that moves by less than this share of its standard errors stands still.
 TURNS = 8
 STANDS_STILL = 0.1
@@ -60,7 +62,7 @@ def name_causes(
     ----------
     space : StateSpace
     effects : sequence of Effect
-        That may be causes.
+        That may be causes; those of sensors that were not read are left out.
     alpha : float, default=0.01
         A cause is named if the odds for the set with it are 1 / alpha times those of the best set without it.
     typical : mapping from name to size, optional
@@ -75,6 +77,10 @@ def name_causes(
     Named
     """
     floor = np.zeros(space.d) if floor is None else floor
+    unread = {
+        name for name, seen in zip(space.simulator.residual_names, space.mask.any(axis=(0, 1))) if not seen
+    }
+    effects = [effect for effect in effects if effect.family not in SENSORS or effect.target not in unread]
     priors = priors_of(effects, typical)
     needed = -np.log(alpha)
     values: dict[str, float] = {}
