@@ -78,7 +78,9 @@ def name_causes(
     """
     floor = np.zeros(space.d) if floor is None else floor
     unread = {
-        name for name, seen in zip(space.simulator.residual_names, space.mask.any(axis=(0, 1))) if not seen
+        name
+        for name, seen in zip(space.simulator.residual_names, np.atleast_1d(space.mask.any(axis=(0, 1))))
+        if not seen
     }
     effects = [effect for effect in effects if effect.family not in SENSORS or effect.target not in unread]
     priors = priors_of(effects, typical)
