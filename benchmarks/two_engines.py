@@ -117,9 +117,7 @@ def report():
     for engine in ("present", "state space"):
         for sensor, force in PAIRS:
             chosen = [
-                one
-                for one in lines()
-                if (one["engine"], one["sensor"], one["force"]) == (engine, sensor, force)
+                one for one in lines() if one["engine"] == engine and f" {sensor} {force} " in one["key"]
             ]
             if not chosen:
                 continue
