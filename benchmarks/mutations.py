@@ -103,7 +103,7 @@ def drawn(root, seed, n_lines, only=None):
     candidates = []
     for file in sorted((root / "skat").rglob("*.py")):
         path = file.relative_to(root)
-        if NOT_NUMERICAL & set(path.parts) or (only and only not in str(path)):
+        if NOT_NUMERICAL & set(path.parts) or (only and not any(piece in str(path) for piece in only)):
             continue
         candidates += mutations(str(path), file.read_text("utf-8")).values()
     generator = random.Random(seed)
@@ -233,7 +233,7 @@ def _arguments():
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--lines", type=int, default=50)
-    parser.add_argument("--only", help="a piece of the paths to draw from")
+    parser.add_argument("--only", nargs="+", help="pieces of the paths to draw from")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--least", type=float, default=0.85, help="exit code 1 if a smaller share is caught")
     parser.add_argument("--output", help="a file for what is printed")

@@ -41,7 +41,7 @@ def test_numbers_signs_operators_and_names_are_changed_and_texts_are_not(script)
 
 
 def test_the_seed_draws_the_lines(script):
-    first, again, other = (script["drawn"](ROOT, seed, 20, "gaussian") for seed in ("a", "a", "b"))
+    first, again, other = (script["drawn"](ROOT, seed, 20, ["gaussian"]) for seed in ("a", "a", "b"))
     assert first == again != other
     assert len({(each.path, each.line) for each in first}) == 20
 
