@@ -37,12 +37,19 @@ STEP = 0.02  # s
 COUNT = 2 * np.pi / 2**14  # rad
 
 
-def measured(*, timestep=0.0005, n_episodes=8, n_rows=150):
-    """Return the log of an arm whose elbow rubs, as a table that ``skat diagnose`` reads."""
+def measured(*, timestep=0.0005, n_episodes=8, n_rows=150, seed=0, forearm=1.0):
+    """Return the log of an arm whose elbow rubs, as a table that ``skat diagnose`` reads.
+
+    The forearm is `forearm` times as heavy as in the model.
+    """
     model = mujoco.MjModel.from_xml_string(ARM)
     model.opt.timestep = timestep
     model.dof_frictionloss[model.joint("elbow").dofadr[0]] = FRICTION
-    rng = np.random.default_rng(0)
+    lower = model.body("lower").id
+    model.body_mass[lower] *= forearm
+    model.body_inertia[lower] *= forearm
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    rng = np.random.default_rng(seed)
     rows = []
     for episode in range(n_episodes):
         data = mujoco.MjData(model)
@@ -76,23 +83,19 @@ def write_picture(path):
     matplotlib.rcParams["svg.hashsalt"] = "skat"
     from matplotlib import pyplot
 
-    from skat.datasets import load_log
     from skat.diagnosis import SimulationDiagnosis
+    from skat.logs import load_log
     from skat.plotting import TrajectoryDisplay
     from skat.simulators import MujocoSimulator
 
     with tempfile.TemporaryDirectory() as folder:
         write_files(folder)
         log = load_log(Path(folder) / "log.csv", MujocoSimulator(Path(folder) / "robot.xml"))
-    diagnosis = SimulationDiagnosis(log.simulator, random_state=0).fit(
-        log.data, log.target, groups=log.groups
-    )
+    diagnosis = SimulationDiagnosis(log.simulator, random_state=0).fit(log.X, log.y, groups=log.groups)
     print(diagnosis)
     rows = log.groups == log.groups[-1]
     figure, axes = pyplot.subplots(1, 1, figsize=(7, 3), layout="constrained")
-    TrajectoryDisplay.from_estimator(
-        diagnosis, log.data[rows], log.target[rows], channels=["qpos.elbow"], ax=[axes]
-    )
+    TrajectoryDisplay.from_estimator(diagnosis, log.X[rows], log.y[rows], channels=["qpos.elbow"], ax=[axes])
     axes.set_xlabel("\n".join(["time (s)", *(cause.sentence for cause in diagnosis.causes_)]))
     figure.savefig(path, metadata={"Date": None})
 
