@@ -1,10 +1,10 @@
-"""Do what README and the pages say, as a new user does: in a fresh environment, from the built wheel, in an empty folder.
+"""Do what README and the pages say, as a new user does: in a fresh environment, from the built wheel.
 
-Every line that begins with ``$`` and every block of Python of README, the tutorial and the how-to pages is run in the order
-in which it stands; ``pip install skat`` installs the wheel, which is built first. What a reader would have at hand is put
-into the folder before: the files that ``docs/arm_logs.py`` makes. At the end the extended model is loaded in plain MuJoCo, by
-an interpreter that cannot import skat, and the report is opened: by a browser without a window where there is one, and else
-by a parser of HTML. Lines that are for a checkout (``make``) or a shell (``source``, ``export``) are left out and said.
+Every line that begins with ``$`` and every block of Python of README, the tutorial and the how-to pages is run in the
+order in which it stands, in an empty folder a page; ``pip install skat`` installs the wheel, which is built first. What a
+reader would have at hand is put into the folder before: the files that ``docs/arm_logs.py`` makes. At the end the extended
+model is loaded in plain MuJoCo, by an interpreter that cannot import skat, and the report is opened: by a browser without
+a window where there is one, else by a parser of HTML. Lines for a checkout (``make``) or a shell are left out and said.
 
     python benchmarks/new_user.py                  # half an hour of one core: each diagnosis as it is written
     python benchmarks/new_user.py --quick          # one effect for each diagnosis
@@ -146,7 +146,8 @@ def command(kind, text, python, wheel, quick):
         return [python, "-c", text]
     if kind == "doctest":
         flags = "doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS"
-        code = f"import doctest, sys; sys.exit(bool(doctest.testfile({str(ROOT / text)!r}, False, optionflags={flags}).failed))"
+        done = f"doctest.testfile({str(ROOT / text)!r}, False, optionflags={flags}).failed"
+        code = f"import doctest, sys; sys.exit(bool({done}))"
         return [python, "-c", code]
     words = shlex.split(text, comments=True)
     if words[:2] == ["pip", "install"]:
@@ -185,13 +186,16 @@ class Title(html.parser.HTMLParser):
         self.inside, self.heading, self.pictures = False, "", 0
 
     def handle_starttag(self, tag, attrs):
+        """Note a heading that begins, and a picture."""
         self.inside |= tag == "h1" and not self.heading
         self.pictures += tag in ("svg", "img")
 
     def handle_endtag(self, tag):
+        """Note a heading that ends."""
         self.inside &= tag != "h1"
 
     def handle_data(self, data):
+        """Keep what stands in the heading."""
         self.heading += data if self.inside else ""
 
 

@@ -3,8 +3,8 @@
     python docs/arm_logs.py FOLDER
 
 ``robot.xml``, and of one motion: ``log.csv`` as documented, ``bag`` (rosbag2), ``run.mcap`` (JSON), ``lerobot``
-(positions in degrees, no velocities), ``positions.csv``; ``june.csv`` and ``july.csv``, between which the forearm became heavier.
-The formats' own libraries write them: ``pip install "skat[ros,parquet]"``.
+(positions in degrees, no velocities), ``positions.csv``; ``june.csv`` and ``july.csv``, between which the forearm
+became heavier. The formats' own libraries write them: ``pip install "skat[ros,parquet]"``.
 """
 
 import json

@@ -64,3 +64,11 @@ def test_aliases_of_a_mass_are_those_that_share_its_moment():
     effects = {effect.name: effect for effect in make_simulator("hopper").effects()}
     assert "mass[torso]" in effects["centre_of_mass[torso.x]"].aliases
     assert "payload[torso]" in effects["mass[torso]"].aliases
+
+
+def test_a_lopsided_force_limit_bounds_as_its_larger_side_does():
+    lopsided, even = (
+        {name: effect.bounds for name, effect in effects_of(limit).items() if effect.family != "force_limit"}
+        for limit in ('forcerange="-10 54"', 'forcerange="-54 54"')
+    )
+    assert lopsided == even

@@ -297,3 +297,8 @@ def test_p_values_of_held_out_rows_are_uniform_for_heavy_tails_too():
     # Ten values, each as likely as the others: chi-square of 9 degrees of freedom, below 27.9 in 999 of 1,000.
     counts = np.bincount(np.round(10 * np.array(p_values)).astype(int), minlength=11)[1:]
     assert (np.square(counts - 20) / 20).sum() < 27.9
+
+
+def test_debiased_score_takes_four_rows_and_one_repeat():
+    X, y = np.random.default_rng(0).normal(size=(2, 4, 2))
+    assert np.isfinite(debiased_affinity_score(X, y, n_repeats=1, random_state=0))
