@@ -1,10 +1,11 @@
 """Do what README and the pages say, as a new user does: in a fresh environment, from the built wheel.
 
 Every line that begins with ``$`` and every block of Python of README, the tutorial and the how-to pages is run in the
-order in which it stands, in an empty folder a page; ``pip install skat`` installs the wheel, which is built first. What a
-reader would have at hand is put into the folder before: the files that ``docs/arm_logs.py`` makes. At the end the extended
-model is loaded in plain MuJoCo, by an interpreter that cannot import skat, and the report is opened: by a browser without
-a window where there is one, else by a parser of HTML. Lines for a checkout (``make``) or a shell are left out and said.
+order in which it stands, in an empty folder a page; ``pip install skat`` installs the wheel, which is built first.
+What a reader would have at hand is put into the folder before: the files that ``docs/arm_logs.py`` makes. At the end
+the extended model is loaded in plain MuJoCo, by an interpreter that cannot import skat, and the report is opened: by
+a browser without a window where there is one, else by a parser of HTML. Lines for a checkout (``make``) or a shell
+are left out and said.
 
     python benchmarks/new_user.py                  # half an hour of one core: each diagnosis as it is written
     python benchmarks/new_user.py --quick          # one effect for each diagnosis

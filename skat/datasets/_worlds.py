@@ -7,6 +7,7 @@ step than the simulators', their own stepping loop, and noise; only the geometry
 
 from dataclasses import dataclass
 from math import hypot
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -87,7 +88,7 @@ REAL = {
 }
 
 
-def shoot(world, z, random_state):
+def shoot(world: Any, z: Any, random_state: Any) -> Any:
     """Return where pucks come to rest.
 
     Parameters
@@ -118,7 +119,7 @@ def shoot(world, z, random_state):
     return rest + world.noise * random_state.standard_normal(rest.shape)
 
 
-def _model(world):
+def _model(world: Any) -> Any:
     down = np.array([np.tan(world.slope_x), np.tan(world.slope_y), -1.0])
     gravity = 9.81 * down / np.linalg.norm(down)
     # A pair's sliding frictions act along the tangents of the contact, which on this board are y and -x.
@@ -133,7 +134,7 @@ def _model(world):
     )
 
 
-def _shot(model, data, world, z0, z1):
+def _shot(model: mujoco.MjModel, data: mujoco.MjData, world: Any, z0: float, z1: float) -> Any:
     mujoco.mj_resetData(model, data)
     direction = np.array([np.cos(0.4 * z0), np.sin(0.4 * z0)])
     stick, puck = slice(4, 6), slice(0, 2)

@@ -1,6 +1,8 @@
 """Sports balls dropped from about 48 m, their height filmed."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from os import PathLike
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -52,7 +54,13 @@ Universal Laws and Discrepancies. Frontiers in Artificial Intelligence 3:25.
 """
 
 
-def fetch_ball_drops(balls=None, *, drops=(1, 2), data_home=None, download_if_missing=True):
+def fetch_ball_drops(
+    balls: str | Sequence[str] | None = None,
+    *,
+    drops: int | Sequence[int] = (1, 2),
+    data_home: str | PathLike[str] | None = None,
+    download_if_missing: bool = True,
+) -> Bunch:
     """Load heights of falling balls as transitions from one video frame to the next.
 
     Parameters
@@ -121,8 +129,8 @@ def fetch_ball_drops(balls=None, *, drops=(1, 2), data_home=None, download_if_mi
     drops = list(drops) if isinstance(drops, Iterable) else [drops]
     if unknown := [ball for ball in balls if ball not in BALLS]:
         raise ValueError(f"There is no ball {unknown[0]!r}. The balls are: {', '.join(BALLS)}.")
-    if unknown := [drop for drop in drops if drop not in (1, 2)]:
-        raise ValueError(f"There is no drop {unknown[0]!r}. Each ball was dropped twice: drop 1 and drop 2.")
+    if neither := [drop for drop in drops if drop not in (1, 2)]:
+        raise ValueError(f"There is no drop {neither[0]!r}. Each ball was dropped twice: drop 1 and drop 2.")
 
     (path,) = original_files(
         SOURCE, list(SOURCE.hashes), home=data_home, download_if_missing=download_if_missing
@@ -151,7 +159,7 @@ def fetch_ball_drops(balls=None, *, drops=(1, 2), data_home=None, download_if_mi
     )
 
 
-def ball_drop_simulator(ball="Baseball"):
+def ball_drop_simulator(ball: str = "Baseball") -> MujocoSimulator:
     """Return the simulation of a falling ball one would write first: gravity and nothing else.
 
     Parameters
@@ -195,7 +203,7 @@ def ball_drop_simulator(ball="Baseball"):
     )
 
 
-def read_workbook(path):
+def read_workbook(path: str | PathLike[str]) -> pd.DataFrame:
     """Return the tidy table of the original workbook, which has one sheet for each ball.
 
     Parameters
@@ -231,7 +239,7 @@ def read_workbook(path):
     return pd.concat(tables, ignore_index=True)[["ball", *columns.values()]]
 
 
-def _evenly_spaced(time, height):
+def _evenly_spaced(time: Any, height: Any) -> Any:
     from scipy.interpolate import CubicSpline
 
     grid = FRAME_INTERVAL * np.arange(np.floor((time[-1] - time[0]) / FRAME_INTERVAL + 1e-3) + 1)

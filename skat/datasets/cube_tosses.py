@@ -1,6 +1,9 @@
 """Tosses of an acrylic cube onto a table, measured by motion capture."""
 
+from collections.abc import Sequence
 from importlib.resources import files
+from os import PathLike
+from typing import Any
 
 import numpy as np
 from sklearn.utils import Bunch
@@ -48,7 +51,12 @@ STATE_NAMES = [
 ]
 
 
-def fetch_cube_tosses(tosses=None, *, data_home=None, download_if_missing=True):
+def fetch_cube_tosses(
+    tosses: int | Sequence[int] | np.ndarray | None = None,
+    *,
+    data_home: str | PathLike[str] | None = None,
+    download_if_missing: bool = True,
+) -> Bunch:
     """Load tosses of a cube as transitions from one frame of the motion capture to the next.
 
     Parameters
@@ -136,7 +144,7 @@ def fetch_cube_tosses(tosses=None, *, data_home=None, download_if_missing=True):
     )
 
 
-def cube_toss_simulator():
+def cube_toss_simulator() -> MujocoSimulator:
     """Return the simulation of a tossed cube one would write first, with MuJoCo's default friction.
 
     The cube has the stated size and mass; contact and friction are MuJoCo's defaults. The friction cone is
@@ -171,7 +179,7 @@ def cube_toss_simulator():
     )
 
 
-def read_toss(path):
+def read_toss(path: str | PathLike[str]) -> Any:
     """Return the state of one original toss in SI units.
 
     Parameters
@@ -198,7 +206,7 @@ def read_toss(path):
     return state
 
 
-def _read_tosses(tosses, home, download_if_missing):
+def _read_tosses(tosses: Any, home: str | PathLike[str] | None, download_if_missing: bool) -> Any:
     mine = provided(SOURCE.folder)
     if mine is not None and (tidied := mine / TIDIED).is_file():
         with np.load(verified(tidied, TIDIED_SHA256)) as arrays:

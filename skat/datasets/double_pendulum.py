@@ -1,6 +1,10 @@
 """A two-link arm with a motor at each joint, the elbow's over a belt."""
 
+from collections.abc import Sequence
+from os import PathLike
+
 import pandas as pd
+from sklearn.utils import Bunch
 
 from skat.datasets.originals import Source, original_files
 from skat.datasets.runs import Run, chosen, transitions
@@ -44,7 +48,12 @@ Licence: BSD-3-Clause, copyright (c) DFKI RIC Underactuated Robotics Lab.
 """
 
 
-def fetch_double_pendulum(runs=None, *, data_home=None, download_if_missing=True):
+def fetch_double_pendulum(
+    runs: str | Sequence[str] | None = None,
+    *,
+    data_home: str | PathLike[str] | None = None,
+    download_if_missing: bool = True,
+) -> Bunch:
     """Load runs of a two-link arm as transitions of 2 ms.
 
     Parameters

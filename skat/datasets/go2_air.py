@@ -1,6 +1,9 @@
 """A quadruped, hung up by its base."""
 
+from os import PathLike
+
 import numpy as np
+from sklearn.utils import Bunch
 
 from skat.datasets.originals import Source, original_files
 from skat.datasets.runs import Run, transitions
@@ -30,7 +33,7 @@ Licence: BSD-3-Clause.
 """
 
 
-def fetch_go2_air(*, data_home=None, download_if_missing=True):
+def fetch_go2_air(*, data_home: str | PathLike[str] | None = None, download_if_missing: bool = True) -> Bunch:
     """Load a run of a hung-up quadruped as transitions of 5 ms.
 
     The original is a PyTorch file, of which only the arrays are read, without PyTorch.

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
+from os import PathLike
 from pathlib import Path
 
 
@@ -36,7 +37,7 @@ class Source:
     paths: Mapping[str, str] = field(default_factory=dict)
 
 
-def data_home(path=None):
+def data_home(path: str | PathLike[str] | None = None) -> Path:
     """Return the folder into which measured data are downloaded.
 
     Parameters
@@ -54,7 +55,13 @@ def data_home(path=None):
     return Path(path) if path is not None else Path(pooch.os_cache("skat"))
 
 
-def original_files(source, names, *, home=None, download_if_missing=True):
+def original_files(
+    source: Source,
+    names: Iterable[str],
+    *,
+    home: str | PathLike[str] | None = None,
+    download_if_missing: bool = True,
+) -> dict[str, Path]:
     """Return verified copies of original files, downloading those that are not there yet.
 
     A file is looked for in ``$SKAT_DATA_HOME/<folder>``, there also in ``raw/``, then in the cache; also compressed by
@@ -102,7 +109,7 @@ def original_files(source, names, *, home=None, download_if_missing=True):
     return {name: Path(path) for name, path in found.items() if path is not None}
 
 
-def verified(path, sha256):
+def verified(path: str | PathLike[str], sha256: str) -> Path:
     """Return a path after checking that the file has the expected hash.
 
     Parameters
@@ -138,7 +145,7 @@ def verified(path, sha256):
     return Path(path)
 
 
-def provided(folder):
+def provided(folder: str) -> Path | None:
     """Return the folder of a data set below ``$SKAT_DATA_HOME``, or None where there is none.
 
     Parameters
@@ -155,14 +162,14 @@ def provided(folder):
     return path if home and (path := Path(home) / folder).is_dir() else None
 
 
-def _present(source, name, cache):
+def _present(source: Source, name: str, cache: Path) -> Path | None:
     mine = provided(source.folder)
     places = [cache / name] if mine is None else [mine / name, mine / "raw" / name, cache / name]
     places = [form for place in places for form in (place, place.with_name(f"{place.name}.gz"))]
     return next((verified(place, source.hashes[name]) for place in places if place.is_file()), None)
 
 
-def _download(source, names: Iterable[str], cache) -> dict[str, Path]:
+def _download(source: Source, names: Iterable[str], cache: Path) -> dict[str, Path]:
     import pooch
 
     fetcher = pooch.create(

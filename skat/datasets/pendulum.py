@@ -1,5 +1,7 @@
 """A pendulum that a motor swings up."""
 
+from os import PathLike
+
 import numpy as np
 import pandas as pd
 from sklearn.utils import Bunch
@@ -44,7 +46,14 @@ Licence: BSD-3-Clause, copyright (c) 2021 DFKI RIC Underactuated Robotics Lab.
 """
 
 
-def fetch_pendulum(*, load=0.5, part="swing-up", seconds=0.5, data_home=None, download_if_missing=True):
+def fetch_pendulum(
+    *,
+    load: float = 0.5,
+    part: str = "swing-up",
+    seconds: float = 0.5,
+    data_home: str | PathLike[str] | None = None,
+    download_if_missing: bool = True,
+) -> Bunch:
     """Load a run of a motor-driven pendulum as transitions of 5 ms.
 
     Parameters
@@ -152,7 +161,7 @@ def fetch_pendulum(*, load=0.5, part="swing-up", seconds=0.5, data_home=None, do
     )
 
 
-def pendulum_simulator(mass=MASS):
+def pendulum_simulator(mass: float = MASS) -> MujocoSimulator:
     """Return the simulation of the pendulum one would write first: a point mass on a rod, and a motor without losses.
 
     Parameters

@@ -1,5 +1,7 @@
 """Simulated measurements: pucks struck by a stick, in worlds that differ from the puck simulator."""
 
+from typing import Any
+
 import numpy as np
 from sklearn.utils import Bunch, check_array, check_random_state
 
@@ -14,7 +16,9 @@ that differs from the simulator (`truth`, `truth_sentence`), and 0.01 m of noise
 """
 
 
-def make_hidden_puck(n_shots=120, *, effect=None, random_state=None):
+def make_hidden_puck(
+    n_shots: int = 120, *, effect: tuple[str, float] | None = None, random_state: Any = None
+) -> Bunch:
     """Strike a puck in a world that hides something from the simulator.
 
     Parameters
@@ -88,7 +92,7 @@ def make_hidden_puck(n_shots=120, *, effect=None, random_state=None):
     )
 
 
-def make_real_puck(colour, z, *, random_state=None):
+def make_real_puck(colour: str, z: Any, *, random_state: Any = None) -> Bunch:
     """Strike one of two pucks that stand for real ones.
 
     The recordings of real pucks in the paper [1]_ are not public. These are simulations: a finer time step,

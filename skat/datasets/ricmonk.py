@@ -1,7 +1,11 @@
 """A brachiating robot, without and with weights on its arms."""
 
+from collections.abc import Sequence
+from os import PathLike
+
 import numpy as np
 import pandas as pd
+from sklearn.utils import Bunch
 
 from skat.datasets.originals import Source, original_files
 from skat.datasets.runs import Run, chosen, transitions
@@ -44,7 +48,12 @@ Licence: BSD-3-Clause, copyright (c) DFKI RIC Underactuated Robotics Lab.
 """
 
 
-def fetch_ricmonk(runs="no load", *, data_home=None, download_if_missing=True):
+def fetch_ricmonk(
+    runs: str | Sequence[str] | None = "no load",
+    *,
+    data_home: str | PathLike[str] | None = None,
+    download_if_missing: bool = True,
+) -> Bunch:
     """Load runs of a brachiating robot as transitions of 6 ms.
 
     Parameters

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from sklearn.utils import Bunch
@@ -34,7 +35,7 @@ def transitions(
     joints: Sequence[str],
     commanded: Sequence[str],
     command_unit: str,
-    **facts,
+    **facts: Any,
 ) -> Bunch:
     """Return runs as transitions, each from a row to the next one; a gap in time begins another episode.
 

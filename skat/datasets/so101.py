@@ -1,9 +1,13 @@
 """A servo arm of hobbyists, the SO-101."""
 
 import json
+from collections.abc import Iterable, Sequence
+from os import PathLike
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from sklearn.utils import Bunch
 
 from skat.datasets.originals import Source, original_files
 from skat.datasets.runs import Run, chosen, transitions
@@ -50,7 +54,12 @@ Licence: Apache-2.0.
 """
 
 
-def fetch_so101(motions=None, *, data_home=None, download_if_missing=True):
+def fetch_so101(
+    motions: str | Sequence[str] | None = None,
+    *,
+    data_home: str | PathLike[str] | None = None,
+    download_if_missing: bool = True,
+) -> Bunch:
     """Load motions of an SO-101 servo arm as transitions of 20 ms.
 
     Parameters
@@ -130,6 +139,6 @@ def fetch_so101(motions=None, *, data_home=None, download_if_missing=True):
     )
 
 
-def _vectors(column):
+def _vectors(column: Iterable[str]) -> Any:
     """Return the lists that a column holds as texts, a row each."""
     return np.array([json.loads(text) for text in column], dtype=float)

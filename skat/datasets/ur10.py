@@ -2,9 +2,11 @@
 
 import sqlite3
 from contextlib import closing
+from os import PathLike
 from typing import Any
 
 import numpy as np
+from sklearn.utils import Bunch
 
 from skat.datasets.originals import Source, original_files
 from skat.datasets.runs import Run, transitions
@@ -31,7 +33,7 @@ Licence: BSD-3-Clause.
 """
 
 
-def fetch_ur10(*, data_home=None, download_if_missing=True):
+def fetch_ur10(*, data_home: str | PathLike[str] | None = None, download_if_missing: bool = True) -> Bunch:
     """Load a run of a UR10 as transitions of 8 ms.
 
     Needs rosbags, which ``python -m pip install "skat[ros]"`` installs.
@@ -97,7 +99,7 @@ def fetch_ur10(*, data_home=None, download_if_missing=True):
     )
 
 
-def _joint_states(path):
+def _joint_states(path: str | PathLike[str]) -> Any:
     try:
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:

@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from sklearn.base import BaseEstimator, TransformerMixin, clone
@@ -42,7 +43,7 @@ class Method:
     """
 
     name: str
-    make: Callable
+    make: Callable[..., Any]
     disjoint: bool = False
     slow: bool = False
 
@@ -67,13 +68,15 @@ class RegressionTransport(TransformerMixin, BaseEstimator):
         Fitted.
     """
 
-    def __init__(self, regressor, *, context, predictors="row", residual=False):
+    def __init__(
+        self, regressor: Any, *, context: Any, predictors: str = "row", residual: bool = False
+    ) -> None:
         self.regressor = regressor
         self.context = context
         self.predictors = predictors
         self.residual = residual
 
-    def fit(self, X, y):
+    def fit(self, X: Any, y: Any) -> "RegressionTransport":
         """Fit the regression to pairs of rows.
 
         Parameters
@@ -90,7 +93,7 @@ class RegressionTransport(TransformerMixin, BaseEstimator):
         self.regressor_ = clone(self.regressor).fit(self._predictors(X), outcome)
         return self
 
-    def transform(self, X):
+    def transform(self, X: Any) -> Any:
         """Replace the outcome in each source row by the predicted one of the target.
 
         Parameters
@@ -108,25 +111,25 @@ class RegressionTransport(TransformerMixin, BaseEstimator):
         )
         return np.hstack([X[:, : self.context], outcome])
 
-    def _predictors(self, X):
+    def _predictors(self, X: Any) -> Any:
         return X[:, : self.context] if self.predictors == "context" else X
 
 
-def _ridge_on_residual(context):
+def _ridge_on_residual(context: Any) -> Any:
     ridge = make_pipeline(StandardScaler(), RidgeCV(RIDGE_PENALTIES))
     return RegressionTransport(ridge, context=context, residual=True)
 
 
-def _shrunk(transport, **parameters):
+def _shrunk(transport: Any, **parameters: Any) -> Any:
     return lambda context: transport(covariance="shrunk", **parameters)
 
 
-def _in_units_of_target(method):
+def _in_units_of_target(method: Any) -> Any:
     """Return the method with ``metric_scale="target"``, or None where it knows no units."""
     if not {"metric_scale", "transport__metric_scale"} & set(method.make(1).get_params()):
         return None
 
-    def make(context):
+    def make(context: Any) -> Any:
         transport = method.make(context)
         name = "metric_scale" if hasattr(transport, "metric_scale") else "transport__metric_scale"
         return transport.set_params(**{name: "target"})
@@ -178,7 +181,9 @@ METHODS |= {name: replace(METHODS[name], slow=True) for name in (f"{raw}_scaled"
 DIAGNOSIS = "diagnosis"
 
 
-def chosen_methods(methods: Iterable[str] | Mapping[str, object] | None, default: Iterable[str]) -> dict:
+def chosen_methods(
+    methods: Iterable[str] | Mapping[str, object] | None, default: Iterable[str]
+) -> dict[str, Any]:
     """Return the methods to compare by name, a `Method` for each; None for the diagnosis.
 
     Parameters
@@ -214,12 +219,12 @@ def chosen_methods(methods: Iterable[str] | Mapping[str, object] | None, default
     return chosen
 
 
-def of_repeat(chosen: Mapping[str, Method | None], repeat: int) -> dict:
+def of_repeat(chosen: Mapping[str, Method | None], repeat: int) -> dict[str, Any]:
     """Return the methods that run in a repeat: all in the first, those that are not slow in the others."""
     return {name: method for name, method in chosen.items() if not repeat or (method and not method.slow)}
 
 
-def fitted_transport(method, source_rows, target_rows, context):
+def fitted_transport(method: Any, source_rows: Any, target_rows: Any, context: Any) -> Any:
     """Return the method's transport, fitted to pairs of rows, or to halves of them that share no row.
 
     Parameters

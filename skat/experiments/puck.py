@@ -4,7 +4,9 @@ The recordings of the paper's authors are not public. What stands in for them is
 own, by `make_real_puck`.
 """
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -60,17 +62,19 @@ class Strikes:
     measured: np.ndarray
     simulated: dict[str, np.ndarray]
 
-    def source_rows(self, simulation):
+    def source_rows(self, simulation: str) -> Any:
         """Return rows (z0, z1, x, y) of a simulation."""
         return np.hstack([self.z, self.simulated[simulation]])
 
     @property
-    def target_rows(self):
+    def target_rows(self) -> Any:
         """Rows (z0, z1, x, y) as measured."""
         return np.hstack([self.z, self.measured])
 
 
-def strike_pucks(puck, *, n_strikes, simulations=SIMULATIONS, random_state=0):
+def strike_pucks(
+    puck: str, *, n_strikes: int, simulations: Any = SIMULATIONS, random_state: Any = 0
+) -> Strikes:
     """Strike a real puck, and every simulated one in the same way.
 
     Parameters
@@ -93,7 +97,9 @@ def strike_pucks(puck, *, n_strikes, simulations=SIMULATIONS, random_state=0):
     )
 
 
-def repeated_strikes_error(puck, *, n_strikes=10, n_repeats=20, random_state=0):
+def repeated_strikes_error(
+    puck: str, *, n_strikes: int = 10, n_repeats: int = 20, random_state: Any = 0
+) -> pd.Series:
     """Return how far a puck comes to rest from where the same strike sends it on average.
 
     No prediction from the strike does better.
@@ -120,15 +126,15 @@ def repeated_strikes_error(puck, *, n_strikes=10, n_repeats=20, random_state=0):
 
 def puck_table(
     *,
-    pucks=PUCKS,
-    simulations=SIMULATIONS,
-    methods=None,
-    n_strikes=100,
-    random_state=0,
-    n_repeats=5,
-    n_test=300,
-    progress=None,
-):
+    pucks: Sequence[str] = PUCKS,
+    simulations: Any = SIMULATIONS,
+    methods: Any = None,
+    n_strikes: int = 100,
+    random_state: Any = 0,
+    n_repeats: int = 5,
+    n_test: int = 300,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> pd.DataFrame:
     """Carry eleven simulations of a struck puck onto two real ones, by every method.
 
     Rows are (z0, z1, x, y): the strike, standard normal, and the resting place in m. Maps act on whole rows.
@@ -208,7 +214,7 @@ def puck_table(
     return groups.mean().join(deviations).reset_index()
 
 
-def in_columns_of_paper(table, method="affine"):
+def in_columns_of_paper(table: pd.DataFrame, method: Any = "affine") -> pd.DataFrame:
     """Return a puck table as the paper prints it.
 
     Parameters
@@ -252,15 +258,15 @@ def in_columns_of_paper(table, method="affine"):
 
 def puck_learning_curve(
     *,
-    puck="blue",
-    simulations=SIMULATIONS,
-    methods=CURVE_METHODS,
-    sizes=SIZES,
-    random_state=0,
-    n_repeats=20,
-    n_test=300,
-    progress=None,
-):
+    puck: str = "blue",
+    simulations: Any = SIMULATIONS,
+    methods: Any = CURVE_METHODS,
+    sizes: Any = SIZES,
+    random_state: Any = 0,
+    n_repeats: int = 20,
+    n_test: int = 300,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> pd.DataFrame:
     """Carry simulations of a struck puck onto a real one, with more and more strikes to fit on.
 
     Rows are as for `puck_table`, and so is what stands in for the real puck.
@@ -324,7 +330,9 @@ def puck_learning_curve(
     return means.join(groups[["error_after"]].std().add_suffix("_std")).reset_index()
 
 
-def _carried(strikes, simulation, chosen, fitted, tested, seed):
+def _carried(
+    strikes: Strikes, simulation: str, chosen: Mapping[str, Any], fitted: Any, tested: Any, seed: int
+) -> Any:
     """Yield the name of each method, and the tested rows as it carries them."""
     source_rows, target_rows = strikes.source_rows(simulation), strikes.target_rows
     for name, method in chosen.items():
@@ -335,7 +343,7 @@ def _carried(strikes, simulation, chosen, fitted, tested, seed):
             yield name, transport.transform(source_rows[tested])
 
 
-def _measures(rows, before, expected):
+def _measures(rows: Any, before: Any, expected: Any) -> Any:
     """Return what the puck table has of carried rows."""
     after = pointwise_errors(rows, expected, CONTEXT)
     return {
@@ -349,7 +357,7 @@ def _measures(rows, before, expected):
     }
 
 
-def _diagnosed(strikes, simulation, fitted, tested, seed):
+def _diagnosed(strikes: Strikes, simulation: str, fitted: Any, tested: Any, seed: int) -> Any:
     """Return the tested rows as the simulation predicts them once the measured strikes extended it."""
     from skat.diagnosis import SimulationDiagnosis
 
@@ -360,5 +368,5 @@ def _diagnosed(strikes, simulation, fitted, tested, seed):
     return np.hstack([strikes.z[tested], diagnosis.extended_simulator_.predict(strikes.z[tested])])
 
 
-def _silent(stage, done, total):
+def _silent(stage: str, done: int, total: int) -> None:
     """Report to nobody."""

@@ -1,7 +1,8 @@
 """The paper's Gymnasium experiment: every method between every two of eight worlds of a robot."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -80,9 +81,9 @@ class Replay:
     @property
     def context(self) -> int:
         """Number of columns of state and action in a row, which are the same in every world."""
-        return self.X.shape[1] - self.n_world
+        return int(self.X.shape[1] - self.n_world)
 
-    def rows(self, condition) -> np.ndarray:
+    def rows(self, condition: str) -> np.ndarray:
         """Return rows (state, action, next state) without places in the world.
 
         Parameters
@@ -96,7 +97,9 @@ class Replay:
         return np.hstack([self.X[:, self.n_world :], self.y[condition][:, self.n_world :]])
 
 
-def replay_transitions(robot, *, n_transitions, conditions=CONDITIONS, random_state=0):
+def replay_transitions(
+    robot: str, *, n_transitions: int, conditions: Sequence[str] = CONDITIONS, random_state: Any = 0
+) -> Replay:
     """Drive a robot by random torques in the normal world, and replay each transition in the others.
 
     Parameters
@@ -138,20 +141,20 @@ def replay_transitions(robot, *, n_transitions, conditions=CONDITIONS, random_st
 
 
 def domain_matrix(
-    robot,
+    robot: str,
     *,
-    n_transitions=2000,
-    methods=None,
-    random_state=0,
-    n_repeats=3,
-    n_test=2000,
-    n_scored=500,
-    split="rows",
-    conditions=CONDITIONS,
-    sources=None,
-    n_jobs=None,
-    progress=None,
-):
+    n_transitions: int = 2000,
+    methods: Any = None,
+    random_state: Any = 0,
+    n_repeats: int = 3,
+    n_test: int = 2000,
+    n_scored: int = 500,
+    split: Any = "rows",
+    conditions: Sequence[str] = CONDITIONS,
+    sources: Any = None,
+    n_jobs: Any = None,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> pd.DataFrame:
     """Carry transitions between every two of a robot's worlds, by every method.
 
     Random torques drive the robot in the normal world in episodes of 50 steps; every state and action is
@@ -259,7 +262,16 @@ def domain_matrix(
     return _over_repeats(pd.DataFrame(records))
 
 
-def _compared(replay, source, target, chosen, fitted, tested, n_scored, seed):
+def _compared(
+    replay: Replay,
+    source: str,
+    target: str,
+    chosen: Mapping[str, Any],
+    fitted: Any,
+    tested: Any,
+    n_scored: int,
+    seed: int,
+) -> Any:
     """Return the measures of each method for one pair of worlds."""
     source_rows, target_rows = replay.rows(source), replay.rows(target)
     expected = target_rows[tested]
@@ -285,7 +297,7 @@ def _compared(replay, source, target, chosen, fitted, tested, n_scored, seed):
     return records
 
 
-def _diagnosed(replay, source, target, fitted, tested, seed):
+def _diagnosed(replay: Replay, source: str, target: str, fitted: Any, tested: Any, seed: int) -> Any:
     """Return the tested rows as the source's simulator predicts them once the target's rows extended it."""
     from skat.diagnosis import SimulationDiagnosis
 
@@ -297,7 +309,7 @@ def _diagnosed(replay, source, target, fitted, tested, seed):
     return np.hstack([replay.X[tested][:, replay.n_world :], outcome[:, replay.n_world :]])
 
 
-def _starts(simulator, start, n_episodes, rng):
+def _starts(simulator: Any, start: Start, n_episodes: int, rng: Any) -> Any:
     names = simulator.state_names
     n_positions = sum(name.startswith("qpos.") for name in names)
     shape = (n_episodes, len(names) - n_positions)
@@ -313,7 +325,7 @@ def _starts(simulator, start, n_episodes, rng):
     return simulator.displace(states, np.zeros((n_episodes, len(simulator.residual_names))))
 
 
-def _over_repeats(records):
+def _over_repeats(records: pd.DataFrame) -> Any:
     """Return means over repeats with the standard deviations of the measures beside them."""
     groups = records.groupby(["source", "target", "method"], sort=False)
     means = groups[list(MEASURES)].mean()
@@ -321,5 +333,5 @@ def _over_repeats(records):
     return means.join(deviations).reset_index()
 
 
-def _silent(stage, done, total):
+def _silent(stage: str, done: int, total: int) -> None:
     """Report to nobody."""

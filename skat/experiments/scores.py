@@ -1,11 +1,13 @@
 """How far carried rows are from the target's."""
 
+from typing import Any
+
 import numpy as np
 
 from skat.metrics import affinity_score, gaussian_wasserstein_distance
 
 
-def pointwise_errors(rows, target_rows, context):
+def pointwise_errors(rows: Any, target_rows: Any, context: Any) -> Any:
     """Return the distance between the outcomes of each pair of rows.
 
     Parameters
@@ -22,7 +24,7 @@ def pointwise_errors(rows, target_rows, context):
     return np.linalg.norm(rows[:, context:] - target_rows[:, context:], axis=1)
 
 
-def covariance_errors(rows, target_rows, context):
+def covariance_errors(rows: Any, target_rows: Any, context: Any) -> dict[str, float]:
     r"""Return how far the outcomes' covariance is from that of the target's, by several measures.
 
     Columns have different units, so which of them counts for how much is a choice. With C the covariances of
@@ -63,12 +65,12 @@ def covariance_errors(rows, target_rows, context):
     }
 
 
-def _relative_error(outcome, expected):
+def _relative_error(outcome: Any, expected: Any) -> Any:
     covariance, target_covariance = np.cov(outcome.T), np.cov(expected.T)
     return float(np.linalg.norm(covariance - target_covariance) / np.linalg.norm(target_covariance))
 
 
-def _affine_error(outcome, expected):
+def _affine_error(outcome: Any, expected: Any) -> Any:
     values, vectors = np.linalg.eigh(np.atleast_2d(np.cov(expected.T)))
     regular = values > values[-1] * len(values) * np.finfo(float).eps
     whitening = vectors[:, regular] / np.sqrt(values[regular])
@@ -76,10 +78,10 @@ def _affine_error(outcome, expected):
     return float(np.linalg.norm(whitened - np.eye(len(whitened))) / np.sqrt(len(whitened)))
 
 
-def _normal_distance(outcome, expected):
+def _normal_distance(outcome: Any, expected: Any) -> Any:
     return gaussian_wasserstein_distance(outcome, expected) ** 2 / expected.var(axis=0).sum()
 
 
-def affinity_of_first(rows, target_rows, n_rows):
+def affinity_of_first(rows: Any, target_rows: Any, n_rows: int) -> Any:
     """Return the affinity score of the first rows; its time grows with the cube of their number."""
     return affinity_score(rows[:n_rows], target_rows[:n_rows])

@@ -1,7 +1,9 @@
 """A diagnosis with its test on data that it did not use, for the data sets of skat and a user's log."""
 
 import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -63,7 +65,13 @@ class Study:
     truth: str | None = None
 
 
-def study_hidden_puck(*, n_shots=120, random_state=0, progress=None, **parameters):
+def study_hidden_puck(
+    *,
+    n_shots: int = 120,
+    random_state: Any = 0,
+    progress: Callable[[str, int, int], None] | None = None,
+    **parameters: Any,
+) -> Study:
     """Diagnose the puck simulator on shots "measured" in a world that differs from it.
 
     Parameters
@@ -99,7 +107,14 @@ def study_hidden_puck(*, n_shots=120, random_state=0, progress=None, **parameter
     )
 
 
-def study_ball_drops(balls=None, *, data_home=None, random_state=0, progress=None, **parameters):
+def study_ball_drops(
+    balls: str | Sequence[str] | None = None,
+    *,
+    data_home: str | PathLike[str] | None = None,
+    random_state: Any = 0,
+    progress: Callable[[str, int, int], None] | None = None,
+    **parameters: Any,
+) -> dict[str, Study]:
     """Diagnose free fall on drop 1 of each ball, and measure the gain on drop 2.
 
     Parameters
@@ -138,7 +153,7 @@ def study_ball_drops(balls=None, *, data_home=None, random_state=0, progress=Non
     return studies
 
 
-def ball_drop_table(studies):
+def ball_drop_table(studies: Mapping[str, Any]) -> pd.DataFrame:
     """Return one row for each ball: what was named, and the trajectory error on the drop not used.
 
     Parameters
@@ -168,7 +183,15 @@ def ball_drop_table(studies):
     return pd.DataFrame(rows)
 
 
-def study_cube_tosses(*, n_fit=5, n_test=50, data_home=None, random_state=0, progress=None, **parameters):
+def study_cube_tosses(
+    *,
+    n_fit: int = 5,
+    n_test: int = 50,
+    data_home: str | PathLike[str] | None = None,
+    random_state: Any = 0,
+    progress: Callable[[str, int, int], None] | None = None,
+    **parameters: Any,
+) -> Study:
     """Diagnose a default cube on some tosses, and measure the gain on others.
 
     Parameters
@@ -207,8 +230,14 @@ def study_cube_tosses(*, n_fit=5, n_test=50, data_home=None, random_state=0, pro
 
 
 def study_pendulum(
-    *, seconds=0.5, test_size=0.4, data_home=None, random_state=0, progress=None, **parameters
-):
+    *,
+    seconds: float = 0.5,
+    test_size: float = 0.4,
+    data_home: str | PathLike[str] | None = None,
+    random_state: Any = 0,
+    progress: Callable[[str, int, int], None] | None = None,
+    **parameters: Any,
+) -> Study:
     """Diagnose a motor-driven pendulum on some pieces of its swing-up, and measure the gain on the others.
 
     Parameters
@@ -243,7 +272,15 @@ def study_pendulum(
     )
 
 
-def study_log(log, *, test=None, test_size=0.3, random_state=0, progress=None, **parameters):
+def study_log(
+    log: Any,
+    *,
+    test: Any = None,
+    test_size: float = 0.3,
+    random_state: Any = 0,
+    progress: Callable[[str, int, int], None] | None = None,
+    **parameters: Any,
+) -> Study:
     """Diagnose a log's simulator on a part of the log, and measure the gain on the rest.
 
     Parameters
@@ -293,7 +330,7 @@ def study_log(log, *, test=None, test_size=0.3, random_state=0, progress=None, *
     return _study("Log", log.simulator, fit, test, random_state, progress, **parameters)
 
 
-def _complete(log, parameters):
+def _complete(log: Any, parameters: Any) -> Any:
     """Return rows without NaN, and the parameters that name what was not measured."""
     X, y = log.X.copy(), log.y.copy()
     lacking = [log.simulator.state_names.index(name) for name in log.unmeasured]
@@ -310,18 +347,18 @@ def _complete(log, parameters):
 
 
 def _study(
-    title,
-    simulator,
-    fit,
-    test,
-    random_state,
-    progress,
+    title: str,
+    simulator: Any,
+    fit: Any,
+    test: Any,
+    random_state: Any,
+    progress: Callable[[str, int, int], None] | None,
     *,
     evaluation: dict[str, Any] | None = None,
-    error_name="squared error of one step, in units of the noise",
-    truth=None,
-    **parameters,
-):
+    error_name: Any = "squared error of one step, in units of the noise",
+    truth: Any = None,
+    **parameters: Any,
+) -> Study:
     parameters = {"hidden": fit.get("hidden", ()), **parameters}
     diagnosis = SimulationDiagnosis(simulator, test_size=0, random_state=random_state, **parameters)
     diagnosis.fit(fit.data, fit.target, groups=fit.get("groups"), progress=progress)

@@ -1,9 +1,17 @@
 """The tables of the experiments in short: a row for each method, who wins, and a figure."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 import numpy as np
 
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
 
-def method_summary(table):
+
+def method_summary(table: pd.DataFrame) -> pd.DataFrame:
     """Return one row for each method, the best first.
 
     Parameters
@@ -31,7 +39,7 @@ def method_summary(table):
     )
 
 
-def verdict(table):
+def verdict(table: pd.DataFrame) -> str:
     """Return a sentence that says which methods win, whether or not they are of skat.
 
     Parameters
@@ -50,7 +58,7 @@ def verdict(table):
     return f"Smallest error, of {best.sum()} cases: {wins}."
 
 
-def figure(table):
+def figure(table: pd.DataFrame) -> Figure:
     """Return a figure of an experiment.
 
     Parameters
@@ -67,7 +75,7 @@ def figure(table):
     return _curves(table) if "n_strikes" in table else _matrices(table)
 
 
-def _curves(table):
+def _curves(table: pd.DataFrame) -> Figure:
     from matplotlib.figure import Figure
 
     from skat.plotting import LearningCurveDisplay
@@ -82,7 +90,7 @@ def _curves(table):
     return drawing
 
 
-def _matrices(table):
+def _matrices(table: pd.DataFrame) -> Figure:
     from matplotlib.figure import Figure
 
     from skat.plotting import DomainMatrixDisplay
