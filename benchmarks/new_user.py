@@ -75,7 +75,11 @@ def main():
     )
     parser.add_argument("--quick", action="store_true", help="one effect for each diagnosis")
     parser.add_argument("--pages", nargs="+", default=PAGES)
-    parser.add_argument("--folder", type=Path, help="where to work; default: a temporary folder")
+    parser.add_argument(
+        "--folder",
+        type=Path,
+        help="where to work, default a temporary folder; a wheel and an environment that are there are taken",
+    )
     arguments = parser.parse_args()
     folder = arguments.folder or Path(tempfile.mkdtemp(prefix="new-user-"))
     folder.mkdir(parents=True, exist_ok=True)
@@ -92,7 +96,7 @@ def main():
     for page in arguments.pages:
         print(f"{page}", flush=True)
         place = folder / Path(page).stem
-        place.mkdir()
+        place.mkdir()  # anew: nothing that an earlier run wrote is to help this one
         ready = False
         for kind, text in lines_of(page):
             if kind == "console" and text.startswith(NOT_FOR_A_WHEEL):
@@ -125,7 +129,10 @@ def main():
 
 
 def built(folder):
-    """Return the wheel of this checkout."""
+    """Return the wheel of this checkout; one that is there already is taken."""
+    for wheel in folder.glob("skat-*.whl"):
+        print(f"took {wheel.name}", flush=True)
+        return wheel
     subprocess.run(
         [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", folder, ROOT],
         check=True,
@@ -137,7 +144,8 @@ def built(folder):
 
 def fresh_environment(folder):
     """Return the interpreter of an environment in which nothing is installed."""
-    subprocess.run([sys.executable, "-m", "venv", folder], check=True)
+    if not folder.exists():
+        subprocess.run([sys.executable, "-m", "venv", folder], check=True)
     return folder / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 
 

@@ -90,7 +90,7 @@ def demo_ball_drops(
         from skat.experiments.studies import ball_drop_table, study_ball_drops
 
         path = report_path(output, "skat-ball-drops-report.html", force)
-        options = {} if not effect else {"effects": "all" if effect == ["all"] else effect}
+        options: dict[str, Any] = {} if not effect else {"effects": "all" if effect == ["all"] else effect}
         with progress_bars() as progress:
             studies = study_ball_drops(ball or None, random_state=seed, progress=progress, **options)
         for study in studies.values():

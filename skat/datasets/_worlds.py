@@ -7,7 +7,6 @@ step than the simulators', their own stepping loop, and noise; only the geometry
 
 from dataclasses import dataclass
 from math import hypot
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -88,7 +87,7 @@ REAL = {
 }
 
 
-def shoot(world: Any, z: Any, random_state: Any) -> Any:
+def shoot(world: PuckWorld, z: np.ndarray, random_state: np.random.RandomState) -> np.ndarray:
     """Return where pucks come to rest.
 
     Parameters
@@ -119,7 +118,7 @@ def shoot(world: Any, z: Any, random_state: Any) -> Any:
     return rest + world.noise * random_state.standard_normal(rest.shape)
 
 
-def _model(world: Any) -> Any:
+def _model(world: PuckWorld) -> mujoco.MjModel:
     down = np.array([np.tan(world.slope_x), np.tan(world.slope_y), -1.0])
     gravity = 9.81 * down / np.linalg.norm(down)
     # A pair's sliding frictions act along the tangents of the contact, which on this board are y and -x.
@@ -134,7 +133,7 @@ def _model(world: Any) -> Any:
     )
 
 
-def _shot(model: mujoco.MjModel, data: mujoco.MjData, world: Any, z0: float, z1: float) -> Any:
+def _shot(model: mujoco.MjModel, data: mujoco.MjData, world: PuckWorld, z0: float, z1: float) -> np.ndarray:
     mujoco.mj_resetData(model, data)
     direction = np.array([np.cos(0.4 * z0), np.sin(0.4 * z0)])
     stick, puck = slice(4, 6), slice(0, 2)

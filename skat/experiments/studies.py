@@ -114,7 +114,7 @@ def study_ball_drops(
     random_state: Any = 0,
     progress: Callable[[str, int, int], None] | None = None,
     **parameters: Any,
-) -> dict[str, Study]:
+) -> dict[str, Any]:
     """Diagnose free fall on drop 1 of each ball, and measure the gain on drop 2.
 
     Parameters
