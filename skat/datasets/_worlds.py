@@ -147,7 +147,7 @@ def _shot(model: mujoco.MjModel, data: mujoco.MjData, world: PuckWorld, z0: floa
         if step * world.time_step > 0.1:
             velocity = data.qvel.tolist()  # of floats: numpy would take longer than the time step
             if max(hypot(*velocity[puck]), hypot(*velocity[stick])) < REST_SPEED:
-                return data.qpos[puck].copy()
+                return np.array(data.qpos[puck].copy())
     raise RuntimeError(f"the puck still slides after {LONGEST} s, at {data.qvel[puck]} m/s")
 
 

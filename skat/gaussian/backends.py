@@ -3,6 +3,8 @@
 Whatever the size of the data is done where the data are; what has the size of the features is done in NumPy.
 """
 
+from typing import Any
+
 import numpy as np
 
 from skat._compat import (
@@ -16,12 +18,12 @@ from skat.gaussian.moments import Moments, SideBySide, row_moments
 __all__ = ["apply_map", "beside", "is_dask", "moments_of", "on_host", "to_namespace"]
 
 
-def is_dask(X):
+def is_dask(X: Any) -> bool:
     """Whether rows are a dask array, data frame or series; without importing dask."""
     return type(X).__module__.partition(".")[0] in {"dask", "dask_expr"}
 
 
-def moments_of(sides):
+def moments_of(sides: Any) -> Any:
     """Return the moments of several sets of rows, computed together.
 
     Parameters
@@ -44,7 +46,7 @@ def moments_of(sides):
     ]
 
 
-def apply_map(affine, X, *, keep=None, check=None):
+def apply_map(affine: Any, X: Any, *, keep: Any = None, check: Any = None) -> Any:
     """Return rows carried over by a map, as the same kind of container, lazily for dask.
 
     Parameters
@@ -81,7 +83,7 @@ def apply_map(affine, X, *, keep=None, check=None):
     return carried
 
 
-def beside(X, y):
+def beside(X: Any, y: Any) -> Any:
     """Return the columns of both, side by side."""
     if is_dask(X) or is_dask(y):
         import dask.array as da
@@ -92,7 +94,7 @@ def beside(X, y):
     return SideBySide(X, y) if is_numpy_namespace(xp) else xp.concat([X, y], axis=1)
 
 
-def on_host(array):
+def on_host(array: Any) -> Any:
     """Return any array as one in NumPy."""
     if is_dask(array):
         array = array.compute()
@@ -100,7 +102,7 @@ def on_host(array):
     return np.asarray(convert_to_numpy(array, xp) if is_array_api else array)
 
 
-def to_namespace(array, like):
+def to_namespace(array: Any, like: Any) -> Any:
     """Return a NumPy array as an array of the library and device that another one has."""
     if is_dask(like):
         return array
@@ -110,7 +112,7 @@ def to_namespace(array, like):
     return xp.asarray(array.astype(str(_widest(xp, device)).rpartition(".")[2]), device=device)
 
 
-def _eager_moments(rows, weight):
+def _eager_moments(rows: Any, weight: Any) -> Any:
     if rows is None:
         return None
     if not isinstance(rows, SideBySide):
@@ -122,11 +124,11 @@ def _eager_moments(rows, weight):
     return row_moments(rows, weight)
 
 
-def _widest(xp, device):
+def _widest(xp: Any, device: Any) -> Any:
     return supported_float_dtypes(xp, device)[0]
 
 
-def _device_moments(rows, weight, xp, device):
+def _device_moments(rows: Any, weight: Any, xp: Any, device: Any) -> Any:
     """Return moments computed on the rows' own device, with a factor by QR there."""
     dtype, eps = _widest(xp, device), float(xp.finfo(rows.dtype).eps)
     rows = xp.astype(rows, dtype)
@@ -155,7 +157,7 @@ def _device_moments(rows, weight, xp, device):
     return Moments(n_rows, total, squared, mean, offset - (mean - shift), factor=factor, eps=eps)
 
 
-def _apply_on_device(affine, X, keep, check, xp, device):
+def _apply_on_device(affine: Any, X: Any, keep: Any, check: Any, xp: Any, device: Any) -> Any:
     dtype = _widest(xp, device)
     coef, source_mean, target_mean = (
         to_namespace(part, X) for part in (affine.coef, affine.source_mean, affine.target_mean)
@@ -171,7 +173,7 @@ def _apply_on_device(affine, X, keep, check, xp, device):
     return xp.astype(carried, X.dtype)
 
 
-def _lazy_moments(X, weight):
+def _lazy_moments(X: Any, weight: Any) -> Any:
     """Return a delayed value: the moments of dask rows, merged pairwise over their blocks."""
     import dask
 
@@ -188,7 +190,7 @@ def _lazy_moments(X, weight):
     return level[0]
 
 
-def _block_moments(block, weight):
+def _block_moments(block: Any, weight: Any) -> Any:
     rows = np.asarray(block)
     if not np.issubdtype(rows.dtype, np.floating):
         rows = rows.astype(np.float64)
@@ -198,14 +200,14 @@ def _block_moments(block, weight):
     return row_moments(rows, weight)
 
 
-def _merged(parts):
+def _merged(parts: Any) -> Any:
     parts = [part for part in parts if part is not None]
     if not parts:
         return None
     return parts[0] if len(parts) == 1 else parts[0] + parts[1]
 
 
-def _row_blocks(X):
+def _row_blocks(X: Any) -> Any:
     """Return the blocks of rows of a dask container as delayed values."""
     if not hasattr(X, "chunks"):
         return X.to_delayed()
@@ -214,7 +216,7 @@ def _row_blocks(X):
     return list(X.to_delayed().ravel())
 
 
-def _aligned(values, X):
+def _aligned(values: Any, X: Any) -> Any:
     """Return one value per row, partitioned like the rows."""
     if is_dask(values) and not (hasattr(values, "chunks") and hasattr(X, "chunks")):
         return values
@@ -232,7 +234,7 @@ def _aligned(values, X):
     return values.rechunk((X.chunks[0],))
 
 
-def _dask_array(X):
+def _dask_array(X: Any) -> Any:
     import dask.array as da
 
     if not is_dask(X):
@@ -240,7 +242,7 @@ def _dask_array(X):
     return X if hasattr(X, "chunks") else X.to_dask_array(lengths=True)
 
 
-def _apply_lazily(affine, X, keep, check):
+def _apply_lazily(affine: Any, X: Any, keep: Any, check: Any) -> Any:
     if not hasattr(X, "chunks"):
         if keep is None:
             return X.map_partitions(_carried_frame, affine, check=check, meta=X._meta.astype(float))
@@ -271,12 +273,12 @@ def _apply_lazily(affine, X, keep, check):
     )
 
 
-def _carried_block(block, keep=None, *, affine, check):
+def _carried_block(block: Any, keep: Any = None, *, affine: Any, check: Any) -> Any:
     rows = np.asarray(block)
     return apply_map(affine, rows, keep=None if keep is None else np.asarray(keep)[:, 0], check=check)
 
 
-def _carried_frame(frame, affine, keep=None, *, check):
+def _carried_frame(frame: Any, affine: Any, keep: Any = None, *, check: Any) -> Any:
     rows = frame.to_numpy()
     carried = apply_map(affine, rows, keep=keep, check=check)
     return type(frame)(carried, index=frame.index, columns=frame.columns)

@@ -7,6 +7,7 @@ remain.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.linalg import bandwidth, lapack, solve_triangular
@@ -71,22 +72,22 @@ class AffineMap:
     untouched: np.ndarray | None = None
 
     @classmethod
-    def between(cls, coef, source, target):
+    def between(cls, coef: Any, source: Any, target: Any) -> Any:
         """Return the map that carries the mean of one `Moments` to that of another."""
         image = target.mean + (target.mean_remainder - coef @ source.mean_remainder)
         return cls(coef, source.mean, image)
 
-    def scaled(self, scale):
+    def scaled(self, scale: Any) -> Any:
         """Return the map of rows of which each column is this many times as large."""
         coef = self.coef * scale[:, np.newaxis] / scale
         return AffineMap(coef, self.source_mean * scale, self.target_mean * scale, self.untouched)
 
     @property
-    def intercept(self):
+    def intercept(self) -> Any:
         """What the origin is carried to."""
         return self.target_mean - self.coef @ self.source_mean
 
-    def __call__(self, rows):
+    def __call__(self, rows: Any) -> Any:
         """Return the rows carried over, in float64 arithmetic and the rows' own floating type.
 
         The difference from the source mean is taken first, so that no digits are lost far from the origin.
@@ -96,7 +97,7 @@ class AffineMap:
         size = max(BLOCK_ELEMENTS // rows.shape[1], 256)
         transposed = np.ascontiguousarray(self.coef.T)
 
-        def carry(starts):
+        def carry(starts: Any) -> None:
             buffer = np.empty((min(size, len(rows)), rows.shape[1]))
             product = None if carried.dtype == np.float64 else np.empty(buffer.shape)
             for start in starts:
@@ -113,7 +114,7 @@ class AffineMap:
         return carried
 
 
-def transport_map(source_covariance, target_covariance):
+def transport_map(source_covariance: Any, target_covariance: Any) -> Any:
     r"""Return the symmetric map that carries one covariance to another at the least squared displacement.
 
     .. math:: A = C_t^{1/2} (C_t^{1/2} C_s C_t^{1/2})^{-1/2} C_t^{1/2}
@@ -154,7 +155,9 @@ def transport_map(source_covariance, target_covariance):
     return optimal_map(source_root, target_root)
 
 
-def gaussian_wasserstein_distance(source_mean, source_covariance, target_mean, target_covariance):
+def gaussian_wasserstein_distance(
+    source_mean: Any, source_covariance: Any, target_mean: Any, target_covariance: Any
+) -> Any:
     r"""Return the 2-Wasserstein distance between two normal distributions.
 
     .. math:: W_2^2 = \|m_s - m_t\|^2 + \operatorname{tr} C_s + \operatorname{tr} C_t
@@ -204,14 +207,14 @@ def gaussian_wasserstein_distance(source_mean, source_covariance, target_mean, t
     return distance_of_roots(source_mean - target_mean, source_root, target_root)
 
 
-def _check_same_features(**parts):
+def _check_same_features(**parts: Any) -> None:
     sizes = {name: len(part) for name, part in parts.items()}
     if len(set(sizes.values())) > 1:
         found = ", ".join(f"{name} has {size}" for name, size in sizes.items())
         raise ValueError(f"means and covariances must be of the same features; {found}.")
 
 
-def covariance_root(covariance):
+def covariance_root(covariance: Any) -> Any:
     """Return a root of a covariance matrix.
 
     Parameters
@@ -262,7 +265,7 @@ def covariance_root(covariance):
     return np.sqrt(eigenvalues[kept]) * vectors[:, kept] * scale[:, np.newaxis]
 
 
-def root_of_moments(moments, scale=None):
+def root_of_moments(moments: Any, scale: Any = None) -> Any:
     """Return a root of the covariance of moments.
 
     Parameters
@@ -288,7 +291,7 @@ def root_of_moments(moments, scale=None):
     return root_of_factor(factor, scale, rounding)
 
 
-def root_of_factor(factor, scale=None, rounding=None):
+def root_of_factor(factor: Any, scale: Any = None, rounding: Any = None) -> Any:
     """Return a root of the covariance ``factor.T @ factor``.
 
     Parameters
@@ -319,7 +322,7 @@ def root_of_factor(factor, scale=None, rounding=None):
     return directions[kept].T * values[kept] * scale[:, np.newaxis]
 
 
-def optimal_map(source_root, target_root, *, reach=False):
+def optimal_map(source_root: Any, target_root: Any, *, reach: bool = False) -> Any:
     r"""Return the coefficient of the optimal map between centred normal distributions.
 
     .. math:: A = L_t U w^{-1} U^T L_t^T \quad\text{with}\quad L_t^T L_s = U w V^T
@@ -364,7 +367,7 @@ def optimal_map(source_root, target_root, *, reach=False):
     return half @ half.T
 
 
-def _half_of_well_conditioned_map(source_root, target_root):
+def _half_of_well_conditioned_map(source_root: Any, target_root: Any) -> Any:
     """Return G with G G^T the map, or None where a plain product of the roots would lose digits."""
     core = target_root.T @ source_root
     if len(core) > 256:
@@ -384,7 +387,7 @@ def _half_of_well_conditioned_map(source_root, target_root):
     return None
 
 
-def check_that_source_reaches_target(angles):
+def check_that_source_reaches_target(angles: Any) -> None:
     """Raise where a direction of the target is at right angles to every one of the source.
 
     Parameters
@@ -408,7 +411,7 @@ def check_that_source_reaches_target(angles):
         )
 
 
-def reached_part(coef, source_root, target_root):
+def reached_part(coef: Any, source_root: Any, target_root: Any) -> Any:
     """Return the rank of what a map of `optimal_map` reaches, and the share of the target's variance that it does not.
 
     Parameters
@@ -432,12 +435,12 @@ def reached_part(coef, source_root, target_root):
     return rank, float(max(1.0 - np.square(coef @ source_root).sum() / np.square(target_root).sum(), 0.0))
 
 
-def reached_rank(angles):
+def reached_rank(angles: Any) -> Any:
     """Return how many directions of the target are not at right angles to every one of the source."""
     return int((np.linalg.svd(angles, compute_uv=False) > SMALLEST_COSINE).sum()) if angles.size else 0
 
 
-def spectrum(root):
+def spectrum(root: Any) -> Any:
     """Return the principal directions and standard deviations of a root, small ones with all their digits."""
     n_features, rank = root.shape
     if rank == n_features:
@@ -447,7 +450,7 @@ def spectrum(root):
     return directions, spread
 
 
-def accurate_svd(matrix):
+def accurate_svd(matrix: Any) -> Any:
     """Return the thin SVD, by one-sided Jacobi, which keeps small values of rows or columns of unlike size.
 
     See Drmač and Veselić (2008), New fast and accurate Jacobi SVD algorithm, SIAM J. Matrix Anal. Appl.
@@ -464,7 +467,7 @@ def accurate_svd(matrix):
     return left[:, : matrix.shape[1]], values * (work[0] / work[1]), right.T
 
 
-def coral_map(source_root, target_root):
+def coral_map(source_root: Any, target_root: Any) -> Any:
     r"""Return the coefficient that whitens by the source and colours by the target.
 
     .. math:: A = C_t^{1/2} C_s^{-1/2}
@@ -495,7 +498,7 @@ def coral_map(source_root, target_root):
     return ((target_directions * target_spread) @ (left @ right) / source_spread) @ source_directions.T
 
 
-def distance_of_roots(mean_difference, source_root, target_root):
+def distance_of_roots(mean_difference: Any, source_root: Any, target_root: Any) -> float:
     """Return the distance of `gaussian_wasserstein_distance` from the means' difference and two roots."""
     rank = max(source_root.shape[1], target_root.shape[1])
     source_root, target_root = (
@@ -506,7 +509,7 @@ def distance_of_roots(mean_difference, source_root, target_root):
     return float(np.hypot(np.linalg.norm(mean_difference), np.linalg.norm(unaligned)))
 
 
-def coefficient_distance(source, target, coef):
+def coefficient_distance(source: Any, target: Any, coef: Any) -> float:
     """Return the distance of `gaussian_wasserstein_distance` where the optimal map is known.
 
     Parameters

@@ -32,21 +32,21 @@ class SideBySide:
 
     ndim = 2
 
-    def __init__(self, first, second):
+    def __init__(self, first: Any, second: Any) -> None:
         self.parts = first, second
         self.shape = first.shape[0], first.shape[1] + second.shape[1]
         self.dtype = np.result_type(first, second)
 
-    def __len__(self):
+    def __len__(self) -> Any:
         return self.shape[0]
 
-    def __getitem__(self, rows):
+    def __getitem__(self, rows: Any) -> Any:
         first, second = (part[rows] for part in self.parts)
         if first.ndim == 1:
             return np.concatenate([first, second])
         return SideBySide(first, second)
 
-    def less(self, shift, out=None):
+    def less(self, shift: Any, out: Any = None) -> Any:
         """Return the rows, as float64, less a vector."""
         out = np.empty(self.shape) if out is None else out
         middle = self.parts[0].shape[1]
@@ -102,47 +102,47 @@ class Moments:
     eps: float = float(np.finfo(np.float64).eps)
 
     @property
-    def n_features(self):
+    def n_features(self) -> Any:
         """Number of columns."""
         return len(self.mean)
 
     @property
-    def covariance(self):
+    def covariance(self) -> Any:
         """Weighted covariance about the mean, divided by the sum of the weights (not by one less)."""
         scatter = self.factor.T @ self.factor if self.scatter is None else self.scatter
         return scatter / self.weight
 
     @property
-    def variance(self):
+    def variance(self) -> Any:
         """The covariance's diagonal."""
         if self.scatter is None:
             return np.square(self.factor).sum(axis=0) / self.weight
         return np.diagonal(self.scatter) / self.weight
 
     @property
-    def rounding(self):
+    def rounding(self) -> Any:
         """Standard deviation, in each column, of what rounding to their type has changed in the rows."""
         return self.eps * np.hypot(self.mean, np.sqrt(self.variance)) / np.sqrt(12)
 
     @property
-    def effective_n_rows(self):
+    def effective_n_rows(self) -> Any:
         """Number of rows of equal weight that would give means of the same variance (Kish)."""
         return self.weight**2 / self.squared_weight
 
     @property
-    def is_finite(self):
+    def is_finite(self) -> Any:
         """Whether every number is finite, and every variance."""
         held = self.factor if self.scatter is None else self.scatter
         with np.errstate(over="ignore", invalid="ignore"):
             parts = (self.mean, held, self.variance)
             return all(bool(np.isfinite(part).all()) for part in parts)
 
-    def covariance_factor(self):
+    def covariance_factor(self) -> Any:
         r"""Return :math:`F` with :math:`F^T F` the covariance, of at most as many rows as columns."""
         factor = self.factor if self.scatter is None else _factor_of_scatter(self.scatter)
         return _compressed(factor, at_most=self.n_features) / np.sqrt(self.weight)
 
-    def scaled(self, factors):
+    def scaled(self, factors: Any) -> Any:
         """Return the moments of the rows with each column times a factor.
 
         Parameters
@@ -162,7 +162,7 @@ class Moments:
             factor=None if self.factor is None else self.factor * factors,
         )
 
-    def columns(self, indices):
+    def columns(self, indices: Any) -> Any:
         """Return the moments of some of the columns, in the order given.
 
         Parameters
@@ -182,7 +182,7 @@ class Moments:
             factor=None if self.factor is None else self.factor[:, indices],
         )
 
-    def __mul__(self, factor: Any):
+    def __mul__(self, factor: Any) -> Any:
         """Return the moments of the rows with every weight times a positive factor: older rows fade so."""
         if not isinstance(factor, int | float | np.number):
             return NotImplemented
@@ -199,7 +199,7 @@ class Moments:
 
     __rmul__ = __mul__
 
-    def __getstate__(self):
+    def __getstate__(self) -> Any:
         # A symmetric matrix or a triangle, of which half the numbers do.
         state: dict[str, Any] = dict(vars(self))
         n_features = self.n_features
@@ -209,7 +209,7 @@ class Moments:
             state["factor"] = triangle(self.factor)[np.triu_indices(n_features)]
         return state
 
-    def __setstate__(self, state):
+    def __setstate__(self, state: Any) -> None:
         state = dict(state)
         n_features = len(state["mean"])
         upper = np.triu_indices(n_features)
@@ -223,7 +223,7 @@ class Moments:
             state["factor"] = factor
         vars(self).update(state)
 
-    def __add__(self, other):
+    def __add__(self, other: Any) -> Any:
         if not isinstance(other, Moments):
             return NotImplemented
         if self.n_features != other.n_features:
@@ -255,7 +255,7 @@ class Moments:
         )
 
 
-def row_moments(rows, weight=None):
+def row_moments(rows: Any, weight: Any = None) -> Any:
     """Return the moments of the rows of an array, reading it in blocks.
 
     The rows are shifted by a mean before they are multiplied, so that a mean that is large against the spread
@@ -299,37 +299,37 @@ def row_moments(rows, weight=None):
     return Moments(n_rows, total, squared, mean, remainder, scatter=scatter, eps=eps)
 
 
-def triangle(factor):
+def triangle(factor: Any) -> Any:
     """Return the triangular factor of QR: a factor of the same product, of no more rows than columns."""
     upper: Any = np.linalg.qr(factor, mode="r")
     return upper
 
 
-def _sum_with_remainder(large, small):
+def _sum_with_remainder(large: Any, small: Any) -> Any:
     """Return the rounded sum and what rounding took from it (exact where the first is the larger)."""
     rounded = large + small
     return rounded, small - (rounded - large)
 
 
-def _less(rows, shift, out=None):
+def _less(rows: Any, shift: Any, out: Any = None) -> Any:
     """Return a block of rows, as float64, less a vector."""
     if isinstance(rows, SideBySide):
         return rows.less(shift, out)
     return np.subtract(rows, shift, out=out, dtype=np.float64)
 
 
-def _blocks(n_rows, n_features):
+def _blocks(n_rows: int, n_features: int) -> Any:
     size = max(BLOCK_ELEMENTS // n_features, n_features, 256)
     return [slice(start, min(start + size, n_rows)) for start in range(0, n_rows, size)]
 
 
-def _near_mean(rows, weight):
+def _near_mean(rows: Any, weight: Any) -> Any:
     """Return the mean of the first rows, exact where they are all equal."""
     first = _blocks(*rows.shape)[0]
     return rows[0] + _mean_about(rows[first], None if weight is None else weight[first], rows[0])
 
 
-def _mean_about(rows, weight, shift):
+def _mean_about(rows: Any, weight: Any, shift: Any) -> Any:
     total = np.zeros(rows.shape[1])
     for block in _blocks(*rows.shape):
         shifted = _less(rows[block], shift)
@@ -337,7 +337,7 @@ def _mean_about(rows, weight, shift):
     return total / (len(rows) if weight is None else weight.sum())
 
 
-def _scatter_about(rows, weight, shift):
+def _scatter_about(rows: Any, weight: Any, shift: Any) -> Any:
     """Return the scatter about the mean, and the mean less the shift."""
     n_rows, n_features = rows.shape
     blocks = _blocks(n_rows, n_features)
@@ -360,12 +360,12 @@ def _scatter_about(rows, weight, shift):
     return scatter, offset
 
 
-def _is_far(offset, scatter, weight):
+def _is_far(offset: Any, scatter: Any, weight: Any) -> bool:
     """Whether taking the offset out again has cost more than one or two digits of a variance."""
     return bool((weight * np.square(offset) > 30 * np.diagonal(scatter)).any())
 
 
-def _row_factor(rows, weight, mean):
+def _row_factor(rows: Any, weight: Any, mean: Any) -> Any:
     """Return a factor of the scatter about a mean, by QR of one block of rows after the other."""
     n_rows, n_features = rows.shape
     size = max(4 * n_features, BLOCK_ELEMENTS // n_features)
@@ -379,7 +379,7 @@ def _row_factor(rows, weight, mean):
     return factor
 
 
-def _compressed(factor, at_most):
+def _compressed(factor: Any, at_most: Any) -> Any:
     """Return a factor of the same product with at most so many rows."""
     n_rows, n_features = factor.shape
     if n_rows <= at_most or not np.isfinite(factor).all():
@@ -392,7 +392,7 @@ def _compressed(factor, at_most):
     return _compressed(np.vstack([triangles.reshape(-1, n_features), factor[whole:]]), at_most)
 
 
-def _is_well_conditioned(scatter):
+def _is_well_conditioned(scatter: Any) -> bool:
     """Whether the correlations of the columns that vary are far from singular."""
     scale = np.sqrt(np.diagonal(scatter).clip(0))
     varies = scale > 0
@@ -414,7 +414,7 @@ def _is_well_conditioned(scatter):
     return bool(eigenvalues[0] * WORST_CONDITION_OF_A_PRODUCT >= eigenvalues[-1])
 
 
-def _condition_in_1_norm(matrix):
+def _condition_in_1_norm(matrix: Any) -> Any:
     cholesky, info = lapack.dpotrf(matrix, lower=1)
     if info != 0:
         return np.inf
@@ -422,7 +422,7 @@ def _condition_in_1_norm(matrix):
     return 1 / reciprocal if reciprocal > 0 else np.inf
 
 
-def _factor_of_scatter(scatter):
+def _factor_of_scatter(scatter: Any) -> Any:
     """Return the Cholesky factor of a scatter that is well conditioned but for columns that do not vary."""
     scale = np.sqrt(np.diagonal(scatter).clip(0))
     varies = np.flatnonzero(scale > 0)
@@ -434,7 +434,7 @@ def _factor_of_scatter(scatter):
     return factor
 
 
-def _swamps(between, first, second):
+def _swamps(between: Any, first: Any, second: Any) -> Any:
     """Whether the scatter between two sets is so large against that within that a sum loses digits."""
     within = np.diagonal(first.scatter) + np.diagonal(second.scatter)
     return bool((np.square(between) > 30 * within).any())

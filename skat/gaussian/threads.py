@@ -4,6 +4,7 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from itertools import pairwise
+from typing import Any
 
 from threadpoolctl import ThreadpoolController
 
@@ -11,7 +12,7 @@ from threadpoolctl import ThreadpoolController
 FEWEST_BLOCKS_TO_SHARE = 16
 
 
-def shared(work, blocks):
+def shared(work: Any, blocks: Any) -> Any:
     """Return what work returns for each of some parts of the blocks, in order: a part for each thread of BLAS.
 
     Each thread calls BLAS with one thread. Many small products, each on all threads, would wait at the end of each
@@ -41,5 +42,5 @@ def shared(work, blocks):
 
 
 @cache
-def _controller():
+def _controller() -> Any:
     return ThreadpoolController()

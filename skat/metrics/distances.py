@@ -1,5 +1,7 @@
 """Distances of two samples by their moments, and the paper's bounds."""
 
+from typing import Any
+
 import numpy as np
 
 from skat.gaussian import distance_of_roots, root_of_moments, row_moments
@@ -14,7 +16,7 @@ __all__ = [
 ]
 
 
-def gaussian_wasserstein_distance(X, y, *, sample_weight=None):
+def gaussian_wasserstein_distance(X: Any, y: Any, *, sample_weight: Any = None) -> Any:
     r"""Return the 2-Wasserstein distance between the normal approximations of two samples.
 
     .. math:: W_2^2(N_X, N_Y) = \|m_x - m_y\|^2 + \operatorname{tr} \Sigma_x + \operatorname{tr} \Sigma_y
@@ -60,7 +62,7 @@ def gaussian_wasserstein_distance(X, y, *, sample_weight=None):
     return distance_of_roots(source.mean - target.mean, root_of_moments(source), root_of_moments(target))
 
 
-def gelbrich_bound(X, y, *, sample_weight=None):
+def gelbrich_bound(X: Any, y: Any, *, sample_weight: Any = None) -> Any:
     r"""Return a lower bound of the 2-Wasserstein distance between two samples, from their moments.
 
     .. math:: W_2(N_X, N_Y) \le W_2(X, Y)
@@ -109,7 +111,7 @@ def gelbrich_bound(X, y, *, sample_weight=None):
     return gaussian_wasserstein_distance(X, y, sample_weight=sample_weight)
 
 
-def affine_discrepancy_bound(X, y, *, sample_weight=None):
+def affine_discrepancy_bound(X: Any, y: Any, *, sample_weight: Any = None) -> Any:
     r"""Return Proposition 1's bound of how far apart the exact and the Gaussian distance can be.
 
     .. math:: |W_2(N_X, N_Y) - W_2(X, Y)| \le
@@ -158,7 +160,7 @@ def affine_discrepancy_bound(X, y, *, sample_weight=None):
     return float(2.0 * np.linalg.svd(core, compute_uv=False).sum() / np.sqrt(spread))
 
 
-def normal_approximation_bound(X, *, sample_weight=None):
+def normal_approximation_bound(X: Any, *, sample_weight: Any = None) -> float:
     r"""Return Corollary 2's bound of the distance between a law and its normal approximation.
 
     .. math:: W_2(N_X, X) \le \sqrt{2 \operatorname{tr} \Sigma_x}
@@ -197,7 +199,7 @@ def normal_approximation_bound(X, *, sample_weight=None):
     return float(np.sqrt(2.0 * moments.variance.sum()))
 
 
-def affine_error_bound(y, *, sample_weight=None):
+def affine_error_bound(y: Any, *, sample_weight: Any = None) -> Any:
     r"""Return Proposition 2's bound of how far affine transport can land from the target.
 
     .. math:: W_2(T X, Y) \le \sqrt{2 \operatorname{tr} \Sigma(Y)}
@@ -239,7 +241,7 @@ def affine_error_bound(y, *, sample_weight=None):
     return normal_approximation_bound(y, sample_weight=sample_weight)
 
 
-def _two_moments(X, y, sample_weight):
+def _two_moments(X: Any, y: Any, sample_weight: Any) -> Any:
     X, y = two_samples(X, y, "X")
     x_weight, y_weight = two_weights(sample_weight, len(X), len(y))
     return row_moments(X, x_weight), row_moments(y, y_weight)

@@ -1,5 +1,7 @@
 """Which rows of a stacked array are source rows and which are target rows, however their domains are labelled."""
 
+from typing import Any
+
 import numpy as np
 
 __all__ = ["domain_signs"]
@@ -7,7 +9,7 @@ __all__ = ["domain_signs"]
 WORDS = {"source": 1, "sim": 1, "simulated": 1, "simulation": 1, "target": -1, "real": -1, "measured": -1}
 
 
-def domain_signs(sample_domain, n_rows=None, source_domain=None):
+def domain_signs(sample_domain: Any, n_rows: int | None = None, source_domain: Any = None) -> Any:
     """Return the domain of each row as a number: positive for source rows, negative for target rows.
 
     Parameters
@@ -77,6 +79,6 @@ def domain_signs(sample_domain, n_rows=None, source_domain=None):
     return domain
 
 
-def _some(labels):
+def _some(labels: Any) -> Any:
     different = list(dict.fromkeys(np.asarray(labels).tolist()))
     return ", ".join(map(repr, different[:6])) + (", ..." if len(different) > 6 else "")

@@ -2,6 +2,7 @@
 
 import warnings
 from functools import partial
+from typing import Any
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -19,7 +20,7 @@ MOST_CUTS, ROWS_OF_ALL_CUTS = 4, 10_000
 FEWEST_ITERATIONS, MOST_ITERATIONS, ROWS_OF_ALL_ITERATIONS = 20, 60, 200_000
 
 
-def marginal_squares(X, y, rng, n_jobs=None):
+def marginal_squares(X: Any, y: Any, rng: Any, n_jobs: int | None = None) -> Any:
     """Return the sum of squared marginal distances for either half of the rows, in a basis from the other.
 
     The mathematics is in the docstring of `skat.metrics.affinity.affinity_upper_bound`.
@@ -63,7 +64,7 @@ def marginal_squares(X, y, rng, n_jobs=None):
         )
 
 
-def _square_of_fold(X, y, find, test, seed):
+def _square_of_fold(X: Any, y: Any, find: Any, test: Any, seed: Any) -> Any:
     rng = np.random.RandomState(seed)
     find_source, find_target = (order[:ROWS_THAT_FIND_A_BASIS] for order in find)
     test_source, test_target = test
@@ -71,7 +72,7 @@ def _square_of_fold(X, y, find, test, seed):
     return _marginal_square(X[test_source], y[test_target], basis, rng)
 
 
-def _marginal_square(X, y, basis, rng):
+def _marginal_square(X: Any, y: Any, basis: Any, rng: Any) -> Any:
     """Return the sum of squared marginal distances, by products of independent differences.
 
     The rows come in random order.
@@ -93,21 +94,21 @@ def _marginal_square(X, y, basis, rng):
     return square / n_cuts
 
 
-def _mean_sorted(rows, n_part):
+def _mean_sorted(rows: Any, n_part: Any) -> Any:
     """Return that many sorted values of each column, in rows, averaged where there are values for several."""
     n_parts = len(rows) // n_part
     parts = rows[: n_parts * n_part].T.reshape(-1, n_parts, n_part)
     return np.sort(parts, axis=2).mean(axis=1)
 
 
-def _telling_basis(X, y, rng):
+def _telling_basis(X: Any, y: Any, rng: Any) -> Any:
     """Return the orthonormal basis, in rows, of the largest marginal distance among a few."""
     axes, _ = _principal(y)
     candidates = [np.eye(y.shape[1]), axes.T, _independent_basis(y, rng), _independent_basis(X, rng)]
     return max(candidates, key=partial(_marginal_square, X, y, rng=rng))
 
 
-def _independent_basis(rows, rng):
+def _independent_basis(rows: Any, rng: Any) -> Any:
     """Return the orthonormal basis nearest to the independent components of the rows."""
     # Of all that scikit-learn has, this loads the most, and few calls come here.
     from sklearn.decomposition import FastICA
@@ -124,19 +125,19 @@ def _independent_basis(rows, rng):
     return left @ right
 
 
-def _principal(rows):
+def _principal(rows: Any) -> Any:
     """Return principal directions, in columns, and standard deviations, less those of no variance."""
     variance, axes = np.linalg.eigh(row_moments(rows).covariance)
     kept = variance > 1e-12 * variance[-1]
     return axes[:, kept], np.sqrt(variance[kept])
 
 
-def orders(n_source, n_target, rng):
+def orders(n_source: Any, n_target: Any, rng: Any) -> Any:
     """Return the row numbers in random order, the same for both sides where rows may be pairs."""
     source = rng.permutation(n_source)
     return source, source if n_source == n_target else rng.permutation(n_target)
 
 
-def halves(rows):
+def halves(rows: Any) -> Any:
     """Return the first and the second half."""
     return rows[: len(rows) // 2], rows[len(rows) // 2 :]

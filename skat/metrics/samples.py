@@ -1,5 +1,7 @@
 """Checks of the samples that scores and distances compare, and how far a target spreads."""
 
+from typing import Any
+
 import numpy as np
 from sklearn.utils import check_array
 
@@ -16,18 +18,18 @@ __all__ = [
 ]
 
 
-def one_sample(rows, name):
+def one_sample(rows: Any, name: str) -> Any:
     """Return rows as a finite array (n_rows, n_features) of float64."""
     return check_array(_in_numpy(rows), dtype=np.float64, input_name=name)
 
 
-def _in_numpy(array):
+def _in_numpy(array: Any) -> Any:
     """Return an array of another library, or on another device, as one in NumPy; anything else as it is."""
     xp, is_array_api, _ = get_namespace_and_device(array)
     return convert_to_numpy(array, xp) if is_array_api and not is_numpy_namespace(xp) else array
 
 
-def two_samples(X, y, name="X_transported"):
+def two_samples(X: Any, y: Any, name: str = "X_transported") -> Any:
     """Return two sets of rows, checked to have the same number of columns."""
     X, y = one_sample(X, name), one_sample(y, "y")
     if X.shape[1] != y.shape[1]:
@@ -38,7 +40,7 @@ def two_samples(X, y, name="X_transported"):
     return X, y
 
 
-def row_weight(weight, n_rows, name="sample_weight"):
+def row_weight(weight: Any, n_rows: int, name: str = "sample_weight") -> Any:
     """Return weights as an array (n_rows,), not negative and of positive sum; None as it is."""
     if weight is None:
         return None
@@ -54,7 +56,7 @@ def row_weight(weight, n_rows, name="sample_weight"):
     return weight
 
 
-def two_weights(sample_weight, n_source, n_target):
+def two_weights(sample_weight: Any, n_source: Any, n_target: Any) -> Any:
     """Return the weights of both sides, given for pairs of rows or as a tuple (source, target)."""
     if not isinstance(sample_weight, tuple):
         if sample_weight is not None and n_source != n_target:
@@ -67,7 +69,7 @@ def two_weights(sample_weight, n_source, n_target):
     return row_weight(source_weight, n_source), row_weight(target_weight, n_target)
 
 
-def weight_of_each_side(sample_weight):
+def weight_of_each_side(sample_weight: Any) -> Any:
     """Return a tuple of weights, checked to be one of two sides."""
     if len(sample_weight) != 2:
         raise ValueError(
@@ -77,7 +79,7 @@ def weight_of_each_side(sample_weight):
     return sample_weight
 
 
-def twice_the_spread(y, weight=None):
+def twice_the_spread(y: Any, weight: Any = None) -> Any:
     """Return twice the trace of the target's covariance, by which affinities divide; exactly zero is refused."""
     spread = 2.0 * float(row_moments(y, weight).variance.sum())
     if spread == 0.0:

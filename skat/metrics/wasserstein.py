@@ -1,5 +1,7 @@
 """Exact 2-Wasserstein distance between two finite samples, and the affinity that is built on it."""
 
+from typing import Any
+
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
@@ -11,7 +13,7 @@ __all__ = ["affinity", "is_large_cost", "optimal_plan", "refuse_large_cost", "wa
 LARGEST_COST_MATRIX_BYTES = 8e9
 
 
-def wasserstein_distance(X, y, *, x_weight=None, y_weight=None):
+def wasserstein_distance(X: Any, y: Any, *, x_weight: Any = None, y_weight: Any = None) -> Any:
     r"""Return the exact 2-Wasserstein distance between two weighted samples.
 
     .. math:: W_2^2 = \min_{\gamma} \sum_{ij} \gamma_{ij} \|x_i - y_j\|^2
@@ -56,7 +58,7 @@ def wasserstein_distance(X, y, *, x_weight=None, y_weight=None):
     return size * float(np.sqrt(max(_network_simplex(cost, *weights, plan=False), 0.0)))
 
 
-def optimal_plan(X, y, *, x_weight=None, y_weight=None):
+def optimal_plan(X: Any, y: Any, *, x_weight: Any = None, y_weight: Any = None) -> Any:
     r"""Return the coupling of two weighted samples of least mean squared distance, and the distance.
 
     Parameters
@@ -82,7 +84,7 @@ def optimal_plan(X, y, *, x_weight=None, y_weight=None):
     return plan, size * float(np.sqrt((plan * cost).sum()))
 
 
-def affinity(X_transported, y, *, x_weight=None, y_weight=None):
+def affinity(X_transported: Any, y: Any, *, x_weight: Any = None, y_weight: Any = None) -> Any:
     r"""Return the affinity of transported rows and target rows.
 
     .. math:: \rho = 1 - \frac{W_2(T X, Y)}{\sqrt{2 \operatorname{tr} \Sigma(Y)}}
@@ -127,12 +129,12 @@ def affinity(X_transported, y, *, x_weight=None, y_weight=None):
     return float(1.0 - distance / np.sqrt(twice_the_spread(y, row_weight(y_weight, len(y), "y_weight"))))
 
 
-def is_large_cost(n_x, n_y):
+def is_large_cost(n_x: Any, n_y: Any) -> bool:
     """Whether the cost matrix between so many rows is larger than what is computed."""
     return 8.0 * n_x * n_y > LARGEST_COST_MATRIX_BYTES
 
 
-def refuse_large_cost(n_x, n_y):
+def refuse_large_cost(n_x: Any, n_y: Any) -> None:
     """Raise where the exact transport would need a cost matrix that few machines can hold.
 
     Parameters
@@ -155,7 +157,7 @@ def refuse_large_cost(n_x, n_y):
         )
 
 
-def _problem(X, y, x_weight, y_weight):
+def _problem(X: Any, y: Any, x_weight: Any, y_weight: Any) -> Any:
     """Return rows about one of them in units of the largest entry, that unit, and their weights; all checked.
 
     The solvers stop at absolute tolerances, and squares have half the range of the numbers.
@@ -174,11 +176,11 @@ def _problem(X, y, x_weight, y_weight):
     return X / size, y / size, size, weights
 
 
-def _is_uniform(weight):
+def _is_uniform(weight: Any) -> bool:
     return bool((weight == weight[0]).all())
 
 
-def _assignment(cost):
+def _assignment(cost: Any) -> Any:
     """Return the column of each row of least total cost, and reduce the cost in place on the way."""
     # Which columns are best does not change, but the solver's searches end two to three times sooner.
     cost -= cost.min(axis=0)
@@ -186,7 +188,7 @@ def _assignment(cost):
     return linear_sum_assignment(cost)[1]
 
 
-def _network_simplex(cost, x_weight, y_weight, *, plan):
+def _network_simplex(cost: Any, x_weight: Any, y_weight: Any, *, plan: Any) -> Any:
     """Return the coupling of least mean cost, or that cost, by POT."""
     import ot
 
