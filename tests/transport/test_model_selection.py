@@ -66,7 +66,7 @@ class Case:
             self.y[self.domain > 0] = self.y[self.domain < 0] = side
 
 
-# --- the four ways to score: scores of scikit-learn, an array, and the folds and parameters that they belong to --------
+# --- the four ways to score: scores of scikit-learn, an array, and the folds and parameters that they belong to ---
 
 
 def by_cross_val_score(model, case, X, y, cv, scoring, given):
