@@ -268,7 +268,7 @@ class MomentTransport(BaseTransport):
         solution = self._solve(*scaled, scale)
         affine, self.rank_ = solution.affine, solution.rank
         self.unreached_ = max(outside, solution.unreached)
-        self._map = affine if self.metric_scale is None else affine.scaled(scale)
+        self._map = (affine if self.metric_scale is None else affine.scaled(scale)).tame(source)
         for name, value in {
             "coef_": self._map.coef,
             "intercept_": self._map.intercept,

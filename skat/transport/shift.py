@@ -13,6 +13,8 @@ __all__ = ["Distances", "Support", "importance_weights"]
 
 # The share of rows beyond what one in a hundred exceeds is known to a fifth of a point from as many.
 MOST_CALIBRATING_ROWS = 2000
+# Copies of more rows would be the most of what a fit holds.
+ROWS_AT_A_TIME = 256
 LEVELS = np.concatenate(
     [np.linspace(0.0, 0.9, 46), 1.0 - np.geomspace(0.1, 1.0 / MOST_CALIBRATING_ROWS, 128)[1:]]
 )
@@ -91,6 +93,11 @@ class Support:
 
     def distance(self, rows):
         """Return the Mahalanobis distance of rows; infinite off the plane in which the fitted rows lie."""
+        starts = range(0, len(rows), ROWS_AT_A_TIME)
+        blocks = [self._distance(rows[start : start + ROWS_AT_A_TIME]) for start in starts]
+        return np.concatenate(blocks) if blocks else np.empty(0)
+
+    def _distance(self, rows):
         centred = (np.asarray(rows, dtype=np.float64) - self.mean) / self.scale
         if self.root.shape[1] == len(self.root) and bandwidth(self.root)[1] == 0:
             return np.linalg.norm(
