@@ -279,6 +279,29 @@ class MomentTransport(BaseTransport):
             setattr(self, name, to_namespace(value, like))
         self.wasserstein_distance_ = self._distance(scaled[0], scaled[1], affine)
 
+    def __getstate__(self):
+        state = super().__getstate__()
+        if "coef_" in state and state["coef_"] is self._map.coef:
+            # The map writes down half of it where it is symmetric.
+            state = {**state, "coef_": None}
+        if "_map" in state:
+            # They follow from the moments.
+            state = {**state, "_support": None, "_back": None}
+            if self._is_empirical:
+                state["_learned"] = (None, None, self._learned[2])
+        return state
+
+    def __setstate__(self, state):
+        super().__setstate__(state)
+        if state.get("coef_", self) is None:
+            self.coef_ = self._map.coef
+        if "_map" in state and self._is_empirical:
+            self._learned = (*self._sides(), self._learned[2])
+
+    @property
+    def _is_empirical(self):
+        return isinstance(self.covariance, str) and self.covariance == "empirical"
+
     @property
     def source_covariance_(self):
         """Covariance of the source rows, as estimated."""
@@ -342,7 +365,7 @@ class MomentTransport(BaseTransport):
     def _fitted_support(self):
         if self._support is None:
             support = Support.of(self._learned[0])
-            self._support = support if self._distances is None else support.calibrated(self._distances.values)
+            self._support = support if self._distances is None else support.calibrated(self._distances)
         return self._support
 
     def _calibrate(self, samples, earlier):

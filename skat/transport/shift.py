@@ -38,6 +38,27 @@ class Distances:
         seen = values if earlier is None else np.concatenate([earlier.values, values])
         return cls(seen[-MOST_CALIBRATING_ROWS:].astype(np.float32))
 
+    @property
+    def quantiles(self):
+        """What is usual: distances at the levels ``LEVELS``."""
+        return np.sort(self.values)[_places(len(self.values))]
+
+    def __getstate__(self):
+        # A tenth of the numbers, and all that is asked of them.
+        return {"quantiles": self.quantiles, "n_rows": len(self.values)}
+
+    def __setstate__(self, state):
+        ranks = np.arange(state["n_rows"])
+        values = np.interp(ranks, _places(len(ranks)), state["quantiles"]).astype(np.float32)
+        vars(self)["values"] = values
+
+
+def _places(n_rows):
+    """Return where in order the distances of so many rows are those at the levels."""
+    # Of one more row than there are, as in conformal prediction; of too few rows for a level the farthest.
+    places = np.minimum(np.ceil(LEVELS * (n_rows + 1)).astype(int), n_rows) - 1
+    return np.maximum(places, 0)
+
 
 @dataclass(frozen=True, eq=False)
 class Support:
@@ -82,14 +103,11 @@ class Support:
         support = cls(moments.mean, scale, root_of_moments(moments.scaled(1 / scale)))
         if rows is None or not len(rows):
             return support
-        return support.calibrated(support.left_out(rows, moments, weight))
+        return support.calibrated(Distances.of(support.left_out(rows, moments, weight)))
 
     def calibrated(self, distances):
-        """Return the support with what is usual taken from distances of rows that are usual."""
-        ordered = np.sort(distances)
-        # Of one more row than there are, as in conformal prediction; of too few rows for a level the farthest.
-        places = np.minimum(np.ceil(LEVELS * (len(ordered) + 1)).astype(int), len(ordered)) - 1
-        return replace(self, quantiles=ordered[np.maximum(places, 0)])
+        """Return the support with what is usual taken from `Distances` of rows that are usual."""
+        return replace(self, quantiles=distances.quantiles)
 
     def distance(self, rows):
         """Return the Mahalanobis distance of rows; infinite off the plane in which the fitted rows lie."""
