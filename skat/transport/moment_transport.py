@@ -17,7 +17,7 @@ from skat.gaussian.backends import apply_map, is_dask, moments_of, on_host, to_n
 from skat.gaussian.maps import EPS
 from skat.transport.base import BaseTransport, is_flat
 from skat.transport.shift import MOST_CALIBRATING_ROWS, Distances, Support
-from skat.transport.shrinkage import shrunk_towards
+from skat.transport.shrinkage import mean_drawn_towards, shrunk_towards
 
 __all__ = ["MomentTransport", "Solution"]
 
@@ -59,12 +59,14 @@ class MomentTransport(BaseTransport):
     _parameter_constraints = {
         **BaseTransport._parameter_constraints,
         "covariance": [StrOptions({"empirical", "shrunk"}), HasMethods("fit")],
+        "mean": [StrOptions({"empirical", "shrunk"})],
         "metric_scale": [None, StrOptions({"target"}), "array-like"],
         "rank_deficient": [StrOptions({"raise", "reach"})],
         "outside": [StrOptions({"ignore", "warn", "raise"})],
     }
     _moments: Any = None
     _missing: Any = None
+    mean = "empirical"
     rank_deficient = "raise"
     outside = "ignore"
     _support: Any = None
@@ -74,12 +76,14 @@ class MomentTransport(BaseTransport):
         self,
         *,
         covariance="empirical",
+        mean="empirical",
         metric_scale=None,
         rank_deficient="raise",
         outside="ignore",
         unlabelled="raise",
         source_domain=None,
     ):
+        self.mean = mean
         self.outside = outside
         super().__init__(unlabelled=unlabelled, source_domain=source_domain)
         self.covariance = covariance
@@ -256,6 +260,11 @@ class MomentTransport(BaseTransport):
     def _learn(self, sides, like):
         """Set the fitted attributes, as arrays of the library that `like` is of."""
         source, target = sides
+        if self.mean == "shrunk":
+            n_source, n_target = (side.effective_n_rows for side in self._sides())
+            target, self.mean_shrinkage_ = mean_drawn_towards(
+                target, source, n_target, n_source, self._pairs()
+            )
         outside = 0.0
         if isinstance(self.covariance, str) and self.covariance == "shrunk":
             whole = target
@@ -300,7 +309,7 @@ class MomentTransport(BaseTransport):
 
     @property
     def _is_empirical(self):
-        return isinstance(self.covariance, str) and self.covariance == "empirical"
+        return isinstance(self.covariance, str) and self.covariance == self.mean == "empirical"
 
     @property
     def source_covariance_(self):
