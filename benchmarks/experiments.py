@@ -29,7 +29,7 @@ from sklearn.linear_model import LinearRegression
 from skat import ProcrustesAffineTransport
 from skat.experiments import domain_matrix, in_columns_of_paper, puck_learning_curve, puck_table
 from skat.experiments.methods import METHODS, RegressionTransport
-from skat.experiments.puck import SIMULATIONS
+from skat.experiments.puck import SIMULATIONS, UNPAIRED_CURVE_METHODS
 from skat.experiments.robots import CONDITIONS, COVARIANCE_MEASURES, MEASURES
 
 RESULTS = Path(__file__).parent / "results"
@@ -44,6 +44,7 @@ UNPAIRED_BOUND_OF_ANT_WITH_200 = 1.05
 # What a residual may cost in the median with 200 pairs.
 MOST_OF_BASE = 1.02
 COVARIANCE_METHODS = ("procrustes_whitened", "conditional", "least_squares", "ridge_on_residual")
+MEASURED_STRIKES, SIMULATED_STRIKES = 20, (8, 20, 60, 200, 600)
 # A diagnosis needs few rows, and its time grows with their number.
 DIAGNOSIS_ROWS = 200
 # Columns of state and action in a robot's rows, and shares of the way from least squares to whitened Procrustes.
@@ -88,9 +89,9 @@ def tables_of(name, arguments):
     """Return the tables of an experiment by what their files' names end in."""
     small = arguments.small
     if name == "puck":
-        return pucks(small)
+        return pucks(arguments)
     if name == "learning_curve":
-        return {"": curves(small)}
+        return {"": curves(small), "_simulated": curves(small, MEASURED_STRIKES)}
     if name == "between":
         return {"": between(small)}
     return {"": diagnoses(small)} if name == "diagnosis" else robots(name, arguments)
@@ -239,10 +240,18 @@ def covariances(table, n_transitions):
     return pd.DataFrame(records)
 
 
-def pucks(small):
+def pucks(arguments):
     """Return the puck table in the paper's columns, and the medians over simulations and pucks by method."""
-    options = {"simulations": SIMULATIONS[4:6], "n_repeats": 1, "n_test": 100} if small else {}
-    table = puck_table(**options)
+    options = {"simulations": SIMULATIONS[4:6], "n_repeats": 1, "n_test": 100} if arguments.small else {}
+    arguments.pieces.mkdir(parents=True, exist_ok=True)
+    tables = []
+    for seed in arguments.seeds:
+        path = arguments.pieces / f"puck_{seed}{'_small' if arguments.small else ''}.csv"
+        if not path.exists():
+            puck_table(random_state=seed, **options).to_csv(path, index=False)
+            print(f"{path.name} at {commit()}", flush=True)
+        tables.append(pd.read_csv(path))
+    table = pd.concat(tables).groupby(["puck", "simulation", "method"], sort=False).mean().reset_index()
     return {"": puck_medians(table), "_paper": in_columns_of_paper(table)}
 
 
@@ -266,9 +275,14 @@ def puck_medians(table):
     return medians.sort_values(["puck", "error after, m"]).reset_index()
 
 
-def curves(small):
-    """Return the median error over simulations and twice its deviation, by method and number of strikes."""
+def curves(small, n_measured=None):
+    """Return the median error over simulations and twice its deviation, by method and number of strikes.
+
+    With `n_measured` the numbers are of simulated strikes, beside so many measured ones.
+    """
     options = {"simulations": SIMULATIONS[4:6], "n_repeats": 5, "n_test": 100} if small else {}
+    if n_measured is not None:
+        options |= {"n_measured": n_measured, "sizes": SIMULATED_STRIKES, "methods": UNPAIRED_CURVE_METHODS}
     table = puck_learning_curve(**options)
     by_size = table.groupby(["method", "n_strikes"], sort=False)
     errors = by_size["error_after"].median().unstack()
