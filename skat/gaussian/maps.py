@@ -137,8 +137,9 @@ class AffineMap:
         working = np.float32 if self.is_tame and carried.dtype == np.float32 else np.float64
         size = max(BLOCK_ELEMENTS // rows.shape[1], 256)
         transposed = np.ascontiguousarray(self.coef.T, dtype=working)
-        source_mean, target_mean = self.source_mean.astype(working), self.target_mean.astype(working)
-        remainder = (self.source_mean - source_mean).astype(working)
+        source_mean = self.source_mean.astype(working)
+        # What rounding took from the mean is the same for all rows.
+        target_mean = (self.target_mean - self.coef @ (self.source_mean - source_mean)).astype(working)
 
         def carry(starts):
             buffer = np.empty((min(size, len(rows)), rows.shape[1]), dtype=working)
@@ -147,8 +148,6 @@ class AffineMap:
                 block, image = rows[start : start + size], carried[start : start + size]
                 centred = buffer[: len(block)]
                 np.subtract(block, source_mean, out=centred)
-                if working == np.float32:
-                    centred -= remainder
                 wide = image if product is None else product[: len(block)]
                 np.matmul(centred, transposed, out=wide)
                 np.add(wide, target_mean, out=image, casting="same_kind")
