@@ -7,7 +7,10 @@ WORKERS ?= 2
 CONSTRAINTS ?=
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check $(if $(CONSTRAINTS),-c $(CONSTRAINTS))
 
-.PHONY: demo test test-long coverage lint types docs lock clean
+# A wheel for the CPU, of 200 MB; with a GPU give the ordinary one, TORCH=torch.
+TORCH ?= torch==2.13.0+cpu
+
+.PHONY: demo test test-long test-torch coverage lint types docs lock clean
 
 demo: $(VENV)/.installed
 	$(BIN)/skat demo
@@ -21,6 +24,19 @@ test: $(VENV)/.installed-test
 
 test-long: $(VENV)/.installed-test
 	$(PYTEST) -m long
+
+# Transports of tensors, in an environment of its own above the other; nothing is run where there is no such wheel.
+test-torch: $(VENV)/.installed-test
+	if [ ! -e $(VENV)-torch/.installed ]; then \
+	    rm -rf $(VENV)-torch && $(BIN)/python -m venv --without-pip $(VENV)-torch && \
+	    $(BIN)/python -c 'import sysconfig; print("import site; site.addsitedir(%r)" % sysconfig.get_path("purelib"))' \
+	        > "$$($(VENV)-torch/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/above.pth" && \
+	    timeout 240 $(VENV)-torch/bin/python -m pip install --quiet --disable-pip-version-check "$(TORCH)" && \
+	    touch $(VENV)-torch/.installed || \
+	    { echo "SKIPPED: $(TORCH) cannot be had here, so no test of tensors ran."; exit 0; }; \
+	fi; \
+	SCIPY_ARRAY_API=1 OMP_NUM_THREADS=1 $(VENV)-torch/bin/python -m pytest -k "torch or cuda" \
+	    tests/transport/test_array_api.py tests/transport/test_model_selection.py
 
 # Fails below the share of lines that pyproject.toml asks for.
 coverage: $(VENV)/.installed-test
@@ -57,4 +73,4 @@ lock:
 	uv pip compile --quiet --universal --upgrade --python-version 3.11 --extra test --extra docs --no-header --no-annotate pyproject.toml -o .ci/constraints.txt
 
 clean:
-	rm -rf $(VENV) docs/_build docs/generated docs/gallery .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage
+	rm -rf $(VENV) $(VENV)-torch docs/_build docs/generated docs/gallery .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage

@@ -1,75 +1,147 @@
-"""Ratios of time, memory and size that the transports are to keep, beside POT and bare NumPy in the same run.
+"""Ratios of time, memory and size that the transports are to keep, beside peers and bare NumPy in the same run.
 
-Run from the root of the repository, on a quiet machine, some minutes::
+Run from the root of the repository, on a quiet machine, some minutes each::
 
-    OMP_NUM_THREADS=1 python benchmarks/speed.py > benchmarks/results/speed.txt
+    OMP_NUM_THREADS=1 python benchmarks/speed.py     # CPU is what counts
+    python benchmarks/speed.py                       # wall time, with all threads
 
 Everything is the median of five runs, interleaved; CPU is that of the process, over all threads. ``--sizes`` takes some
-of the sizes. POT is ``ot.da.LinearTransport``, the floor the two products X'X and Y'Y.
+of the sizes. The floor is the two products X'X and Y'Y; the time of a peer over that of the floor is the most that
+anything which reads the rows once can gain on it. Peers are ``ot.da.LinearTransport`` (POT), ``LinearOTMappingAdapter``
+(skada), ``Gaussian.transport`` (ott-jax, in float64) and ``LinearRegression`` (scikit-learn); those that are not
+installed are left out. An environment of their own, beside this one's packages::
+
+    python -m venv peers-env && peers-env/bin/pip install POT threadpoolctl scikit-learn skada ott-jax
+    PYTHONPATH=. OMP_NUM_THREADS=1 peers-env/bin/python benchmarks/speed.py
 """
 
 import argparse
 import os
 import pickle
+import platform
 import subprocess
 import sys
 import time
 import tracemalloc
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
 
 import numpy as np
+from sklearn.linear_model import LinearRegression
 
 from skat import AffineTransport, ProcrustesAffineTransport
 from skat.transport import fit_batched
 
 SIZES = ("1000000x30", "100000x200", "20000x1000")
 REPEATS = 5
+PACKAGES = ("numpy", "scipy", "scikit-learn", "POT", "skada", "ott-jax", "jax")
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--sizes", nargs="*", default=SIZES)
+    parser.add_argument("--repeats", type=int, default=REPEATS)
+    parser.add_argument("--no-peers", action="store_true", help="POT only")
+    parser.add_argument("--no-small", action="store_true", help="leave out the 10,000 fits of 200 x 4")
     arguments = parser.parse_args()
+    if os.environ.get("OMP_NUM_THREADS") == "1":
+        # JAX has threads of its own.
+        os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
     commit = subprocess.run(
         ["git", "describe", "--always", "--dirty"], capture_output=True, text=True
     ).stdout.strip()
     print(f"commit {commit}: {' '.join(sys.argv)}; threads {os.environ.get('OMP_NUM_THREADS', 'all')}")
-    print(f"load of the machine before: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores\n")
+    print(", ".join(f"{name} {version_of(name)}" for name in PACKAGES), platform.python_version())
+    print(f"load of the machine before: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores\n", flush=True)
     for size in arguments.sizes:
-        at_size(*map(int, size.split("x")))
-    many_small_ones()
+        at_size(*map(int, size.split("x")), arguments)
+    if not arguments.no_small:
+        many_small_ones(arguments.repeats)
 
 
-def at_size(n_rows, n_features):
+def version_of(package):
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "none"
+
+
+def pot(X, y):
     import ot
 
+    model = ot.da.LinearTransport().fit(Xs=X, Xt=y)
+    return lambda: model.transform(Xs=X)
+
+
+def skada(X, y):
+    from skada import LinearOTMappingAdapter
+
+    rows, domain = np.vstack([X, y]), np.repeat([1, -1], [len(X), len(y)])
+    LinearOTMappingAdapter().fit(rows, None, sample_domain=domain)
+
+
+def ott(X, y):
+    import jax
+    from ott.tools.gaussian_mixture.gaussian import Gaussian
+
+    jax.config.update("jax_enable_x64", True)
+    source, target = (Gaussian.from_samples(jax.numpy.asarray(rows)) for rows in (X, y))
+    source.transport(target, jax.numpy.asarray(X[:1])).block_until_ready()
+
+
+def regression(X, y):
+    LinearRegression().fit(X, y)
+
+
+# Name of a fit -> its call and the package that it needs.
+PEERS = {
+    "POT": (pot, "ot"),
+    "skada": (skada, "skada"),
+    "ott-jax": (ott, "ott"),
+    "LinearRegression": (regression, "sklearn"),
+}
+
+
+def at_size(n_rows, n_features, arguments):
     rng = np.random.default_rng(0)
     X = rng.normal(size=(n_rows, n_features))
-    y = X @ (np.eye(n_features) + 0.1 * rng.normal(size=(n_features, n_features))) + 0.1 * rng.normal(
-        size=X.shape
-    )
+    y = X @ (np.eye(n_features) + 0.1 * rng.normal(size=(n_features, n_features)))
+    y += 0.1 * rng.normal(size=X.shape)
+    peers = {
+        name: call
+        for name, (call, package) in PEERS.items()
+        if find_spec(package) and (name == "POT" or not arguments.no_peers)
+    }
     fitted = AffineTransport().fit(X, y)
-    peer = ot.da.LinearTransport().fit(Xs=X, Xt=y)
-    X32 = X.astype(np.float32)
+    carry = pot(X, y)
+    X32, y32 = X.astype(np.float32), y.astype(np.float32)
     coef, intercept = fitted.coef_.T, fitted.intercept_
     coef32, intercept32 = coef.astype(np.float32), intercept.astype(np.float32)
-    seconds = measured(
-        {
-            "affine": lambda: AffineTransport().fit(X, y),
-            "POT": lambda: ot.da.LinearTransport().fit(Xs=X, Xt=y),
-            "floor": lambda: (X.T @ X, y.T @ y),
-            "procrustes": lambda: ProcrustesAffineTransport().fit(X, y),
-            "transform": lambda: fitted.transform(X),
-            "bare product": lambda: X @ coef + intercept,
-            "POT's transform": lambda: peer.transform(X),
-            "transform, float32": lambda: fitted.transform(X32),
-            "bare product, float32": lambda: X32 @ coef32 + intercept32,
-        }
-    )
+    calls = {
+        "affine": lambda: AffineTransport().fit(X, y),
+        "floor": lambda: (X.T @ X, y.T @ y),
+        "three products": lambda: (X.T @ X, y.T @ y, X.T @ y),
+        "procrustes": lambda: ProcrustesAffineTransport().fit(X, y),
+        "transform": lambda: fitted.transform(X),
+        "bare product": lambda: X @ coef + intercept,
+        "POT's transform": carry,
+        "affine, float32": lambda: AffineTransport().fit(X32, y32),
+        "POT, float32": lambda: pot(X32, y32),
+        "transform, float32": lambda: fitted.transform(X32),
+        "bare product, float32": lambda: X32 @ coef32 + intercept32,
+    }
+    for name, call in peers.items():
+        call(X[: n_features + 10], y[: n_features + 10])  # what JAX compiles, and imports
+        calls[name] = lambda call=call: call(X, y)
+    seconds = measured(calls, arguments.repeats)
     print(f"{n_rows} x {n_features}: ratios of CPU (wall)")
     for label, over, under in (
-        ("fit: POT / affine", "POT", "affine"),
+        *((f"fit: {name} / affine", name, "affine") for name in peers),
+        ("fit, float32: POT / affine", "POT, float32", "affine, float32"),
         ("fit: affine / the two products", "affine", "floor"),
+        ("fit: POT / the two products", "POT", "floor"),
         ("fit: procrustes / affine", "procrustes", "affine"),
+        ("bare: three products / two", "three products", "floor"),
         ("transform: bare product / ours", "bare product", "transform"),
         ("transform: POT / ours", "POT's transform", "transform"),
         ("transform, float32: bare product / ours", "bare product, float32", "transform, float32"),
@@ -77,23 +149,25 @@ def at_size(n_rows, n_features):
         cpu, wall = (seconds[over][kind] / seconds[under][kind] for kind in (0, 1))
         print(f"  {label:42s} {cpu:6.2f} ({wall:.2f})")
     memory = {
-        "affine": peak(lambda: AffineTransport().fit(X, y)),
-        "procrustes": peak(lambda: ProcrustesAffineTransport().fit(X, y)),
-        "POT": peak(lambda: ot.da.LinearTransport().fit(Xs=X, Xt=y)),
+        "affine": peak(calls["affine"]),
+        "procrustes": peak(calls["procrustes"]),
+        "POT": peak(calls["POT"]),
     }
     print(
-        f"  peak memory of a fit, MB: {', '.join(f'{name} {value / 1e6:.1f}' for name, value in memory.items())}"
+        f"  peak memory of a fit, MB: {', '.join(f'{name} {value / 1e6:.1f}' for name, value in memory.items())}; "
+        f"affine / POT {memory['affine'] / memory['POT']:.4f}"
     )
     size = len(pickle.dumps(fitted)) / (fitted.coef_.nbytes + fitted.intercept_.nbytes)
     print(f"  pickle over the map: {size:.2f}\n", flush=True)
 
 
-def many_small_ones():
+def many_small_ones(repeats):
     rng = np.random.default_rng(0)
     X = rng.normal(size=(10_000, 200, 4))
     y = X @ rng.normal(size=(10_000, 4, 4))
     seconds = measured(
-        {"batched": lambda: fit_batched(X, y), "bare": lambda: [bare_map(*rows) for rows in zip(X, y)]}
+        {"batched": lambda: fit_batched(X, y), "bare": lambda: [bare_map(*rows) for rows in zip(X, y)]},
+        repeats,
     )
     cpu, wall = (seconds["batched"][kind] / seconds["bare"][kind] for kind in (0, 1))
     print(f"10,000 fits of 200 x 4: fit_batched / a bare NumPy loop {cpu:.2f} ({wall:.2f})")
@@ -109,10 +183,10 @@ def bare_map(X, y):
     return coef, y.mean(axis=0) - coef @ X.mean(axis=0)
 
 
-def measured(calls):
+def measured(calls, repeats=REPEATS):
     """Return the medians of CPU and wall seconds of each call, interleaved."""
     seconds = {name: [] for name in calls}
-    for _ in range(REPEATS):
+    for _ in range(repeats):
         for name, call in calls.items():
             cpu, wall = time.process_time(), time.perf_counter()
             call()

@@ -169,15 +169,12 @@ RAW_METHODS = (
         lambda context: RegressionTransport(LinearRegression(), context=context, predictors="context"),
     ),
 )
-# Two residual transports in every repeat would take as long as all the others.
-SLOW_WHEN_SCALED = {"residual"}
 METHODS = {
     method.name: method
     for raw in RAW_METHODS
     for method in (raw, _in_units_of_target(raw))
     if method is not None
 }
-METHODS |= {name: replace(METHODS[name], slow=True) for name in (f"{raw}_scaled" for raw in SLOW_WHEN_SCALED)}
 DIAGNOSIS = "diagnosis"
 
 

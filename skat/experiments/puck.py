@@ -41,6 +41,8 @@ CURVE_METHODS = (
     "least_squares",
     "target_only",
 )
+# Those that need no pairs.
+UNPAIRED_CURVE_METHODS = ("affine", "affine_scaled", "affine_shrunk", "conditional", "coral")
 SIZES = (8, 12, 20, 35, 60, 100, 200)
 
 
@@ -202,7 +204,7 @@ def puck_table(
             before = pointwise_errors(strikes.source_rows(simulation)[tested], expected, CONTEXT)
             for repeat in range(n_repeats):
                 report("carrying", (number * len(simulations) + place) * n_repeats + repeat, n_steps)
-                fitted = np.arange(repeat * n_strikes, (repeat + 1) * n_strikes)
+                fitted = (np.arange(repeat * n_strikes, (repeat + 1) * n_strikes),) * 2
                 now, case = of_repeat(chosen, repeat), {"puck": puck, "simulation": simulation}
                 records += [
                     {**case, "method": name, **_measures(rows, before, expected), "noise": noise}
@@ -262,6 +264,7 @@ def puck_learning_curve(
     simulations: Any = SIMULATIONS,
     methods: Any = CURVE_METHODS,
     sizes: Any = SIZES,
+    n_measured: Any = None,
     random_state: Any = 0,
     n_repeats: int = 20,
     n_test: int = 300,
@@ -280,6 +283,9 @@ def puck_learning_curve(
         Names of methods, or transports of your own.
     sizes : sequence of int
         Numbers of strikes to fit on.
+    n_measured : int, default=None
+        None: every strike is measured and simulated. Else so many are measured, and `sizes` are the numbers of
+        simulated ones, the measured among them as far as they go: for methods that need no pairs.
     random_state : int, RandomState instance or None, default=0
     n_repeats : int, default=20
         Times that each method is fitted to other strikes of that number, drawn from twice the largest number.
@@ -317,7 +323,8 @@ def puck_learning_curve(
     for place, size in enumerate(sizes):
         for repeat in range(n_repeats):
             report("carrying", place * n_repeats + repeat, n_steps)
-            fitted, seed = rng.permutation(pool)[:size], rng.randint(2**31)
+            order, seed = rng.permutation(pool), rng.randint(2**31)
+            fitted = order[:size], order[: size if n_measured is None else n_measured]
             for simulation in simulations:
                 case = {"puck": puck, "simulation": simulation, "n_strikes": size}
                 before = pointwise_errors(strikes.source_rows(simulation)[tested], expected, CONTEXT).mean()
@@ -333,13 +340,17 @@ def puck_learning_curve(
 def _carried(
     strikes: Strikes, simulation: str, chosen: Mapping[str, Any], fitted: Any, tested: Any, seed: int
 ) -> Any:
-    """Yield the name of each method, and the tested rows as it carries them."""
+    """Yield the name of each method, and the tested rows as it carries them.
+
+    Strikes to fit on are given as those that were simulated, and those that were measured.
+    """
     source_rows, target_rows = strikes.source_rows(simulation), strikes.target_rows
+    simulated, measured = fitted
     for name, method in chosen.items():
         if method is None:
-            yield name, _diagnosed(strikes, simulation, fitted, tested, seed)
+            yield name, _diagnosed(strikes, simulation, measured, tested, seed)
         else:
-            transport = fitted_transport(method, source_rows[fitted], target_rows[fitted], CONTEXT)
+            transport = fitted_transport(method, source_rows[simulated], target_rows[measured], CONTEXT)
             yield name, transport.transform(source_rows[tested])
 
 

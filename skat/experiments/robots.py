@@ -22,7 +22,7 @@ COVARIANCE_MEASURES = (
     "normal_distance",
     "normal_distance_raw",
 )
-MEASURES = ("error_before", "rho", "error_after", *COVARIANCE_MEASURES)
+MEASURES = ("error_before", "rho", "error_after", "triplet_error", *COVARIANCE_MEASURES)
 
 
 @dataclass(frozen=True)
@@ -198,6 +198,9 @@ def domain_matrix(
         - error_before: mean Euclidean distance between the next states of source and target;
         - rho: affinity score of carried and target rows;
         - error_after: mean distance between carried and target next states;
+        - triplet_error: mean distance between carried and target rows, whole triplets (state, action, next state): a
+          map of triplets moves state and action as well, which are the same in both worlds, and a conditional map
+          does not. Nothing is to be moved there, so that its "before" is error_before;
         - covariance_error: Frobenius distance between the covariances of carried and target next states, each
           column in standard deviations of the target's, over the norm of the latter's covariance;
         - covariance_error_raw: the same in the columns' units;
@@ -291,6 +294,7 @@ def _compared(
                 "error_before": before,
                 "rho": affinity_of_first(carried, expected, n_scored),
                 "error_after": pointwise_errors(carried, expected, replay.context).mean(),
+                "triplet_error": pointwise_errors(carried, expected, 0).mean(),
                 **covariance_errors(carried, expected, replay.context),
             }
         )

@@ -6,8 +6,12 @@ where the rank is decided; from there on only products, orthogonal factors and d
 remain.
 """
 
+<<<<<<< HEAD
 from dataclasses import dataclass
 from typing import Any
+=======
+from dataclasses import dataclass, replace
+>>>>>>> transport
 
 import numpy as np
 from scipy.linalg import bandwidth, lapack, solve_triangular
@@ -40,6 +44,8 @@ SMALLEST_COSINE = np.sqrt(EPS)
 MUCH_ROUNDING = 10.0
 # Standard deviation of the least direction, in those of the columns, where moments are held as a product.
 LEAST_OF_A_PRODUCT = 1e-3
+# Variance of the terms of a sum over that of the sum, up to which next to no digits cancel.
+MOST_CANCELLED = 10.0
 LARGEST_JACOBI = 512
 BLOCK_ELEMENTS = 2**17
 
@@ -58,6 +64,8 @@ class AffineMap:
         :math:`m_t`.
     untouched : ndarray of bool of shape (n_features,) or None
         Columns that the map leaves as they are, to the last bit.
+    is_tame : bool
+        Whether rows of float32 can be carried in float32 arithmetic; see `tame`.
 
     Examples
     --------
@@ -70,6 +78,7 @@ class AffineMap:
     source_mean: np.ndarray
     target_mean: np.ndarray
     untouched: np.ndarray | None = None
+    is_tame: bool = False
 
     @classmethod
     def between(cls, coef: Any, source: Any, target: Any) -> Any:
@@ -80,33 +89,84 @@ class AffineMap:
     def scaled(self, scale: Any) -> Any:
         """Return the map of rows of which each column is this many times as large."""
         coef = self.coef * scale[:, np.newaxis] / scale
-        return AffineMap(coef, self.source_mean * scale, self.target_mean * scale, self.untouched)
+        return replace(
+            self, coef=coef, source_mean=self.source_mean * scale, target_mean=self.target_mean * scale
+        )
+
+    def tame(self, source):
+        r"""Return the map with `is_tame` set for rows of these moments.
+
+        A sum in float32 errs by some :math:`\epsilon (\sum_j A_{ij}^2 \sigma_j^2)^{1/2}`. Where no terms cancel, that
+        is no more than what rounding the carried row to float32 changes.
+
+        Parameters
+        ----------
+        source : Moments
+            Of the rows to carry.
+
+        Returns
+        -------
+        AffineMap
+        """
+        terms = np.square(self.coef) @ source.variance
+        carried = np.square(self.coef @ source.covariance_factor().T).sum(axis=1)
+        return replace(self, is_tame=bool((terms <= MOST_CANCELLED * carried).all()))
+
+    def __getstate__(self):
+        state = dict(vars(self))
+        if np.array_equal(self.coef, self.coef.T):
+            # The optimal map is symmetric: half the numbers do.
+            state["coef"] = self.coef[np.triu_indices(len(self.coef))]
+        return state
+
+    def __setstate__(self, state):
+        vars(self).update(state)
+        if self.coef.ndim == 1:
+            coef = np.zeros((len(self.source_mean), len(self.source_mean)))
+            coef[np.triu_indices(len(coef))] = self.coef
+            vars(self)["coef"] = coef + np.triu(coef, 1).T
 
     @property
     def intercept(self) -> Any:
         """What the origin is carried to."""
         return self.target_mean - self.coef @ self.source_mean
 
+<<<<<<< HEAD
     def __call__(self, rows: Any) -> Any:
         """Return the rows carried over, in float64 arithmetic and the rows' own floating type.
+=======
+    def __call__(self, rows):
+        """Return the rows carried over, in the rows' own floating type.
+>>>>>>> transport
 
-        The difference from the source mean is taken first, so that no digits are lost far from the origin.
+        The difference from the source mean is taken first, so that no digits are lost far from the origin. The
+        arithmetic is of float64, but of float32 where the rows and a tame map allow it.
         """
         rows = np.asarray(rows)
         carried = np.empty(rows.shape, dtype=rows.dtype if rows.dtype == np.float32 else np.float64)
+        working = np.float32 if self.is_tame and carried.dtype == np.float32 else np.float64
         size = max(BLOCK_ELEMENTS // rows.shape[1], 256)
-        transposed = np.ascontiguousarray(self.coef.T)
+        transposed = np.ascontiguousarray(self.coef.T, dtype=working)
+        source_mean = self.source_mean.astype(working)
+        # What rounding took from the mean is the same for all rows.
+        target_mean = (self.target_mean - self.coef @ (self.source_mean - source_mean)).astype(working)
 
+<<<<<<< HEAD
         def carry(starts: Any) -> None:
             buffer = np.empty((min(size, len(rows)), rows.shape[1]))
             product = None if carried.dtype == np.float64 else np.empty(buffer.shape)
+=======
+        def carry(starts):
+            buffer = np.empty((min(size, len(rows)), rows.shape[1]), dtype=working)
+            product = None if carried.dtype == working else np.empty(buffer.shape)
+>>>>>>> transport
             for start in starts:
                 block, image = rows[start : start + size], carried[start : start + size]
                 centred = buffer[: len(block)]
-                np.subtract(block, self.source_mean, out=centred)
+                np.subtract(block, source_mean, out=centred)
                 wide = image if product is None else product[: len(block)]
                 np.matmul(centred, transposed, out=wide)
-                np.add(wide, self.target_mean, out=image, casting="same_kind")
+                np.add(wide, target_mean, out=image, casting="same_kind")
                 if self.untouched is not None:
                     image[:, self.untouched] = block[:, self.untouched]
 

@@ -29,11 +29,12 @@ from sklearn.utils import check_random_state, check_scalar
 from skat.gaussian import AffineMap, optimal_map, root_of_moments, row_moments
 from skat.metrics.marginals import halves, marginal_squares, orders
 from skat.metrics.samples import twice_the_spread, two_samples, two_weights
-from skat.metrics.wasserstein import affinity, wasserstein_distance
+from skat.metrics.wasserstein import affinity, is_large_cost, wasserstein_distance
 
 __all__ = [
     "AffinityEstimate",
     "AffinityTest",
+    "affinity_at_any_size",
     "affinity_estimate",
     "affinity_score",
     "affinity_test",
@@ -101,6 +102,25 @@ def affinity_score(X_transported, y, *, sample_weight=None):
     """
     X_transported, y = two_samples(X_transported, y)
     x_weight, y_weight = two_weights(sample_weight, len(X_transported), len(y))
+    return affinity(X_transported, y, x_weight=x_weight, y_weight=y_weight)
+
+
+def affinity_at_any_size(X_transported, y, *, x_weight=None, y_weight=None):
+    """Return the affinity score or, of more rows than a cost matrix has room for, its estimate.
+
+    Parameters
+    ----------
+    X_transported, y : array-like of shape (n_rows, n_features)
+    x_weight, y_weight : array-like of shape (n_rows,), default=None
+        Of weighted rows there is no estimate.
+
+    Returns
+    -------
+    float
+        Beyond 31,600 rows of each the score of `affinity_estimate` with ``random_state=0``.
+    """
+    if x_weight is None and y_weight is None and is_large_cost(len(X_transported), len(y)):
+        return affinity_estimate(X_transported, y, random_state=0).score
     return affinity(X_transported, y, x_weight=x_weight, y_weight=y_weight)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 from sklearn.utils.metadata_routing import UNCHANGED, MetadataRequest
 
 from skat.gaussian.backends import on_host
-from skat.metrics.affinity import affinity_score
+from skat.metrics.affinity import affinity_at_any_size, affinity_score
 from skat.metrics.domains import domain_signs
 from skat.metrics.samples import one_sample, row_weight, two_samples
 
@@ -94,7 +94,9 @@ def affinity_scorer(score=affinity_score, *, source_domain=None, **options):
     ----------
     score : callable, default=affinity_score
         ``score(X_transported, y, **options)`` to a number, greater is better: `affinity_score`,
-        `debiased_affinity_score`, `affinity_upper_bound`, `affinity_estimate` or one of your own.
+        `debiased_affinity_score`, `affinity_upper_bound`, `affinity_estimate` or one of your own. Where the exact
+        score would need a cost matrix beyond 8 GB (31,600 rows of each), the default is the estimate
+        instead, as ``score`` of a transport is; it does not compare with scores of fewer rows.
     source_domain : label or list of labels, default=None
         The labels of source rows in `sample_domain`, as for `AffineTransport`.
     **options
@@ -159,6 +161,9 @@ class _AffinityScorer:
             if sample_weight is not None:
                 weight = on_host(sample_weight)
                 options["sample_weight"] = (weight[is_source], weight[~is_source])
+        if self._score is affinity_score and not options:
+            # In NumPy and checked once: the length of another library's array is its own affair.
+            return float(affinity_at_any_size(*two_samples(carried, y)))
         return float(self._score(carried, y, **options))
 
     def set_score_request(self, *, sample_weight=UNCHANGED, sample_domain=UNCHANGED):

@@ -22,6 +22,9 @@ class AffineTransport(MomentTransport):
     covariance : {"empirical", "shrunk"} or estimator, default="empirical"
         How the covariances are estimated. ``"shrunk"`` draws the target's towards the source's, for few
         target rows. A covariance estimator of scikit-learn is fitted to each side.
+    mean : {"empirical", "shrunk"}, default="empirical"
+        ``"shrunk"`` draws the target's mean towards the source's by as much as it is uncertain (the positive part of
+        James and Stein): for few target rows of a domain whose mean is near. Three columns or more.
     metric_scale : None, "target" or array-like of shape (n_features,), default=None
         Lengths, in the features' units, in which displacement is measured; ``"target"`` takes the target's
         standard deviations (1 for constant columns), which makes the map independent of units.
@@ -47,7 +50,7 @@ class AffineTransport(MomentTransport):
     intercept_ : array of shape (n_features,)
         The constant part.
     source_mean_, target_mean_ : array of shape (n_features,)
-        Means of the two domains.
+        Means of the two domains, as estimated.
     source_covariance_, target_covariance_ : array of shape (n_features, n_features)
         Covariances as estimated; empirical ones divide by the sum of the weights.
     wasserstein_distance_ : float
@@ -56,6 +59,8 @@ class AffineTransport(MomentTransport):
         Rank of `coef_`.
     shrinkage_ : float
         With ``covariance="shrunk"``: from 0 (the target's own covariance) to 1 (the source's).
+    mean_shrinkage_ : float
+        With ``mean="shrunk"``: from 0 (the target's own mean) to 1 (the source's).
     unreached_ : float
         Share of the target's variance, in units of `metric_scale`, that the carried rows lack; zero but with
         ``rank_deficient="reach"``.

@@ -20,10 +20,9 @@ from skat._compat import (
     supported_float_dtypes,
 )
 from skat.gaussian.backends import is_dask, on_host
-from skat.metrics.affinity import affinity_estimate
+from skat.metrics.affinity import affinity_at_any_size
 from skat.metrics.domains import domain_signs
 from skat.metrics.samples import weight_of_each_side
-from skat.metrics.wasserstein import affinity, is_large_cost
 
 __all__ = ["BaseTransport", "Samples", "is_flat", "same_length"]
 
@@ -214,10 +213,8 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         self._check_is_fitted()
         samples = self._samples(X, y, sample_weight, sample_domain, reset=False)
         carried, target = (on_host(rows) for rows in (self._carry(samples.source), samples.target))
-        unweighted = samples.source_weight is None and samples.target_weight is None
-        if unweighted and is_large_cost(len(carried), len(target)):
-            return affinity_estimate(carried, target, random_state=0).score
-        return affinity(carried, target, x_weight=samples.source_weight, y_weight=samples.target_weight)
+        weights = {"x_weight": samples.source_weight, "y_weight": samples.target_weight}
+        return affinity_at_any_size(carried, target, **weights)
 
     def __sklearn_tags__(self):
         tags = super().__sklearn_tags__()

@@ -29,6 +29,8 @@ class ConditionalAffineTransport(MomentTransport):
     covariance : {"empirical", "shrunk"} or estimator, default="empirical"
         As for `AffineTransport`, for all columns together. Where the context determines the rest almost
         exactly, the regression needs no shrinkage and is worse off with it.
+    mean : {"empirical", "shrunk"}, default="empirical"
+        As for `AffineTransport`.
     metric_scale : None, "target" or array-like of shape (n_features,), default=None
         As for `AffineTransport`.
     shrinkage : {"source"} or None, default=None
@@ -47,7 +49,7 @@ class ConditionalAffineTransport(MomentTransport):
     coef_, intercept_, source_mean_, target_mean_, source_covariance_, target_covariance_
         As for `AffineTransport`; the target's mean and covariance are reached exactly where the contexts have
         the same.
-    wasserstein_distance_, rank_, unreached_, shrinkage_, n_features_in_, feature_names_in_
+    wasserstein_distance_, rank_, unreached_, shrinkage_, mean_shrinkage_, n_features_in_, feature_names_in_
         As for `AffineTransport`.
 
     Examples
@@ -70,6 +72,7 @@ class ConditionalAffineTransport(MomentTransport):
         *,
         context,
         covariance="empirical",
+        mean="empirical",
         metric_scale=None,
         shrinkage=None,
         rank_deficient="reach",
@@ -79,6 +82,7 @@ class ConditionalAffineTransport(MomentTransport):
     ):
         super().__init__(
             covariance=covariance,
+            mean=mean,
             metric_scale=metric_scale,
             rank_deficient=rank_deficient,
             outside=outside,

@@ -17,7 +17,7 @@ from skat.gaussian.backends import apply_map, is_dask, moments_of, on_host, to_n
 from skat.gaussian.maps import EPS
 from skat.transport.base import BaseTransport, is_flat
 from skat.transport.shift import MOST_CALIBRATING_ROWS, Distances, Support
-from skat.transport.shrinkage import shrunk_towards
+from skat.transport.shrinkage import mean_drawn_towards, shrunk_towards
 
 __all__ = ["MomentTransport", "Solution"]
 
@@ -59,12 +59,14 @@ class MomentTransport(BaseTransport):
     _parameter_constraints = {
         **BaseTransport._parameter_constraints,
         "covariance": [StrOptions({"empirical", "shrunk"}), HasMethods("fit")],
+        "mean": [StrOptions({"empirical", "shrunk"})],
         "metric_scale": [None, StrOptions({"target"}), "array-like"],
         "rank_deficient": [StrOptions({"raise", "reach"})],
         "outside": [StrOptions({"ignore", "warn", "raise"})],
     }
     _moments: Any = None
     _missing: Any = None
+    mean = "empirical"
     rank_deficient = "raise"
     outside = "ignore"
     _support: Any = None
@@ -74,12 +76,14 @@ class MomentTransport(BaseTransport):
         self,
         *,
         covariance="empirical",
+        mean="empirical",
         metric_scale=None,
         rank_deficient="raise",
         outside="ignore",
         unlabelled="raise",
         source_domain=None,
     ):
+        self.mean = mean
         self.outside = outside
         super().__init__(unlabelled=unlabelled, source_domain=source_domain)
         self.covariance = covariance
@@ -256,6 +260,11 @@ class MomentTransport(BaseTransport):
     def _learn(self, sides, like):
         """Set the fitted attributes, as arrays of the library that `like` is of."""
         source, target = sides
+        if self.mean == "shrunk":
+            n_source, n_target = (side.effective_n_rows for side in self._sides())
+            target, self.mean_shrinkage_ = mean_drawn_towards(
+                target, source, n_target, n_source, self._pairs()
+            )
         outside = 0.0
         if isinstance(self.covariance, str) and self.covariance == "shrunk":
             whole = target
@@ -268,7 +277,7 @@ class MomentTransport(BaseTransport):
         solution = self._solve(*scaled, scale)
         affine, self.rank_ = solution.affine, solution.rank
         self.unreached_ = max(outside, solution.unreached)
-        self._map = affine if self.metric_scale is None else affine.scaled(scale)
+        self._map = (affine if self.metric_scale is None else affine.scaled(scale)).tame(source)
         for name, value in {
             "coef_": self._map.coef,
             "intercept_": self._map.intercept,
@@ -278,6 +287,29 @@ class MomentTransport(BaseTransport):
         }.items():
             setattr(self, name, to_namespace(value, like))
         self.wasserstein_distance_ = self._distance(scaled[0], scaled[1], affine)
+
+    def __getstate__(self):
+        state = super().__getstate__()
+        if "coef_" in state and state["coef_"] is self._map.coef:
+            # The map writes down half of it where it is symmetric.
+            state = {**state, "coef_": None}
+        if "_map" in state:
+            # They follow from the moments.
+            state = {**state, "_support": None, "_back": None}
+            if self._is_empirical:
+                state["_learned"] = (None, None, self._learned[2])
+        return state
+
+    def __setstate__(self, state):
+        super().__setstate__(state)
+        if state.get("coef_", self) is None:
+            self.coef_ = self._map.coef
+        if "_map" in state and self._is_empirical:
+            self._learned = (*self._sides(), self._learned[2])
+
+    @property
+    def _is_empirical(self):
+        return isinstance(self.covariance, str) and self.covariance == self.mean == "empirical"
 
     @property
     def source_covariance_(self):
@@ -342,7 +374,7 @@ class MomentTransport(BaseTransport):
     def _fitted_support(self):
         if self._support is None:
             support = Support.of(self._learned[0])
-            self._support = support if self._distances is None else support.calibrated(self._distances.values)
+            self._support = support if self._distances is None else support.calibrated(self._distances)
         return self._support
 
     def _calibrate(self, samples, earlier):

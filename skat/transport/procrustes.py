@@ -36,6 +36,8 @@ class ProcrustesAffineTransport(MomentTransport):
     covariance : {"empirical", "shrunk"} or estimator, default="empirical"
         As for `AffineTransport`; but of the target's sampling error only the part counts that the pairs do
         not share, so that ``"shrunk"`` leaves pairs without noise as they are.
+    mean : {"empirical", "shrunk"}, default="empirical"
+        As for `AffineTransport`.
     metric_scale : None, "target" or array-like of shape (n_features,), default=None
         Lengths in which errors and displacement are measured, as for `AffineTransport`.
     rank_deficient : {"raise", "reach"}, default="raise"
@@ -49,7 +51,7 @@ class ProcrustesAffineTransport(MomentTransport):
         Q or R above; orthogonal, or a partial isometry where a covariance is singular.
     coef_, intercept_, source_mean_, target_mean_, source_covariance_, target_covariance_
         As for `AffineTransport`.
-    wasserstein_distance_, rank_, unreached_, shrinkage_, n_features_in_, feature_names_in_
+    wasserstein_distance_, rank_, unreached_, shrinkage_, mean_shrinkage_, n_features_in_, feature_names_in_
         As for `AffineTransport`.
 
     References
@@ -78,6 +80,7 @@ class ProcrustesAffineTransport(MomentTransport):
         alignment="whitened",
         center=True,
         covariance="empirical",
+        mean="empirical",
         metric_scale=None,
         rank_deficient="raise",
         outside="ignore",
@@ -86,6 +89,7 @@ class ProcrustesAffineTransport(MomentTransport):
     ):
         super().__init__(
             covariance=covariance,
+            mean=mean,
             metric_scale=metric_scale,
             rank_deficient=rank_deficient,
             outside=outside,

@@ -3,7 +3,8 @@
 import warnings
 
 import numpy as np
-from sklearn.base import clone
+from scipy.linalg import solve
+from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.utils.validation import has_fit_parameter
 
 from skat._compat import HasMethods
@@ -11,7 +12,11 @@ from skat.gaussian.backends import is_dask, on_host
 from skat.transport.base import BaseTransport, same_length
 from skat.transport.procrustes import ProcrustesAffineTransport
 
-__all__ = ["ResidualTransport", "default_regressor"]
+__all__ = ["KernelRidgeCV", "ResidualTransport"]
+
+# Inverse squared lengths of standardised rows times the number of columns, and penalties.
+GAMMAS, PENALTIES = np.array([0.05, 0.25, 1.0, 4.0]), (1e-3, 1e-2, 1e-1, 1.0)
+FEWEST_TO_CHOOSE, FIRST_GUESS = 12, (2, 3)
 
 
 class ResidualTransport(BaseTransport):
@@ -36,7 +41,7 @@ class ResidualTransport(BaseTransport):
     regressor : regressor, default=None
         Of many outputs, with ``fit(X, y)`` and ``predict(X)``; it sees source rows, and residuals in standard
         deviations of the target. None is a kernel ridge regression on standardised rows, whose length and penalty
-        two-fold cross-validation chooses. Its time grows with the cube of the number of rows and its memory with
+        two folds of consecutive rows choose. Its time grows with the cube of the number of rows and its memory with
         the square: beyond some 5,000 rows give another, as ``make_pipeline(StandardScaler(), Nystroem(), RidgeCV())``.
     cv : int or cross-validation splitter, default=3
         Folds of the cross-fitting. An int is of consecutive rows, so that neighbours in time stay together.
@@ -104,7 +109,7 @@ class ResidualTransport(BaseTransport):
         if weight is not None and not np.array_equal(weight, samples.target_weight):
             raise ValueError("a pair has one weight: give one array of weights, not two that differ.")
         transport = ProcrustesAffineTransport() if self.transport is None else self.transport
-        regressor = default_regressor(*X.shape) if self.regressor is None else self.regressor
+        regressor = KernelRidgeCV() if self.regressor is None else self.regressor
         self.transport_ = clone(transport).fit(X, y, **_given(weight))
         self.wasserstein_distance_ = self.transport_.wasserstein_distance_
         self._lengths = _deviations(y)
@@ -151,31 +156,62 @@ class ResidualTransport(BaseTransport):
         )
 
 
-def default_regressor(n_rows, n_features):
-    """Return the kernel ridge regression of `ResidualTransport`.
+class KernelRidgeCV(RegressorMixin, BaseEstimator):
+    """Kernel ridge regression on standardised rows, whose length and penalty two folds choose.
 
-    Parameters
+    It is ``GridSearchCV`` over `~sklearn.kernel_ridge.KernelRidge` behind a scaler, at a third of its time: all lengths
+    share the distances of a fold, and all penalties its kernel.
+
+    Attributes
     ----------
-    n_rows : int
-        Number of pairs: from twelve on, two folds choose the length and the penalty.
-    n_features : int
-        Number of columns, whose root the lengths grow with.
-
-    Returns
-    -------
-    regressor
+    model_ : pipeline
+        Of the length and the penalty chosen, fitted to all rows.
     """
-    from sklearn.kernel_ridge import KernelRidge
-    from sklearn.model_selection import GridSearchCV
-    from sklearn.pipeline import make_pipeline
+
+    def fit(self, X, y, sample_weight=None):
+        """Fit the regression to rows of shape (n_rows, n_features) and as many outputs."""
+        from sklearn.kernel_ridge import KernelRidge
+        from sklearn.pipeline import make_pipeline
+        from sklearn.preprocessing import StandardScaler
+
+        gammas = GAMMAS / X.shape[1]
+        gamma, alpha = gammas[FIRST_GUESS[0]], PENALTIES[FIRST_GUESS[1]]
+        if len(X) >= FEWEST_TO_CHOOSE:
+            weight = np.ones(len(X)) if sample_weight is None else np.asarray(sample_weight, dtype=np.float64)
+            first, second = np.array_split(np.arange(len(X)), 2)
+            errors = _errors_by_penalty(X, y, weight, second, first, gammas)
+            errors += _errors_by_penalty(X, y, weight, first, second, gammas)
+            best = np.unravel_index(np.argmin(errors), errors.shape)
+            gamma, alpha = gammas[best[0]], PENALTIES[best[1]]
+        self.model_ = make_pipeline(StandardScaler(), KernelRidge(kernel="rbf", gamma=gamma, alpha=alpha))
+        names = [] if sample_weight is None else list(self.model_.named_steps)
+        self.model_.fit(X, y, **{f"{name}__sample_weight": sample_weight for name in names})
+        return self
+
+    def predict(self, X):
+        """Return the outputs of rows."""
+        return self.model_.predict(X)
+
+
+def _errors_by_penalty(X, y, weight, train, test, gammas):
+    """Return the weighted mean squared error on the rows of one fold, by length and penalty."""
+    from sklearn.metrics import euclidean_distances
     from sklearn.preprocessing import StandardScaler
 
-    gammas = np.array([0.05, 0.25, 1.0, 4.0]) / n_features
-    grid = {"kernelridge__gamma": gammas, "kernelridge__alpha": [1e-3, 1e-2, 1e-1, 1.0]}
-    regressor = make_pipeline(StandardScaler(), KernelRidge(kernel="rbf"))
-    if n_rows < 12:
-        return regressor
-    return GridSearchCV(regressor, grid, cv=2, scoring="neg_mean_squared_error", error_score="raise")
+    scaler = StandardScaler().fit(X[train], sample_weight=weight[train])
+    rows, others = scaler.transform(X[train]), scaler.transform(X[test])
+    within, across = (euclidean_distances(left, rows, squared=True) for left in (rows, others))
+    root = np.sqrt(weight[train])
+    errors = np.empty((len(gammas), len(PENALTIES)))
+    for i, gamma in enumerate(gammas):
+        kernel, to_predict = np.exp(-gamma * within), np.exp(-gamma * across) * root
+        kernel *= root * root[:, np.newaxis]
+        for j, alpha in enumerate(PENALTIES):
+            penalised = kernel + alpha * np.eye(len(kernel))
+            dual = solve(penalised, root[:, np.newaxis] * y[train], assume_a="pos", overwrite_a=True)
+            missed = np.square(y[test] - to_predict @ dual).mean(axis=1)
+            errors[i, j] = np.average(missed, weights=weight[test])
+    return errors
 
 
 def _weights(residuals, predictions, weight):

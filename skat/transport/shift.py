@@ -13,6 +13,8 @@ __all__ = ["Distances", "Support", "importance_weights"]
 
 # The share of rows beyond what one in a hundred exceeds is known to a fifth of a point from as many.
 MOST_CALIBRATING_ROWS = 2000
+# Copies of more rows would be the most of what a fit holds.
+ROWS_AT_A_TIME = 256
 LEVELS = np.concatenate(
     [np.linspace(0.0, 0.9, 46), 1.0 - np.geomspace(0.1, 1.0 / MOST_CALIBRATING_ROWS, 128)[1:]]
 )
@@ -35,6 +37,27 @@ class Distances:
         """Return distances after others that came earlier."""
         seen = values if earlier is None else np.concatenate([earlier.values, values])
         return cls(seen[-MOST_CALIBRATING_ROWS:].astype(np.float32))
+
+    @property
+    def quantiles(self):
+        """What is usual: distances at the levels ``LEVELS``."""
+        return np.sort(self.values)[_places(len(self.values))]
+
+    def __getstate__(self):
+        # A tenth of the numbers, and all that is asked of them.
+        return {"quantiles": self.quantiles, "n_rows": len(self.values)}
+
+    def __setstate__(self, state):
+        ranks = np.arange(state["n_rows"])
+        values = np.interp(ranks, _places(len(ranks)), state["quantiles"]).astype(np.float32)
+        vars(self)["values"] = values
+
+
+def _places(n_rows):
+    """Return where in order the distances of so many rows are those at the levels."""
+    # Of one more row than there are, as in conformal prediction; of too few rows for a level the farthest.
+    places = np.minimum(np.ceil(LEVELS * (n_rows + 1)).astype(int), n_rows) - 1
+    return np.maximum(places, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,17 +103,19 @@ class Support:
         support = cls(moments.mean, scale, root_of_moments(moments.scaled(1 / scale)))
         if rows is None or not len(rows):
             return support
-        return support.calibrated(support.left_out(rows, moments, weight))
+        return support.calibrated(Distances.of(support.left_out(rows, moments, weight)))
 
     def calibrated(self, distances):
-        """Return the support with what is usual taken from distances of rows that are usual."""
-        ordered = np.sort(distances)
-        # Of one more row than there are, as in conformal prediction; of too few rows for a level the farthest.
-        places = np.minimum(np.ceil(LEVELS * (len(ordered) + 1)).astype(int), len(ordered)) - 1
-        return replace(self, quantiles=ordered[np.maximum(places, 0)])
+        """Return the support with what is usual taken from `Distances` of rows that are usual."""
+        return replace(self, quantiles=distances.quantiles)
 
     def distance(self, rows):
         """Return the Mahalanobis distance of rows; infinite off the plane in which the fitted rows lie."""
+        starts = range(0, len(rows), ROWS_AT_A_TIME)
+        blocks = [self._distance(rows[start : start + ROWS_AT_A_TIME]) for start in starts]
+        return np.concatenate(blocks) if blocks else np.empty(0)
+
+    def _distance(self, rows):
         centred = (np.asarray(rows, dtype=np.float64) - self.mean) / self.scale
         if self.root.shape[1] == len(self.root) and bandwidth(self.root)[1] == 0:
             return np.linalg.norm(

@@ -1,11 +1,13 @@
 """Shrinkage of a target covariance towards the source's, for few target rows."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from skat.gaussian import check_that_source_reaches_target, root_of_moments, spectrum
 from skat.gaussian.moments import Moments
 
-__all__ = ["shrinkage_intensity", "shrunk_towards"]
+__all__ = ["mean_drawn_towards", "shrinkage_intensity", "shrunk_towards"]
 
 
 def shrunk_towards(target, source, pairs=None, *, reach=False):
@@ -69,6 +71,55 @@ def shrunk_towards(target, source, pairs=None, *, reach=False):
         eps=target.eps,
     )
     return moments, intensity
+
+
+def mean_drawn_towards(target, source, n_target, n_source, pairs=None):
+    r"""Return target moments with the mean drawn towards the source's, and by how much.
+
+    In coordinates that whiten the source, so that nothing depends on units, with the difference :math:`d` of the means
+    and the covariance :math:`V` of its sampling error,
+
+    .. math:: d^* = (1 - \lambda)\, d, \quad
+              \lambda = \min\Bigl(1, \frac{\operatorname{tr} V - 2 \max \operatorname{eig} V}{\|d\|^2}\Bigr)_+ ,
+
+    the positive part of James and Stein for errors of any covariance, which for normal errors has a smaller expected
+    square than :math:`d` wherever the means are; with one or two columns it is :math:`d`.
+
+    Parameters
+    ----------
+    target, source : Moments
+        Moments of the rows of each domain.
+    n_target, n_source : float
+        Numbers of their rows, the effective ones of weighted rows.
+    pairs : Moments, default=None
+        Moments of the same rows side by side, the source's columns first, where they are pairs: what partners share
+        is no error of the difference.
+
+    Returns
+    -------
+    Moments
+        The target's, with another mean.
+    float
+        :math:`\lambda`, from 0 (the target's own mean) to 1 (the source's).
+
+    References
+    ----------
+    .. [1] Bock (1975). Minimax estimators of the mean of a multivariate normal distribution. Annals of Statistics 3(1).
+    """
+    directions, spread = spectrum(root_of_moments(source))
+    shift = (target.mean - source.mean) + (target.mean_remainder - source.mean_remainder)
+    whitened = shift @ directions / spread
+    if pairs is None:
+        scores = target.covariance_factor() @ directions / spread
+        error = scores.T @ scores / max(n_target - 1, 1.0) + np.eye(len(spread)) / max(n_source - 1, 1.0)
+    else:
+        factor = pairs.covariance_factor()
+        scores = (factor[:, source.n_features :] - factor[:, : source.n_features]) @ directions / spread
+        error = scores.T @ scores / max(n_target - 1, 1.0)
+    spare = np.trace(error) - 2 * np.linalg.eigvalsh(error).max(initial=0.0)
+    square = whitened @ whitened
+    intensity = float(np.clip(spare / square, 0.0, 1.0)) if square > 0 else 0.0
+    return replace(target, mean=target.mean - intensity * (directions @ (spread * whitened))), intensity
 
 
 def shrinkage_intensity(values, n_rows, explained=None):

@@ -13,7 +13,9 @@ class TargetRows:
 
     A grid over a pipeline of a transport and a predictor is to be scored on what the predictor is for: measured
     rows. Source rows of a validation fold would be scored as they are, for a scorer of scikit-learn hands no
-    domain on to ``transform``. Here the target rows are split by `cv`; all source rows are for training.
+    domain on to ``transform``. Here the target rows are split by `cv`; all source rows are for training. Rows to train
+    on alternate between the domains in proportion to their numbers, so that the first so many of them, which a learning
+    curve takes, are rows of both.
 
     Parameters
     ----------
@@ -24,7 +26,8 @@ class TargetRows:
     source_domain : label or list of labels, default=None
         As for `AffineTransport`.
     paired : bool, default=False
-        Whether the k-th source row belongs to the k-th target row; a source row then leaves with its partner.
+        Whether the k-th source row belongs to the k-th target row; a source row then leaves with its partner, and
+        the first 2 k rows to train on are k pairs.
 
     Examples
     --------
@@ -33,9 +36,9 @@ class TargetRows:
     >>> rows, domain = np.zeros((6, 1)), ["sim", "sim", "real", "real", "real", "sim"]
     >>> for train, test in TargetRows(3, sample_domain=domain).split(rows):
     ...     print(train, test)
-    [0 1 3 4 5] [2]
-    [0 1 2 4 5] [3]
-    [0 1 2 3 5] [4]
+    [0 3 1 4 5] [2]
+    [0 2 1 4 5] [3]
+    [0 2 1 3 5] [4]
     """
 
     def __init__(self, cv=5, *, sample_domain=None, source_domain=None, paired=False):
@@ -91,8 +94,7 @@ class TargetRows:
             )
         y, groups = (None if given is None else np.asarray(given)[target] for given in (y, groups))
         for train, test in self._cv(y).split(np.empty((len(target), 1)), y, groups):
-            kept = source[train] if self.paired else source
-            yield np.sort(np.concatenate([kept, target[train]])), target[test]
+            yield _alternating(source[train] if self.paired else source, target[train]), target[test]
 
     def _cv(self, y):
         from sklearn.model_selection import check_cv
@@ -112,3 +114,9 @@ class TargetRows:
         if groups is not UNCHANGED:
             self._groups = groups
         return self
+
+
+def _alternating(first, second):
+    """Return the numbers of both, each in its order, so that any part from the front holds them in proportion."""
+    places = np.concatenate([(np.arange(len(part)) + 0.5) / max(len(part), 1) for part in (first, second)])
+    return np.concatenate([first, second])[np.argsort(places, kind="stable")]

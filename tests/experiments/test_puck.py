@@ -96,3 +96,15 @@ def test_what_does_not_exist_is_refused():
         puck_table(pucks=["green"], **SMALL)
     with pytest.raises(ValueError, match="unknown condition of puck 'isotr'"):
         strike_pucks("blue", n_strikes=1, simulations=["isotr"])
+
+
+def test_of_few_measured_strikes_more_simulated_ones_are_fitted_to_the_same():
+    options = {"simulations": ["isotr_low"], "n_test": 60, "n_repeats": 3}
+    curve = puck_learning_curve(methods=["affine"], sizes=[12, 60], n_measured=12, **options)
+    paired = puck_learning_curve(methods=["affine"], sizes=[12, 60], **options)
+    # With as many simulated as measured strikes these are pairs, the same in both curves.
+    assert curve["error_after"][0] == pytest.approx(paired["error_after"][0], rel=1e-12)
+    assert (curve["error_after"] < curve["error_before"]).all()
+    assert paired["error_after"][1] < curve["error_after"][1]
+    with pytest.raises(ValueError, match="learns from pairs"):
+        puck_learning_curve(methods=["procrustes_whitened"], sizes=[30], n_measured=12, **options)

@@ -11,7 +11,9 @@ SCRIPT = """
 import numpy as np
 from sklearn import config_context
 from skat import AffineTransport, ConditionalAffineTransport, ProcrustesAffineTransport
+from sklearn.model_selection import cross_val_score
 from skat import CORAL, IdentityTransport
+from skat.metrics import affinity_estimate, affinity_score, affinity_scorer, paired_error_scorer
 import {module} as xp
 
 rng = np.random.default_rng(0)
@@ -55,8 +57,45 @@ with config_context(array_api_dispatch=True):
     there = AffineTransport().fit(xp.asarray(rows), sample_domain=xp.asarray(domain))
     image = there.transform(xp.asarray(rows), sample_domain=domain)
     np.testing.assert_allclose(host(image), carried, rtol=1e-10)
+    for scoring in (paired_error_scorer, affinity_scorer(), affinity_scorer(affinity_estimate, random_state=0)):
+        scores = cross_val_score(AffineTransport(), X, y, cv=3, scoring=scoring, error_score="raise")
+        there = cross_val_score(
+            AffineTransport(), xp.asarray(X), xp.asarray(y), cv=3, scoring=scoring, error_score="raise"
+        )
+        np.testing.assert_allclose(there, scores, rtol=1e-10)
+    assert abs(affinity_score(xp.asarray(X), xp.asarray(y)) - affinity_score(X, y)) < 1e-12
     parts = AffineTransport().partial_fit(xp.asarray(X)).partial_fit(y=xp.asarray(y))
     np.testing.assert_allclose(host(parts.coef_), AffineTransport().fit(X, y).coef_, rtol=1e-10, atol=1e-12)
+"""
+
+# What needs a device of its own: everything stays there, also what is fitted to.
+ON_CUDA = """
+import numpy as np
+import torch
+from sklearn import config_context
+from sklearn.model_selection import cross_val_score
+from skat import AffineTransport, ConditionalAffineTransport, ProcrustesAffineTransport
+from skat.metrics import affinity_scorer, paired_error_scorer
+
+rng = np.random.default_rng(0)
+X = rng.normal(size=(300, 4)) + 5
+y = X @ (np.eye(4) + 0.2 * rng.normal(size=(4, 4))) + 0.1 * rng.normal(size=X.shape)
+there = torch.asarray(X, device="cuda"), torch.asarray(y, device="cuda")
+with config_context(array_api_dispatch=True):
+    for transport in (AffineTransport(), ProcrustesAffineTransport(), ConditionalAffineTransport(context=1)):
+        expected = transport.fit(X, y).transform(X)
+        transport.fit(*there)
+        carried = transport.transform(there[0])
+        assert carried.device.type == transport.coef_.device.type == "cuda"
+        np.testing.assert_allclose(carried.cpu().numpy(), expected, rtol=1e-9)
+        single = transport.fit(*(rows.float() for rows in there)).transform(there[0].float())
+        assert single.dtype == torch.float32
+        np.testing.assert_allclose(single.cpu().numpy(), expected, rtol=1e-4, atol=1e-4)
+        for scoring in (paired_error_scorer, affinity_scorer()):
+            scores = cross_val_score(transport, *there, cv=3, scoring=scoring, error_score="raise")
+            np.testing.assert_allclose(
+                scores, cross_val_score(transport, X, y, cv=3, scoring=scoring), rtol=1e-9
+            )
 """
 
 CHECKS = """
@@ -76,6 +115,13 @@ for transport in (AffineWithTarget(), ConditionalWithTarget(context=1), Procrust
 def test_arrays_of_other_libraries_give_the_map_of_their_values(module):
     pytest.importorskip(module)
     run_with_array_api(SCRIPT.format(module=module))
+
+
+def test_tensors_on_cuda_stay_there():
+    torch = pytest.importorskip("torch")
+    if not torch.cuda.is_available():
+        pytest.skip("there is no CUDA device")
+    run_with_array_api(ON_CUDA)
 
 
 def test_scikit_learns_array_checks_pass_values_included():

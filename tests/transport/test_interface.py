@@ -1,6 +1,7 @@
 """Fit, transform and score as scikit-learn's users know them, and what wrong input is told."""
 
 import pickle
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -353,3 +354,46 @@ def test_transports_work_between_other_steps_with_set_output():
 def test_integers_and_lists_are_rows_too():
     transport = AffineTransport().fit([[0, 1], [1, 0], [2, 2]], [[0, 2], [2, 0], [4, 4]])
     np.testing.assert_allclose(transport.transform([[3, 3]]), [[6, 6]], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "transport",
+    [
+        AffineTransport(),
+        AffineTransport(metric_scale="target", covariance="shrunk"),
+        ProcrustesAffineTransport(),
+        ConditionalAffineTransport(context=1),
+    ],
+    ids=str,
+)
+def test_a_pickle_carries_both_ways_knows_its_support_and_goes_on_learning(transport):
+    X, y = pairs(500)
+    later = pairs(50, seed=1)
+    fitted = clone(transport).fit(X, y)
+    again = pickle.loads(pickle.dumps(pickle.loads(pickle.dumps(fitted))))
+    for call in ("transform", "in_support"):
+        np.testing.assert_array_equal(getattr(again, call)(X), getattr(fitted, call)(X))
+    np.testing.assert_array_equal(again.coef_, fitted.coef_)
+    # A factor comes back as its triangle, which rounds otherwise.
+    nearly = partial(np.testing.assert_allclose, rtol=1e-11, atol=1e-12)
+    nearly(again.support_distance(X), fitted.support_distance(X))
+    nearly(again.inverse_transform(y), fitted.inverse_transform(y))
+    nearly(again.target_covariance_, fitted.target_covariance_)
+    nearly(again.partial_fit(*later).coef_, fitted.partial_fit(*later).coef_)
+
+
+def test_a_pickle_before_there_is_a_map_goes_on_learning():
+    X, y = pairs()
+    begun = pickle.loads(pickle.dumps(AffineTransport().partial_fit(X)))
+    with pytest.raises(NotFittedError, match="no map yet"):
+        begun.transform(X)
+    np.testing.assert_array_equal(begun.partial_fit(y=y).coef_, AffineTransport().fit(X, y).coef_)
+
+
+@pytest.mark.parametrize("n_features", [30, 100])
+def test_a_pickle_is_of_at_most_twice_the_map(n_features):
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(3000, n_features))
+    y = X @ (np.eye(n_features) + 0.1 * rng.normal(size=(n_features, n_features)))
+    fitted = AffineTransport().fit(X, y)
+    assert len(pickle.dumps(fitted)) <= 2 * (fitted.coef_.nbytes + fitted.intercept_.nbytes)

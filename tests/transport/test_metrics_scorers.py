@@ -118,6 +118,31 @@ def test_scorer_takes_every_score(score, options):
     assert score.__name__ in repr(scorer)
 
 
+def test_beyond_the_largest_cost_matrix_the_default_scorer_is_the_estimate(monkeypatch):
+    X, y = pairs(400)
+    transport = AffineTransport().fit(X, y)
+    exact = affinity_scorer()(transport, X, y)
+    monkeypatch.setattr("skat.metrics.wasserstein.LARGEST_COST_MATRIX_BYTES", 8.0 * 399**2)
+    expected = affinity_estimate(transport.transform(X), y, random_state=0).score
+    assert affinity_scorer()(transport, X, y) == transport.score(X, y) == expected != exact
+    search = GridSearchCV(transport, {"metric_scale": [None, "target"]}, cv=2, scoring=affinity_scorer())
+    assert np.isfinite(search.fit(np.tile(X, (2, 1)), np.tile(y, (2, 1))).best_score_)
+    # Of weighted rows there is no estimate, and the refusal says what to do.
+    with pytest.raises(ValueError, match="affinity_estimate"):
+        affinity_scorer()(transport, X, y, sample_weight=np.ones(400))
+
+
+@pytest.mark.long
+def test_a_grid_over_1e5_rows_of_each_is_scored():
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(200_000, 5))
+    y = X @ rng.normal(size=(5, 5)) + 0.1 * rng.normal(size=X.shape)
+    search = GridSearchCV(
+        AffineTransport(), {"metric_scale": [None, "target"]}, cv=2, scoring=affinity_scorer()
+    )
+    assert search.fit(X, y).best_score_ > 0.9
+
+
 def test_scorers_pickle_and_run_in_other_processes():
     X, y = pairs()
     scorer = pickle.loads(pickle.dumps(affinity_scorer(debiased_affinity_score, random_state=0)))

@@ -1,11 +1,13 @@
 """What shrinkage promises: less error with few target rows, hardly ever more."""
 
+import pickle
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skat import AffineTransport, ProcrustesAffineTransport
+from skat import AffineTransport, ConditionalAffineTransport, ProcrustesAffineTransport
 from skat.gaussian import transport_map
 from skat.gaussian.moments import row_moments
 from skat.transport.shrinkage import shrinkage_intensity, shrunk_towards
@@ -186,3 +188,64 @@ def test_pairs_that_are_not_are_shrunk_as_unpaired_rows_are():
     _, paired = shrunk_towards(target, source, row_moments(np.hstack([X, y])))
     _, unpaired = shrunk_towards(target, source)
     assert paired == pytest.approx(unpaired, rel=0.01)
+
+
+def near_domains(rng, n_rows, shift, n_features=10):
+    """Return 2,000 source rows, few target rows of a law whose mean is so many deviations off, and that mean."""
+    source_root = rng.normal(size=(n_features, n_features))
+    target_root = source_root @ (np.eye(n_features) + 0.1 * rng.normal(size=source_root.shape))
+    mean = shift * source_root[:, 0]
+    source = rng.normal(size=(2000, n_features)) @ source_root.T
+    return source, rng.normal(size=(n_rows, n_features)) @ target_root.T + mean, mean, source_root
+
+
+@pytest.mark.parametrize("n_rows", [8, 30])
+@pytest.mark.parametrize("shift", [0.0, 0.5, 3.0])
+def test_a_shrunk_mean_errs_less_than_the_plain_one_wherever_the_mean_is(n_rows, shift):
+    rng = np.random.default_rng(0)
+    errors = {"empirical": [], "shrunk": []}
+    for _ in range(150):
+        X, y, mean, root = near_domains(rng, n_rows, shift)
+        for kind, found in errors.items():
+            fitted = AffineTransport(mean=kind, covariance="shrunk").fit(X, y)
+            found.append(np.square(np.linalg.solve(root, fitted.target_mean_ - mean)).sum())
+    ratio = np.mean(errors["shrunk"]) / np.mean(errors["empirical"])
+    # With fewer rows than columns the largest error looks larger than it is, and less is drawn.
+    assert ratio < (0.5 if shift == 0 and n_rows > 10 else 1.0)
+
+
+def test_a_shrunk_mean_does_not_depend_on_units_and_is_the_formula():
+    rng = np.random.default_rng(1)
+    X, y, _, _ = near_domains(rng, 20, 0.3)
+    fitted = AffineTransport(mean="shrunk").fit(X, y)
+    root = np.linalg.cholesky(np.cov(X.T, bias=True))
+    shift = np.linalg.solve(root, y.mean(axis=0) - X.mean(axis=0))
+    whitened = np.linalg.solve(root, np.linalg.solve(root, np.cov(y.T, bias=True)).T)
+    error = whitened / 19 + np.eye(10) / 1999
+    weight = (np.trace(error) - 2 * np.linalg.eigvalsh(error).max()) / (shift @ shift)
+    assert 0 < weight < 1
+    assert fitted.mean_shrinkage_ == pytest.approx(weight, rel=1e-9)
+    np.testing.assert_allclose(
+        fitted.target_mean_, (1 - weight) * y.mean(axis=0) + weight * X.mean(axis=0), rtol=1e-8, atol=1e-10
+    )
+    units = np.logspace(-3, 3, 10)
+    other = AffineTransport(mean="shrunk").fit(X * units, y * units)
+    np.testing.assert_allclose(other.target_mean_ / units, fitted.target_mean_, rtol=1e-8, atol=1e-10)
+
+
+def test_of_pairs_only_what_partners_do_not_share_shrinks_the_mean():
+    rng = np.random.default_rng(2)
+    X = rng.normal(size=(30, 5))
+    y = X + 0.5 + 1e-3 * rng.normal(size=X.shape)
+    paired = ProcrustesAffineTransport(mean="shrunk").fit(X, y)
+    assert paired.mean_shrinkage_ < 1e-5 < AffineTransport(mean="shrunk").fit(X, y).mean_shrinkage_
+    given = ConditionalAffineTransport(context=2, mean="shrunk").fit(X, y)
+    np.testing.assert_array_equal(given.transform(X)[:, :2], X[:, :2])
+    # Of two columns James and Stein shrink nothing.
+    assert AffineTransport(mean="shrunk").fit(X[:, :2], y[:, :2]).mean_shrinkage_ == 0
+    parts = AffineTransport(mean="shrunk").partial_fit(X[:10], y[:10]).partial_fit(X[10:], y[10:])
+    np.testing.assert_allclose(
+        parts.coef_, AffineTransport(mean="shrunk").fit(X, y).coef_, rtol=1e-9, atol=1e-12
+    )
+    again = pickle.loads(pickle.dumps(paired))
+    np.testing.assert_array_equal(again.transform(X), paired.transform(X))

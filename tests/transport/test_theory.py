@@ -5,7 +5,11 @@ import pytest
 import scipy.linalg
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sklearn.kernel_ridge import KernelRidge
 from sklearn.linear_model import LinearRegression
+from sklearn.model_selection import GridSearchCV
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
 
 from skat import (
     AffineTransport,
@@ -16,6 +20,7 @@ from skat import (
 )
 from skat.gaussian import gaussian_wasserstein_distance, transport_map
 from skat.metrics.wasserstein import affinity, wasserstein_distance
+from skat.transport.residual import GAMMAS, PENALTIES, KernelRidgeCV
 from tests.transport.reference import relative_error
 
 seeds = st.integers(0, 2**32 - 1)
@@ -327,3 +332,35 @@ def test_a_residual_regression_bends_the_map_where_pairs_show_it_and_is_left_out
     nothing = ResidualTransport(IdentityTransport()).fit(X, X + rng.normal(size=X.shape))
     assert nothing.weights_.max() < 0.5
     assert np.abs(nothing.transform(fresh) - fresh).mean() < 0.1
+
+
+def test_the_kernel_ridge_of_residuals_is_the_one_that_a_grid_search_finds():
+    rng = np.random.default_rng(5)
+    X = rng.normal(size=(75, 3)) * [1.0, 10.0, 0.1]
+    y = np.column_stack([np.sin(X[:, 0]), X[:, 1] * X[:, 2]]) + 0.1 * rng.normal(size=(75, 2))
+    pipeline = make_pipeline(StandardScaler(), KernelRidge(kernel="rbf"))
+    grid = {"kernelridge__gamma": GAMMAS / 3, "kernelridge__alpha": PENALTIES}
+    expected = GridSearchCV(pipeline, grid, cv=2, scoring="neg_mean_squared_error").fit(X, y)
+    found = KernelRidgeCV().fit(X, y)
+    chosen = found.model_.named_steps["kernelridge"]
+    assert {"kernelridge__gamma": chosen.gamma, "kernelridge__alpha": chosen.alpha} == expected.best_params_
+    np.testing.assert_allclose(found.predict(X), expected.predict(X), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(
+        KernelRidgeCV().fit(X, y, sample_weight=np.ones(75)).predict(X),
+        found.predict(X),
+        rtol=1e-9,
+        atol=1e-9,
+    )
+
+
+def test_a_weight_of_the_kernel_ridge_counts_as_repetitions():
+    rng = np.random.default_rng(6)
+    X = rng.normal(size=(40, 2))
+    y = X + np.sin(2 * X)
+    counts = np.concatenate([rng.integers(0, 4, size=19), [3], rng.integers(0, 4, size=20)])
+    counts[20:] = rng.permutation(counts[:20])  # as many rows in either fold
+    repeated = KernelRidgeCV().fit(np.repeat(X, counts, axis=0), np.repeat(y, counts, axis=0))
+    weighted = KernelRidgeCV().fit(X, y, sample_weight=counts)
+    np.testing.assert_allclose(weighted.predict(X), repeated.predict(X), rtol=1e-8, atol=1e-8)
+    fitted = ResidualTransport().fit(X, y, sample_weight=counts)
+    assert fitted.weights_.shape == (2,)
