@@ -500,29 +500,13 @@ def _stream_times(record, found, data, place, main, clock_times):
 def _log(record, found, simulator, grid, groups, own, errors, n_states, step, notes) -> Log:
     """Return the log of values on a grid."""
     _normalise(grid, groups, simulator)
+    times = np.concatenate([piece.start + piece.spacing * np.arange(piece.size) for piece in own] or [[]])
     known = np.isfinite(grid[:, n_states:]).all(axis=1)
-    measured = np.isfinite(grid[:, :n_states]).any(axis=1)
-    first = np.r_[True, groups[1:] != groups[:-1]]
     if not known.all():
-        missing = [
-            name
-            for name, bad in zip(simulator.input_names[n_states:], ~np.isfinite(grid[:, n_states:]))
-            if bad.any()
-        ]
         notes.append(f"{int((~known).sum())} rows are left out, before the first command.")
-        del missing
-        grid, groups, measured = grid[known], groups[known], measured[known]
-        first = np.r_[True, groups[1:] != groups[:-1]][: len(groups)]
-        kept_times = np.concatenate([piece.start + piece.spacing * np.arange(piece.size) for piece in own])[
-            known
-        ]
-    else:
-        kept_times = (
-            np.concatenate([piece.start + piece.spacing * np.arange(piece.size) for piece in own])
-            if own
-            else np.empty(0)
-        )
-    n_rows = len(grid) - int(first.sum())
+        grid, groups, times = grid[known], groups[known], times[known]
+    measured = np.isfinite(grid[:, :n_states]).any(axis=1)
+    first = np.r_[True, groups[1:] != groups[:-1]][: len(groups)]
     seen = int((measured[:-1] & ~first[1:]).sum()) if len(grid) else 0
     if seen < FEWEST_ROWS:
         raise LogError(
@@ -532,18 +516,17 @@ def _log(record, found, simulator, grid, groups, own, errors, n_states, step, no
         )
     if int(first.sum()) == 1:
         X, y, rows = grid[:-1], grid[1:, :n_states], groups[:-1]
-        times = kept_times[:-1]
+        times = times[:-1]
     else:
         arrivals = np.flatnonzero(~first)
         X, y, rows, times = (
             grid[arrivals - 1],
             grid[arrivals, :n_states],
             groups[arrivals],
-            kept_times[arrivals - 1],
+            times[arrivals - 1],
         )
     changes = np.r_[True, rows[1:] != rows[:-1]]
     present, renumbered = rows[changes], np.cumsum(changes) - 1
-    del n_rows
     if errors:
         notes.append(
             "Error of interpolation (standard deviation): "

@@ -140,6 +140,28 @@ def test_stamps_that_jitter_over_even_samples_are_told_from_samples_that_jitter(
     assert np.sqrt(np.nanmean(missed**2)) <= log.interpolation["qpos.rail"] < 1e-4
 
 
+@pytest.mark.parametrize("clock", ["even", "uneven", "one of two"])
+def test_the_floor_of_the_noise_covers_what_interpolation_has_missed(clock, cart, tmp_path):
+    rng = np.random.default_rng(3)
+    even = smooth(300)
+    time = even["time"] + (0 if clock == "even" else rng.uniform(-0.004, 0.004, size=300))
+    place, speed = np.sin(3 * time), 3 * np.cos(3 * time)
+    if clock == "one of two":
+        even.drop(columns="qvel.rail").to_csv(tmp_path / "a.csv", index=False)
+        pd.DataFrame({"time": time, "v": speed}).to_csv(tmp_path / "b.csv", index=False)
+        log = load_log(tmp_path, cart, columns={"qvel.rail": "b.v"})
+    else:
+        log = load_log(even.assign(**{"time": time, "qpos.rail": place, "qvel.rail": speed}), cart)
+    truth = np.stack([np.sin(3 * log.time), 3 * np.cos(3 * log.time)], axis=1)
+    missed = np.nanmean((log.X[:, :2] - truth) ** 2, axis=0)
+    assert log.floor.shape == (2,)
+    np.testing.assert_array_equal(
+        log.floor > 0, {"even": [False] * 2, "uneven": [True] * 2, "one of two": [False, True]}[clock]
+    )
+    assert (missed <= log.floor + 1e-28).all()
+    assert (log.floor < 1e-6).all()
+
+
 def test_lost_rows_are_not_measured_and_commands_are_held(table, cart):
     log = load_log(table.drop(index=[10, 11]), cart)
     assert len(log) == 48
