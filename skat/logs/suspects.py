@@ -63,14 +63,19 @@ class Suspect:
 
 
 def suspects(
-    simulator: Simulator, log: Log, *, kinds: Sequence[str] | None = None, n_rows: int = ROWS
+    simulator: Simulator | Sequence[Simulator],
+    log: Log,
+    *,
+    kinds: Sequence[str] | None = None,
+    n_rows: int = ROWS,
 ) -> list[Suspect]:
     """Return the repairs that were tried, the most telling first.
 
     Parameters
     ----------
-    simulator : Simulator
-        ``log.simulator``, or that with causes built in.
+    simulator : Simulator or sequence of Simulator
+        ``log.simulator``, or that with causes built in. Of several, that counts which leaves least: causes found in a
+        log with a mistake may be the mistake's, and would stand in the way of its repair.
     log : Log
     kinds : sequence of {"degrees", "sign", "swap", "shift"}, optional
         All by default.
@@ -82,18 +87,20 @@ def suspects(
     list of Suspect
         By the share of the error that is left.
     """
-    sample = _sample(simulator, log, n_rows)
+    simulators = [simulator] if isinstance(simulator, Simulator) else list(simulator)
+    sample = _sample(simulators[0], log, n_rows)
     if sample is None:
         return []
-    before = {}
+    before: dict[str, float] = {}
     found = []
     for repair in _repairs(sample, log):
         if repair.kind not in (kinds or KINDS):
             continue
         columns = sample.positions if repair.seen_in == "qpos" else sample.velocities
         if repair.seen_in not in before:
-            before[repair.seen_in] = sample.error(columns)
-        error, repaired = before[repair.seen_in], sample.error(columns, repair.applied)
+            before[repair.seen_in] = min(sample.error(one, columns) for one in simulators)
+        error = before[repair.seen_in]
+        repaired = min(sample.error(one, columns, repair.applied) for one in simulators)
         if np.isfinite(error) and np.isfinite(repaired):
             found.append(Suspect(repair.kind, repair.sentence, error, repaired, repair.options))
     return sorted(found, key=lambda suspect: suspect.repaired / max(suspect.error, TINY))
@@ -212,12 +219,12 @@ class _Sample:
     positions: np.ndarray
     known: frozenset[str]
 
-    def error(self, columns, repair=None):
-        """Return the error of one step in some columns, with a repair."""
+    def error(self, simulator, columns, repair=None):
+        """Return the error of a simulator's step in some columns, with a repair."""
         X, y = self.X.copy(), self.y.copy()
         if repair is not None:
             repair(X, y)
-        predicted = self.simulator.predict_many(X, [{}])[0]
+        predicted = simulator.predict_many(X, [{}])[0]
         n_states = y.shape[1]
         missed = np.abs(y - predicted)[:, columns]
         changed = np.abs(y - X[:, :n_states])[:, columns]

@@ -94,6 +94,23 @@ def write(kind, state, folder):
     return WRITERS[kind](Path(folder), state)
 
 
+def held(path):
+    """Write the documented CSV of commands that are held from row to row, which a simulation can meet exactly."""
+    model = mujoco.MjModel.from_xml_string(ARM)
+    data = mujoco.MjData(model)
+    rows = []
+    for time in np.arange(ROWS) / RATE:
+        data.ctrl[:] = (
+            np.sin(9 * time) + 0.5 * np.sin(31 * time),
+            np.sin(14 * time + 1) - 0.5 * np.sin(23 * time),
+        )
+        rows.append([time, *data.qpos, *data.qvel, *data.ctrl])
+        mujoco.mj_step(model, data, 1000 // RATE)
+    names = [f"{kind}.{joint}" for kind in ("qpos", "qvel", "ctrl") for joint in JOINTS]
+    pd.DataFrame(rows, columns=["time", *names]).to_csv(path, index=False)
+    return path
+
+
 def _options(state, names):
     """Return one entry a group of channels where the state needs it."""
     if state == "names":

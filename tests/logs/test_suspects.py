@@ -51,20 +51,9 @@ def test_commands_that_are_late_are_told(arm, frame):
     assert "of 2 rows later" in suspect.sentence
 
 
-@pytest.fixture(scope="module")
-def held():
-    """A log whose commands are held from row to row, which the simulation meets exactly."""
-    stepped = MujocoSimulator(formats.ARM, frame_skip=10)
-    time = 0.01 * np.arange(160)
-    commands = np.stack([1.2 * np.sin(5 * time), 0.9 * np.sin(8 * time + 1)], axis=1)
-    states = [np.zeros(4)]
-    for command in commands[:-1]:
-        states.append(stepped.predict(np.r_[states[-1], command][None])[0])
-    return pd.DataFrame(np.column_stack([time, states, commands]), columns=["time", *stepped.input_names])
-
-
 @pytest.mark.parametrize(("rows", "said"), [(1, "1 row later"), (-2, "2 rows earlier")])
-def test_velocities_that_are_apart_from_the_positions_are_told(rows, said, arm, held):
+def test_velocities_that_are_apart_from_the_positions_are_told(rows, said, arm, tmp_path):
+    held = pd.read_csv(formats.held(tmp_path / "held.csv"))
     names = ["qvel.shoulder", "qvel.elbow"]
     suspect = first(load_log(held.assign(**{name: held[name].shift(rows) for name in names}), arm))
     assert suspect.sentence.startswith(f"the velocities fit those of {said}")
