@@ -104,9 +104,7 @@ def diagnose(
             help="Whether a sensor measured them, or they were computed from positions. Default: auto, the log tells."
         ),
     ] = None,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Give a first answer within seconds, from a part of LOG.")
-    ] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Give a first answer within seconds.")] = False,
     alpha: Alpha = 0.01,
     max_effects: Annotated[int, typer.Option(min=1, help="Name this many causes at most.")] = 6,
     test_size: Annotated[float, typer.Option(help="Part of the log that measures the gain; 0: none.")] = 0.3,

@@ -51,7 +51,8 @@ def load_log(
     columns : mapping from name to str, or path, default=None
         What is not found by its name: ``{"qpos.elbow": "q1:deg"}``, the simulator's name, then theirs (a column, an
         element ``observation.state[2]`` of a vector, a field ``/commands.position`` of a topic), and, after a colon,
-        the unit. ``*`` stands for every joint: ``{"ctrl.*": "/commands.position"}``, ``{"qpos.*": "*_pos:deg"}``.
+        the unit. ``*`` stands for every joint: ``{"ctrl.*": "/commands.position"}``, ``{"qpos.*": "*_pos:deg"}``; and
+        ``{"*.elbow": "joint3"}`` says what the log calls a joint, in all of its columns.
         Also ``time`` and ``episode``. A number is a constant: ``{"ctrl.*": "0"}``; ``-`` leaves a channel out, as
         not measured. A path is that of a ``map.toml``, as `write_map` writes it.
 

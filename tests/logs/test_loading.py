@@ -256,6 +256,39 @@ def test_columns_are_mapped_with_units_signs_and_offsets(table, cart):
     assert log.table.set_index("name").loc["qpos.rail", "unit"] == "-mm+25"
 
 
+TWO = """
+<mujoco>
+  <worldbody>
+    <body><joint name="hook" axis="0 1 0"/><geom size="0.1" pos="0 0 -1"/>
+      <body pos="0 0 -1"><joint name="J1" axis="0 1 0"/><geom size="0.1" pos="0 0 -1"/></body>
+    </body>
+  </worldbody>
+  <actuator><motor name="hook" joint="hook"/><motor name="J1" joint="J1"/></actuator>
+</mujoco>
+"""
+
+
+def test_what_the_log_calls_a_joint_is_said_once_for_all_its_columns():
+    rng = np.random.default_rng(0)
+    names = ("arm_pos", "tail_pos", "arm_vel", "tail_vel", "tail_cmd", "tail_clipped")
+    theirs = {"time": 0.01 * np.arange(40)} | {name: 0.01 * rng.normal(size=40) for name in names}
+    theirs |= {"arm_pos_des": theirs["arm_pos"]}
+    columns = {"*.hook": "arm", "*.J1": "tail", "ctrl.hook": "0", "ctrl.*": "*_clipped"}
+    log = load_log(theirs, MujocoSimulator(TWO), columns=columns)
+    expected = [theirs[name] for name in ("arm_pos", "tail_pos", "arm_vel", "tail_vel")]
+    np.testing.assert_array_equal(log.X[:, :4], np.stack(expected, axis=1)[:-1])
+    np.testing.assert_array_equal(log.X[:, 4:], np.stack([np.zeros(40), theirs["tail_clipped"]], axis=1)[:-1])
+    turned = load_log(theirs, MujocoSimulator(TWO), columns=columns | {"*.hook": "arm:-deg"})
+    np.testing.assert_allclose(turned.X[:, [0, 2]], np.deg2rad(-log.X[:, [0, 2]]), rtol=1e-12)
+    np.testing.assert_array_equal(turned.X[:, [1, 3, 4, 5]], log.X[:, [1, 3, 4, 5]])
+    again = load_log(theirs, MujocoSimulator(TWO), columns=columns | {"qvel.J1": "arm_vel"})
+    np.testing.assert_array_equal(again.X[:, 3], log.X[:, 2])
+    with pytest.raises(
+        LogError, match=r"column 'leg': was told for \*\.J1 and is not there\. It has time, arm_pos"
+    ):
+        load_log(theirs, MujocoSimulator(TWO), columns=columns | {"*.J1": "leg"})
+
+
 def test_units_in_names_are_taken(table, cart):
     theirs = table.rename(
         columns={"qpos.rail": "rail_pos_mm", "qvel.rail": "rail_vel_mm_s", "time": "time_ms"}
