@@ -527,12 +527,16 @@ def _command_columns(known, size, matched):
 
 
 def _advice(known, positions, recording):
-    numbered = [one.name for one in known.values() if one.said.kind in ("qpos", "state", "")][:1] or list(
-        known
-    )[:1]
+    likely = [name for name, one in known.items() if one.said.kind in ("qpos", "state")]
+    likely += [
+        name
+        for name, one in known.items()
+        if not one.said.kind and not is_time(name, recording.streams[one.stream].name)
+    ]
+    column = [*likely, *known][0]
     return (
-        f"Say which is which: columns={{{positions[0]!r}: {numbered[0]!r}}} (on the command line --map "
-        f"'{positions[0]}={numbered[0]}'); with :deg behind it where it is in degrees. Or the log is of another robot."
+        f"Say which is which: columns={{{positions[0]!r}: {column!r}}} (on the command line --map "
+        f"'{positions[0]}={column}'); with :deg behind it where it is in degrees. Or the log is of another robot."
     )
 
 
