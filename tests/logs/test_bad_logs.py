@@ -78,7 +78,10 @@ def bag_of_nothing(folder):
 
     path = written("rosbag2_sqlite3", folder)
     with sqlite3.connect(next(path.glob("*.db3"))) as database:
-        database.execute("UPDATE messages SET data = NULL WHERE id = 9")
+        database.executescript(
+            "CREATE TABLE lax AS SELECT * FROM messages; DROP TABLE messages; ALTER TABLE lax RENAME TO messages;"
+            "UPDATE messages SET data = NULL WHERE id = 9"
+        )
     database.close()
     return path
 
