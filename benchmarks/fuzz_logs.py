@@ -2,8 +2,8 @@
 
     python benchmarks/fuzz_logs.py [--number 10000] [--seed 0] [--output benchmarks/results/fuzz_logs.md]
 
-Each batch runs in a process of its own; seconds are those of the processor, which other work does not lengthen; the lines of the
-readers that are reached are counted. Files and damage are those of ``tests/logs/mutations.py``.
+Each batch runs in a process of its own; seconds are those of the processor, which other work does not lengthen; the
+lines of the readers that are reached are counted. Files and damage are those of ``tests/logs/mutations.py``.
 """
 
 import argparse
