@@ -575,13 +575,15 @@ def _check_degrees(log, found, record):
     if not angles:
         return
     said = in_degrees(log.simulator, log, told=found.told_units)
-    if said is not None:
-        raise LogError(
-            record.source,
-            said.sentence,
-            "If they are in rad, say so by units=\"rad\" (--map '*=:rad').",
-            options=said.options,
+    if said is None:
+        return
+    advice = "If they are in rad, say so by units=\"rad\" (--map '*=:rad')."
+    if any(note.startswith("LeRobot") for note in record.notes):
+        advice += (
+            " If they are in LeRobot's percentages of the calibrated range: --map 'qpos.*=:percent:-100:100' --map "
+            "'ctrl.*=:percent:-100:100'."
         )
+    raise LogError(record.source, said.sentence, advice, options=said.options)
 
 
 def _where(record: Recording, stream: Stream) -> str:

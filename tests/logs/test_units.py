@@ -1,9 +1,11 @@
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skat.logs import LogError, load_log
+from skat.logs import LogError, load_log, read_map
 from skat.logs.units import BASE, parsed_unit
 from skat.simulators import MujocoSimulator
 from tests.logs import formats
@@ -78,6 +80,24 @@ def test_percentages_of_a_servos_range_are_those_of_its_joint(arm, tmp_path):
     theirs = {"time": time, "observation.state": 100 * q / limit, "action": 100 * u / limit}
     columns = {"qpos.*": ":percent:-100:100", "ctrl.*": ":percent:-100:100"}
     log = load_log(theirs, arm, columns=columns)
+    np.testing.assert_allclose(log.X, expected, rtol=1e-12, atol=1e-12)
+
+
+def test_a_lerobot_that_looks_like_degrees_may_be_in_percentages(arm, tmp_path, monkeypatch):
+    expected = load_log(formats.documented(tmp_path / "log.csv", "positions"), arm).X
+    plain, limit = formats.table, np.deg2rad(150)
+
+    def table(state):
+        t, q, v, u = plain(state)
+        return t, 100 * q / limit, v, 100 * u / limit
+
+    monkeypatch.setattr(formats, "table", table)
+    source, _ = formats.lerobot(tmp_path, "positions")
+    with pytest.raises(LogError, match="look like degrees") as caught:
+        load_log(source, arm)
+    remedy = re.findall(r"--map '([^']*percent[^']*)'", str(caught.value))
+    assert len(remedy) == 2
+    log = load_log(source, arm, columns=read_map(remedy))
     np.testing.assert_allclose(log.X, expected, rtol=1e-12, atol=1e-12)
 
 
