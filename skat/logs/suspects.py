@@ -262,10 +262,9 @@ def _sample(simulator, log, n_rows):
     twins = {name: f"qpos.{name.removeprefix('qvel.')}" for name in joints}
     pairs = [(name, twin) for name, twin in twins.items() if {name, twin} <= measured]
     good = np.isfinite(X).all(axis=1) & np.isfinite(y).all(axis=1)
-    shown = [names.index(name) for name in names if name in measured]
-    good &= np.all([np.isfinite(other[:, shown]).all(axis=1) for other, _ in lagged.values()], axis=0)
-    shown = [column for column in shown if column < y.shape[1]]
-    good &= np.all([np.isfinite(other[:, shown]).all(axis=1) for _, other in lagged.values()], axis=0)
+    for other in itertools.chain.from_iterable(lagged.values()):
+        shown = [place for place, name in enumerate(names[: other.shape[1]]) if name in measured]
+        good &= np.isfinite(other[:, shown]).all(axis=1)
     if good.sum() < FEWEST or not joints:
         return None
 
