@@ -2,6 +2,7 @@
 
 import collections
 import io
+import math
 import pickle
 import zipfile
 
@@ -146,7 +147,10 @@ class _Tensor:
 
     def of(self, values):
         last = self.offset + sum((n - 1) * stride for n, stride in zip(self.shape, self.strides, strict=True))
-        if min((*self.strides, self.offset, *self.shape), default=0) < 0 or last >= max(len(values), 1):
+        too_many = math.prod(self.shape) > len(
+            values
+        )  # of one value, shown often, any size could be asked for
+        if min((*self.strides, self.offset, *self.shape)) < 0 or last >= max(len(values), 1) or too_many:
             raise ValueError(
                 f"A tensor of shape {self.shape} does not fit into its storage of {len(values)} values."
             )

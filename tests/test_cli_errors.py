@@ -51,6 +51,8 @@ def here(tmp_path, monkeypatch):
     log.rename(columns={"qpos.rail": "gps", "qvel.rail": "gps2"}).to_csv(tmp_path / "other.csv", index=False)
     log.rename(columns={"qpos.rail": "x_mm"}).to_csv(tmp_path / "named.csv", index=False)
     log.assign(**{"qvel.rail": "fast"}).to_csv(tmp_path / "text.csv", index=False)
+    log.drop(columns="time").to_csv(tmp_path / "untimed.csv", index=False)
+    log.assign(**{"qvel.rail": np.nan}).to_csv(tmp_path / "lacking.csv", index=False)
     (tmp_path / "empty.csv").write_text("")
     (tmp_path / "head.csv").write_text("time,qpos.rail,qvel.rail,ctrl.push\n")
     (tmp_path / "noise.bin").write_bytes(rng.bytes(2000))
@@ -87,10 +89,10 @@ BAD_CALLS = [
     ("check model.xml free.csv", "ctrl.push", "--map 'ctrl.*=0'"),
     ("check model.xml short.csv", "short.csv", "Record longer"),
     ("check model.xml text.csv", "text.csv", "qvel.rail"),
-    ("check model.xml empty.csv", "empty.csv", ""),
-    ("check model.xml head.csv", "head.csv", ""),
+    ("check model.xml empty.csv", "empty.csv: is not a CSV table", "A CSV table has a line of names"),
+    ("check model.xml head.csv", "head.csv: has no rows below its first line", "at least 20 rows"),
     ("check model.xml noise.bin", "noise.bin", "Formats that are read: CSV"),
-    ("check model.xml cut.csv.gz", "cut.csv.gz", ""),
+    ("check model.xml cut.csv.gz", "cut.csv.gz: is cut or damaged", "Copy the file anew"),
     ("check model.xml folder", "folder", "Formats that are read: CSV"),
     ("check model.xml log.csv --map qpos.rail", "qpos.rail", "NAME=THEIRS"),
     ("check model.xml log.csv --map qpos.rial=time", "qpos.rial", "qpos.rail"),
@@ -111,7 +113,7 @@ BAD_CALLS = [
     ("diagnose model.xml log.csv --jobs 0", "n_jobs", "--jobs"),
     ("diagnose model.xml log.csv --alpha 2", "alpha", "between 0 and 1"),
     ("diagnose model.xml log.csv --effect dumping[rail]", "dumping[rail]", "damping[rail]"),
-    ("preflight model.xml named.csv --map qpos.rail=-", "qpos.rail", ""),
+    ("preflight model.xml named.csv --map qpos.rail=-", "lacks qpos.rail", "simulator.rollout"),
     ("effects unbolted.urdf", "root link 'track'", "--base"),
 ]
 
@@ -128,6 +130,37 @@ def test_a_bad_call_ends_with_place_and_remedy_and_changes_nothing(here, call, p
     assert place in message
     assert remedy in message
     assert {path: path.read_bytes() for path in here.rglob("*") if path.is_file()} == before
+
+
+# What a message says to add, as it is written there.
+REMEDY = re.compile(
+    r"on the command line (--\w+ (?:'[^']*'|[^\s;)]+?))(?=[;)]|\.?$| --)|overwrite it with (--force)"
+)
+CURED = [
+    ("check unbolted.urdf log.csv", 3),
+    ("check cart.urdf log.csv", 2),
+    ("check model.xml other.csv", 1),
+    ("check model.xml free.csv", 1),
+    ("check model.xml log.csv --episodes run", 1),
+    ("check model.xml log.csv --save-map mine.toml", 1),
+    ("check model.xml untimed.csv", 1),
+    ("check model.xml lacking.csv", 1),
+]
+
+
+@pytest.mark.parametrize(("call", "most"), CURED, ids=[call for call, _ in CURED])
+def test_the_remedies_in_the_messages_lead_to_a_log_that_is_read(here, call, most):
+    arguments = [*shlex.split(call), "--no-preflight"]
+    said = []
+    for _ in range(most + 1):
+        result = CliRunner().invoke(app, [*arguments, *said])
+        if result.exit_code == 0:
+            break
+        told = REMEDY.findall(result.stderr.splitlines()[-1])
+        assert told, result.stderr
+        said += shlex.split("".join(told[-1]))
+    assert result.exit_code == 0, (said, result.output)
+    assert said
 
 
 def test_remedies_of_a_urdf_work(here):

@@ -1,5 +1,6 @@
 """The documented command for each published log reads it as it is."""
 
+import json
 import re
 import shlex
 from pathlib import Path
@@ -8,14 +9,11 @@ import pytest
 from typer.testing import CliRunner
 
 from skat.cli import app
+from skat.experiments import studies
+from skat.simulators import make_simulator
 
 GUIDE = Path(__file__).parent.parent / "docs" / "user_guide"
 COMMANDS = re.findall(r"^ +\$ skat (check .*)$", (GUIDE / "published_logs.rst").read_text(), re.MULTILINE)
-UR10 = [
-    f"{name}_joint" for name in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
-]
-LEGS = [f"{leg}_{part}" for leg in ("FL", "FR", "RL", "RR") for part in ("hip", "thigh", "calf")]
-SO101 = ["shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper"]
 # The names in the guide, where the originals lie below $SKAT_DATA_HOME.
 ORIGINALS = {
     "data_measured.csv": "pendulum/data_measured.csv",
@@ -28,32 +26,21 @@ ORIGINALS = {
 }
 # Of each model: what is found in the log, in words of the output.
 FOUND = {
-    "pendulum.xml": "3999 rows of 0.00500",
+    "pendulum.xml": "3999 rows of 0.005 s",
     "double_pendulum.xml": "4999 rows of 0.002 s",
     "so101.xml": "5999 rows of 0.02006",
-    "go2.xml": "4697 rows of 0.00500",
+    "go2.xml": "4697 rows of 0.005 s",
     "ur10.xml": "3440 rows of 0.008 s",
     "ricmonk.urdf": "in 3 episodes",
 }
 
 
-def chain(joints, servo="motor", root=""):
-    """A model with a link and a motor for each joint."""
-    links = "".join(
-        f'<body pos="0 0 0.1"><joint name="{joint}"/><geom size="0.05" mass="1"/>' for joint in joints
-    )
-    motors = "".join(f'<{servo} name="{joint.removesuffix("_hinge")}" joint="{joint}"/>' for joint in joints)
-    body = f"{root}{links}{'</body>' * len(joints)}"
-    body = f"<body>{body}</body>" if root else body
-    return f"<mujoco><worldbody>{body}</worldbody><actuator>{motors}</actuator></mujoco>"
-
-
-MODELS = {
-    "pendulum.xml": chain(["hinge"]),
-    "double_pendulum.xml": chain(["shoulder", "elbow"]),
-    "so101.xml": chain(SO101, "position"),
-    "go2.xml": chain([f"{leg}_hinge" for leg in LEGS], "position", '<freejoint/><geom size="0.1"/>'),
-    "ur10.xml": chain(UR10),
+MACHINES = {
+    "pendulum.xml": "pendulum",
+    "double_pendulum.xml": "double_pendulum",
+    "so101.xml": "so101",
+    "go2.xml": "go2_air",
+    "ur10.xml": "ur10",
 }
 
 
@@ -67,8 +54,8 @@ def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name, original in ORIGINALS.items():
         (tmp_path / name).symlink_to(Path(home, original))
-    for name, text in MODELS.items():
-        (tmp_path / name).write_text(text)
+    for file, name in MACHINES.items():
+        make_simulator(name).to_mjcf(tmp_path / file)
     (tmp_path / "ricmonk.toml").write_text((GUIDE / "ricmonk.toml").read_text())
     return tmp_path
 
@@ -83,6 +70,28 @@ def test_a_published_log_is_read_by_its_command(here, command):
     channels = [line for line in result.stdout.splitlines() if re.search(r"│ (qpos|qvel|ctrl)\.", line)]
     assert len(channels) >= 3
     assert not [line for line in channels if "not measured" in line and "│ qvel." not in line]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("command", COMMANDS, ids=[command.split()[1] for command in COMMANDS])
+def test_ten_seconds_of_a_published_log_are_diagnosed_by_its_command(here, command, monkeypatch):
+    if ".db3" in command:
+        pytest.importorskip("rosbags")
+    whole, looked_at = studies.study_log, []
+
+    def study_log(log, **parameters):
+        looked_at.append(log.rows(log.time < log.time[0] + 10))
+        return whole(looked_at[0], **parameters)
+
+    monkeypatch.setattr(studies, "study_log", study_log)
+    words = [*shlex.split(command.replace("check", "diagnose", 1)), "--quick", "--json", "found.json"]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 0, result.output
+    assert len(looked_at[0]) * looked_at[0].dt == pytest.approx(10, rel=0.2)
+    found = json.loads((here / "found.json").read_text())
+    assert found["verdict"] in ("nothing detected", "named", "ambiguous", "unexplained")
+    for cause in found["causes"]:
+        assert cause["interval"][0] <= cause["value"] <= cause["interval"][1]
 
 
 def test_every_measured_log_of_an_arm_has_a_command():

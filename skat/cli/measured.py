@@ -1,6 +1,7 @@
 """The commands that take a model and a log: ``skat diagnose``, ``check`` and ``preflight``."""
 
 import sys
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -69,6 +70,14 @@ FrameSkip = Annotated[
 Jobs = Annotated[int | None, typer.Option(help="Processes to use; -1: one per core.")]
 
 
+class Velocities(StrEnum):
+    """What a log's velocities are."""
+
+    auto = "auto"
+    measured = "measured"
+    computed = "computed"
+
+
 @app.command()
 def diagnose(
     model: Model,
@@ -89,6 +98,13 @@ def diagnose(
     hidden: Annotated[
         list[str] | None, typer.Option(help="Name of a state column that is a guess, no measurement; repeat.")
     ] = None,
+    velocities: Annotated[
+        Velocities | None,
+        typer.Option(
+            help="Whether a sensor measured them, or they were computed from positions. Default: auto, the log tells."
+        ),
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Give a first answer within seconds.")] = False,
     alpha: Alpha = 0.01,
     max_effects: Annotated[int, typer.Option(min=1, help="Name this many causes at most.")] = 6,
     test_size: Annotated[float, typer.Option(help="Part of the log that measures the gain; 0: none.")] = 0.3,
@@ -120,6 +136,7 @@ def diagnose(
         fit = _log(log, simulator, options)
         told = _show_log(fit, save_map, force)
         tested = None if not test else _log(test, fit.simulator, options | {"rate": 1 / fit.dt})
+        said = {"velocities": velocities and velocities.value, "quick": quick}
         with progress_bars() as progress:
             study = study_log(
                 fit,
@@ -132,6 +149,7 @@ def diagnose(
                 random_state=seed,
                 n_jobs=jobs,
                 progress=progress,
+                **{name: value for name, value in said.items() if value},
             )
         show_study(study)
         mistakes = _show_mistakes(study, fit) if study.diagnosis.verdict_ == "unexplained" else []
@@ -302,16 +320,20 @@ def _show_log(log, save_map, force, *, table=True):
 def _show_mistakes(study, log):
     """Show the usual mistakes in columns that would explain much of what is left."""
     from skat.logs import suspects
+    from skat.logs.errors import shell_options
 
     found = [
         one
-        for one in suspects(study.diagnosis.extended_simulator_, log)
+        for one in suspects([log.simulator, study.diagnosis.extended_simulator_], log)
         if one.repaired < WORTH_TELLING * one.error
     ][:3]
     if found:
-        print_line("Usual mistakes that would explain it, with the error of the velocities that each leaves:")
+        print_line(
+            "Usual mistakes that would explain it, with what one step misses then, as a share of the change:"
+        )
     for one in found:
-        print_line(f"  {one.sentence}: {one.error:.3g} -> {one.repaired:.3g}")
+        remedy = f"; {shell_options(one.options)}" if one.options else ""
+        print_line(f"  {one.sentence}: {one.error:.3g} -> {one.repaired:.3g}{remedy}")
     return found
 
 

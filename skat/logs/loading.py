@@ -51,7 +51,8 @@ def load_log(
     columns : mapping from name to str, or path, default=None
         What is not found by its name: ``{"qpos.elbow": "q1:deg"}``, the simulator's name, then theirs (a column, an
         element ``observation.state[2]`` of a vector, a field ``/commands.position`` of a topic), and, after a colon,
-        the unit. ``*`` stands for every joint: ``{"ctrl.*": "/commands.position"}``, ``{"qpos.*": "*_pos:deg"}``.
+        the unit. ``*`` stands for every joint: ``{"ctrl.*": "/commands.position"}``, ``{"qpos.*": "*_pos:deg"}``; and
+        ``{"*.elbow": "joint3"}`` says what the log calls a joint, in all of its columns.
         Also ``time`` and ``episode``. A number is a constant: ``{"ctrl.*": "0"}``; ``-`` leaves a channel out, as
         not measured. A path is that of a ``map.toml``, as `write_map` writes it.
 
@@ -500,29 +501,13 @@ def _stream_times(record, found, data, place, main, clock_times):
 def _log(record, found, simulator, grid, groups, own, errors, n_states, step, notes) -> Log:
     """Return the log of values on a grid."""
     _normalise(grid, groups, simulator)
+    times = np.concatenate([piece.start + piece.spacing * np.arange(piece.size) for piece in own] or [[]])
     known = np.isfinite(grid[:, n_states:]).all(axis=1)
-    measured = np.isfinite(grid[:, :n_states]).any(axis=1)
-    first = np.r_[True, groups[1:] != groups[:-1]]
     if not known.all():
-        missing = [
-            name
-            for name, bad in zip(simulator.input_names[n_states:], ~np.isfinite(grid[:, n_states:]))
-            if bad.any()
-        ]
         notes.append(f"{int((~known).sum())} rows are left out, before the first command.")
-        del missing
-        grid, groups, measured = grid[known], groups[known], measured[known]
-        first = np.r_[True, groups[1:] != groups[:-1]][: len(groups)]
-        kept_times = np.concatenate([piece.start + piece.spacing * np.arange(piece.size) for piece in own])[
-            known
-        ]
-    else:
-        kept_times = (
-            np.concatenate([piece.start + piece.spacing * np.arange(piece.size) for piece in own])
-            if own
-            else np.empty(0)
-        )
-    n_rows = len(grid) - int(first.sum())
+        grid, groups, times = grid[known], groups[known], times[known]
+    measured = np.isfinite(grid[:, :n_states]).any(axis=1)
+    first = np.r_[True, groups[1:] != groups[:-1]][: len(groups)]
     seen = int((measured[:-1] & ~first[1:]).sum()) if len(grid) else 0
     if seen < FEWEST_ROWS:
         raise LogError(
@@ -532,18 +517,17 @@ def _log(record, found, simulator, grid, groups, own, errors, n_states, step, no
         )
     if int(first.sum()) == 1:
         X, y, rows = grid[:-1], grid[1:, :n_states], groups[:-1]
-        times = kept_times[:-1]
+        times = times[:-1]
     else:
         arrivals = np.flatnonzero(~first)
         X, y, rows, times = (
             grid[arrivals - 1],
             grid[arrivals, :n_states],
             groups[arrivals],
-            kept_times[arrivals - 1],
+            times[arrivals - 1],
         )
     changes = np.r_[True, rows[1:] != rows[:-1]]
     present, renumbered = rows[changes], np.cumsum(changes) - 1
-    del n_rows
     if errors:
         notes.append(
             "Error of interpolation (standard deviation): "
@@ -591,13 +575,15 @@ def _check_degrees(log, found, record):
     if not angles:
         return
     said = in_degrees(log.simulator, log, told=found.told_units)
-    if said is not None:
-        raise LogError(
-            record.source,
-            said.sentence,
-            "If they are in rad, say so by units=\"rad\" (--map '*=:rad').",
-            options=said.options,
+    if said is None:
+        return
+    advice = "If they are in rad, say so by units=\"rad\" (--map '*=:rad')."
+    if any(note.startswith("LeRobot") for note in record.notes):
+        advice += (
+            " If they are in LeRobot's percentages of the calibrated range: --map 'qpos.*=:percent:-100:100' --map "
+            "'ctrl.*=:percent:-100:100'."
         )
+    raise LogError(record.source, said.sentence, advice, options=said.options)
 
 
 def _where(record: Recording, stream: Stream) -> str:

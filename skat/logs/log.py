@@ -59,8 +59,8 @@ class Log:
     notes : tuple of str
         All that was done, a sentence each: what was guessed, converted, resampled, lost, left aside.
     interpolation : mapping from name to float
-        Of each state channel that was resampled, the standard deviation of the error of that, in the channel's unit;
-        a diagnosis has it as noise of the channel. Empty where no channel was.
+        Of each state channel that was resampled, the standard deviation of the error of that, in the channel's unit.
+        Empty where no channel was.
     source : str
         Where it was read from.
     """
@@ -101,6 +101,15 @@ class Log:
     def unmeasured(self) -> tuple[str, ...]:
         """Names of the state's channels that the log lacks."""
         return tuple(name for name, share in self.measured.items() if share == 0)
+
+    @property
+    def floor(self) -> np.ndarray:
+        """Least variance of each state channel's noise, of shape (n_states,), in the channel's unit squared.
+
+        What resampling has made of it, the square of `interpolation`; 0 where the values are those of the file. No
+        model can be held to less than that.
+        """
+        return np.array([self.interpolation.get(name, 0.0) ** 2 for name in self.simulator.state_names])
 
     @property
     def table(self) -> pd.DataFrame:

@@ -1,7 +1,7 @@
 """Find out which column of a recording stands for which input of a simulator."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from skat.logs.errors import LogError
@@ -97,6 +97,7 @@ def plan(
         for place, stream in enumerate(streams)
         for column in stream.columns
     }
+    inputs, columns = _renamed(inputs, columns, known, recording)
     matched, told, constants, left_out = _told(columns, known, inputs, recording)
     settled = {*matched, *constants, *left_out}
     guesses, notes = _guessed(known, inputs, settled, recording, topic)
@@ -204,6 +205,28 @@ def _check_topic(recording, topic):
         )
 
 
+def _renamed(inputs, columns, known, recording):
+    """Return the inputs with the log's names of joints (``"*.elbow": "joint3"``), and what else the user says."""
+    keys, rest = dict(inputs.keys), dict(columns)
+    for ours, text in columns.items():
+        theirs, unit = without_unit(text, known)
+        if (
+            not ours.startswith("*.")
+            or "*" in theirs
+            or theirs in ("", "-")
+            or _constant(theirs, known) is not None
+        ):
+            continue
+        names, key = _ours(ours, inputs, recording), joint_key(theirs)
+        if not any(key == one.said.key for one in known.values()):
+            raise _no_column(theirs, ours, known, recording)
+        keys |= dict.fromkeys(names, (key,))
+        del rest[ours]
+        if unit:
+            rest |= {name: rest.get(name, f":{unit}") for name in names if _takes(name, unit, inputs)}
+    return replace(inputs, keys=keys), rest
+
+
 def _told(columns, known, inputs, recording):
     """Return ({name: (column, how)}, {name: unit}, {name: constant}, names left out) of what the user says."""
     matched: dict[str, tuple[str, str]] = {}
@@ -228,6 +251,7 @@ def _told(columns, known, inputs, recording):
         if (number := _constant(theirs, known)) is not None:
             constants |= dict.fromkeys(names, number)
             continue
+        names = [name for name in names if name == ours or name not in columns]
         for name, column, how in _theirs(names, theirs, known, inputs, recording, ours):
             matched[name] = (column, how)
             constants.pop(name, None)
@@ -503,12 +527,16 @@ def _command_columns(known, size, matched):
 
 
 def _advice(known, positions, recording):
-    numbered = [one.name for one in known.values() if one.said.kind in ("qpos", "state", "")][:1] or list(
-        known
-    )[:1]
+    likely = [name for name, one in known.items() if one.said.kind in ("qpos", "state")]
+    likely += [
+        name
+        for name, one in known.items()
+        if not one.said.kind and not is_time(name, recording.streams[one.stream].name)
+    ]
+    column = [*likely, *known][0]
     return (
-        f"Say which is which: columns={{{positions[0]!r}: {numbered[0]!r}}} (on the command line --map "
-        f"'{positions[0]}={numbered[0]}'); with :deg behind it where it is in degrees. Or the log is of another robot."
+        f"Say which is which: columns={{{positions[0]!r}: {column!r}}} (on the command line --map "
+        f"'{positions[0]}={column}'); with :deg behind it where it is in degrees. Or the log is of another robot."
     )
 
 

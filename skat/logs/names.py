@@ -65,6 +65,8 @@ FILLER = {
         "motor",
         "motors",
         "servo",
+        "dof",
+        "dofs",
     ),
     *(
         "measured",
@@ -172,7 +174,7 @@ def tokens(text: str) -> tuple[str, ...]:
 def joint_key(name: str) -> tuple[str, ...]:
     """Return what identifies a joint or actuator in names of columns."""
     words = tokens(name)
-    left = tuple(word for word in words if word not in {"joint", "motor", "actuator", "servo", "link"})
+    left = tuple(word for word in words if word not in {"joint", "motor", "actuator", "servo", "link", "dof"})
     return left or words
 
 

@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,6 +16,8 @@ from skat.simulators import Simulator
 ROWS, RUN = 400, 50
 # Pairs and channels tried at most.
 MOST_PAIRS = 120
+# Complete rows, without which nothing is said.
+FEWEST = 10
 DEGREES = math.pi / 180
 # Degrees are certain where they leave less than this share of the error, and explain half of what changes,
 CERTAIN, EXPLAINED = 1 / 3, 0.5
@@ -28,6 +30,9 @@ EXCEEDED, SPARE = 1.0, 1.2
 # The size of an error is taken where this share of rows are below it: a few contacts are not the matter.
 SHARE = 0.7
 KINDS = ("degrees", "sign", "swap", "shift")
+# Rows by which a clock may be apart from another.
+LAGS = (-2, -1, 1, 2)
+TINY = np.finfo(float).tiny
 
 
 @dataclass(frozen=True)
@@ -41,8 +46,9 @@ class Suspect:
     sentence : str
         What it would mean, such as "ctrl.a and ctrl.b are swapped".
     error : float
-        One-step error of the velocities as the log is, as a share of how much they change from row to row; root mean
-        square over channels. 1 is what a simulation leaves that says nothing changes.
+        One-step error of the velocities (where these would be shifted, of the positions) as the log is, as a share of
+        how much they change from row to row; root mean square over channels. 1 is what a simulation leaves that says
+        nothing changes.
     repaired : float
         The same with the repair.
     options : dict
@@ -57,14 +63,19 @@ class Suspect:
 
 
 def suspects(
-    simulator: Simulator, log: Log, *, kinds: Sequence[str] | None = None, n_rows: int = ROWS
+    simulator: Simulator | Sequence[Simulator],
+    log: Log,
+    *,
+    kinds: Sequence[str] | None = None,
+    n_rows: int = ROWS,
 ) -> list[Suspect]:
     """Return the repairs that were tried, the most telling first.
 
     Parameters
     ----------
-    simulator : Simulator
-        ``log.simulator``, or that with causes built in.
+    simulator : Simulator or sequence of Simulator
+        ``log.simulator``, or that with causes built in. Of several, that counts which leaves least: causes found in a
+        log with a mistake may be the mistake's, and would stand in the way of its repair.
     log : Log
     kinds : sequence of {"degrees", "sign", "swap", "shift"}, optional
         All by default.
@@ -74,19 +85,25 @@ def suspects(
     Returns
     -------
     list of Suspect
-        By the error that is left.
+        By the share of the error that is left.
     """
-    sample = _sample(simulator, log, n_rows)
+    simulators = [simulator] if isinstance(simulator, Simulator) else list(simulator)
+    sample = _sample(simulators[0], log, n_rows)
     if sample is None:
         return []
-    error = sample.error(0.0)
+    before: dict[str, float] = {}
     found = []
-    for kind, sentence, repair, options in _repairs(sample, log):
-        if kind in (kinds or KINDS):
-            repaired = sample.error(repair)
-            if np.isfinite(repaired):
-                found.append(Suspect(kind, sentence, error, repaired, options))
-    return sorted(found, key=lambda suspect: suspect.repaired)
+    for repair in _repairs(sample, log):
+        if repair.kind not in (kinds or KINDS):
+            continue
+        columns = sample.positions if repair.seen_in == "qpos" else sample.velocities
+        if repair.seen_in not in before:
+            before[repair.seen_in] = min(sample.error(one, columns) for one in simulators)
+        error = before[repair.seen_in]
+        repaired = min(sample.error(one, columns, repair.applied) for one in simulators)
+        if np.isfinite(error) and np.isfinite(repaired):
+            found.append(Suspect(repair.kind, repair.sentence, error, repaired, repair.options))
+    return sorted(found, key=lambda suspect: suspect.repaired / max(suspect.error, TINY))
 
 
 def in_degrees(simulator: Simulator, log: Log, *, told: frozenset[str] = frozenset()) -> Suspect | None:
@@ -156,26 +173,61 @@ def _measured(log, name):
 
 
 @dataclass(frozen=True)
+class _Repair:
+    """What may have gone wrong, and how it is put right.
+
+    Attributes
+    ----------
+    kind, sentence, options
+        See `Suspect`.
+    applied : callable
+        ``applied(X, y)`` changes both in place.
+    seen_in : str
+        "qvel" or "qpos": the channels whose error tells.
+    """
+
+    kind: str
+    sentence: str
+    applied: Callable[[np.ndarray, np.ndarray], None]
+    options: dict[str, Any] = field(default_factory=dict)
+    seen_in: str = "qvel"
+
+
+@dataclass(frozen=True)
 class _Sample:
-    """Rows that stand for a log, complete: what was not measured is filled in."""
+    """Rows that stand for a log, complete: what was not measured is filled in.
+
+    Attributes
+    ----------
+    X, y : ndarray of shape (n_rows, n_inputs), (n_rows, n_states)
+    lagged : mapping from number of rows to (X, y) so many rows later
+    velocities : ndarray of int
+        Columns of rates that were measured, or follow from positions.
+    rates, positions : ndarray of int
+        Columns of rates that were measured, and of their positions.
+    known : frozenset of str
+        Names that are not filled in.
+    """
 
     simulator: Simulator
     X: np.ndarray
     y: np.ndarray
-    earlier: dict[int, np.ndarray]
+    lagged: dict[int, tuple[np.ndarray, np.ndarray]]
     inputs: Inputs
     velocities: np.ndarray
+    rates: np.ndarray
+    positions: np.ndarray
     known: frozenset[str]
 
-    def error(self, repair):
-        """Return the error with a repair, a function of copies of X and y; 0.0 stands for none."""
+    def error(self, simulator, columns, repair=None):
+        """Return the error of a simulator's step in some columns, with a repair."""
         X, y = self.X.copy(), self.y.copy()
-        if callable(repair):
+        if repair is not None:
             repair(X, y)
-        predicted = self.simulator.predict_many(X, [{}])[0]
+        predicted = simulator.predict_many(X, [{}])[0]
         n_states = y.shape[1]
-        missed = np.abs(y - predicted)[:, self.velocities]
-        changed = np.abs(y - X[:, :n_states])[:, self.velocities]
+        missed = np.abs(y - predicted)[:, columns]
+        changed = np.abs(y - X[:, :n_states])[:, columns]
         missed = np.where(np.isfinite(missed), missed, np.inf)
         size = np.quantile(changed, SHARE, axis=0)
         moving = size > 0
@@ -194,32 +246,42 @@ def _sample(simulator, log, n_rows):
     places = np.unique(starts[:, None] + np.arange(length))
     X, y, groups = log.X[places].copy(), log.y[places].copy(), log.groups[places]
     follows = np.r_[False, (np.diff(places) == 1) & (np.diff(groups) == 0)]
+    measured = {name for name in names if np.isfinite(X[:, names.index(name)]).any()}
     _difference(X, y, follows, names, simulator, log)
     defaults = _defaults(simulator, names)
     lacking = [names.index(name) for name in log.unmeasured if not np.isfinite(X[:, names.index(name)]).any()]
     for column in lacking:
         X[:, column] = y[:, column] = defaults[column]
-    earlier = {}
-    n_states = len(simulator.state_names)
-    for lag in (-2, -1, 1, 2):
+    lagged = {}
+    for lag in LAGS:
         moved = np.clip(places + lag, 0, len(log) - 1)
-        same = log.groups[moved] == groups
-        earlier[lag] = np.where(same[:, None], log.X[moved][:, n_states:], np.nan)
-    good = np.isfinite(X).all(axis=1) & np.isfinite(y).all(axis=1)
-    good &= np.all([np.isfinite(other).all(axis=1) for other in earlier.values()], axis=0)
-    velocities = np.array(
-        [
-            names.index(name)
-            for name in inputs.kinds["qvel"]
-            if names.index(name) not in lacking and name not in inputs.roots
-        ],
-        dtype=int,
-    )
-    if good.sum() < 10 or not len(velocities):
-        return None
-    earlier = {lag: other[good] for lag, other in earlier.items()}
+        same = (log.groups[moved] == groups)[:, None]
+        lagged[lag] = tuple(np.where(same, values[moved], np.nan) for values in (log.X, log.y))
     known = frozenset(name for name in names if names.index(name) not in lacking)
-    return _Sample(simulator, X[good], y[good], earlier, inputs, velocities, known)
+    joints = [name for name in inputs.kinds["qvel"] if name in known and name not in inputs.roots]
+    twins = {name: f"qpos.{name.removeprefix('qvel.')}" for name in joints}
+    pairs = [(name, twin) for name, twin in twins.items() if {name, twin} <= measured]
+    good = np.isfinite(X).all(axis=1) & np.isfinite(y).all(axis=1)
+    for other in itertools.chain.from_iterable(lagged.values()):
+        shown = [place for place, name in enumerate(names[: other.shape[1]]) if name in measured]
+        good &= np.isfinite(other[:, shown]).all(axis=1)
+    if good.sum() < FEWEST or not joints:
+        return None
+
+    def places_of(chosen):
+        return np.array([names.index(name) for name in chosen], dtype=int)
+
+    return _Sample(
+        simulator,
+        X[good],
+        y[good],
+        {lag: (before[good], after[good]) for lag, (before, after) in lagged.items()},
+        inputs,
+        places_of(joints),
+        places_of([name for name, _ in pairs]),
+        places_of([twin for _, twin in pairs]),
+        known,
+    )
 
 
 def _difference(X, y, follows, names, simulator, log):
@@ -247,8 +309,8 @@ def _defaults(simulator, names):
     return values
 
 
-def _repairs(sample, log) -> Iterator[tuple[str, str, Any, dict]]:
-    """Yield (kind, sentence, a function that repairs in place, options of load_log)."""
+def _repairs(sample, log) -> Iterator[_Repair]:
+    """Yield what may have gone wrong."""
     names = list(sample.simulator.input_names)
     inputs = sample.inputs
     theirs = {match.name: match for match in log.matches}
@@ -258,32 +320,44 @@ def _repairs(sample, log) -> Iterator[tuple[str, str, Any, dict]]:
         twin = f"qvel.{name.removeprefix('qpos.')}"
         pair = [one for one in (name, twin) if one in names]
         told = [one for one in pair if one in theirs]
-        yield (
+        yield _Repair(
             "sign",
             f"{' and '.join(told or pair)} {'have' if len(told or pair) > 1 else 'has'} the opposite sign",
             _scaler([names.index(one) for one in pair], -1.0),
             _sign_options(told, theirs, sample.simulator),
         )
     for name in [one for one in (*inputs.kinds["qvel"], *inputs.kinds["ctrl"]) if one in theirs]:
-        yield (
+        yield _Repair(
             "sign",
             f"{name} has the opposite sign",
             _scaler([names.index(name)], -1.0),
             _sign_options([name], theirs, sample.simulator),
         )
-    for kind in ("ctrl", "qpos"):
-        members = list(inputs.kinds["ctrl"]) if kind == "ctrl" else joints
+    for members in (list(inputs.kinds["ctrl"]), joints):
         for first, second in itertools.islice(itertools.combinations(members, 2), MOST_PAIRS):
             yield _swap(first, second, names, theirs)
-    for lag, commands in sample.earlier.items():
-        if commands.shape[1]:
-            when = "earlier" if lag < 0 else "later"
-            yield (
+    yield from _shifts(sample)
+
+
+def _shifts(sample) -> Iterator[_Repair]:
+    """Yield the repairs of clocks that are apart: of commands, and of velocities from positions."""
+    n_states = sample.y.shape[1]
+    commands = list(range(n_states, sample.X.shape[1]))
+    for lag in sample.lagged:
+        rows = f"{abs(lag)} row{'s' if abs(lag) > 1 else ''} {'earlier' if lag < 0 else 'later'}"
+        if commands:
+            yield _Repair(
                 "shift",
-                f"the commands fit those of {abs(lag)} row{'s' if abs(lag) > 1 else ''} {when}: the clocks of commands "
-                "and state are apart, or there is a delay",
-                _replacer(commands, sample.y.shape[1]),
-                {},
+                f"the commands fit those of {rows}: the clocks of commands and state are apart, or there is a delay",
+                _replacer(commands, sample.lagged[lag]),
+            )
+        if len(sample.rates):
+            yield _Repair(
+                "shift",
+                f"the velocities fit those of {rows}: the clocks of velocities and positions are apart, or a filter "
+                "delays one of them",
+                _replacer(sample.rates, sample.lagged[lag]),
+                seen_in="qpos",
             )
 
 
@@ -323,7 +397,7 @@ def _degree_repairs(sample, names, inputs):
         columns = [names.index(name) for name in (*scaled, *differenced) if name in names]
         if tuple(columns) not in seen and scaled:
             seen.add(tuple(columns))
-            yield "degrees", sentence, _scaler(columns, DEGREES), {"units": units}
+            yield _Repair("degrees", sentence, _scaler(columns, DEGREES), {"units": units})
 
 
 def _moved_by_told(sample, names, positions):
@@ -347,9 +421,14 @@ def _scaler(columns, factor):
     return repair
 
 
-def _replacer(commands, n_states):
+def _replacer(columns, other):
+    """Return the repair that takes columns from other rows."""
+    before, after = other
+    states = [column for column in columns if column < after.shape[1]]
+
     def repair(X, y):
-        X[:, n_states:] = commands
+        X[:, columns] = before[:, columns]
+        y[:, states] = after[:, states]
 
     return repair
 
@@ -371,7 +450,9 @@ def _swap(first, second, names, theirs):
     for a, b in pairs:
         if a in theirs and b in theirs:
             options |= {a: _with_unit(theirs[b]), b: _with_unit(theirs[a])}
-    return "swap", f"{first} and {second} are swapped", repair, {"columns": options} if options else {}
+    return _Repair(
+        "swap", f"{first} and {second} are swapped", repair, {"columns": options} if options else {}
+    )
 
 
 def _with_unit(match):

@@ -30,7 +30,7 @@ def with_base(source: ModelSource, base: str | None) -> ModelSource:
             raise ValueError(
                 "the URDF has no joint to the world, so it does not say whether its root link "
                 f"{root_link(source.urdf)!r} is bolted down or moves freely: say base='fixed' or base='free' (on the "
-                "command line --base)"
+                "command line --base fixed)"
             )
         return source
     if base not in ("fixed", "free"):

@@ -1,6 +1,7 @@
 """Logs of a two-joint arm in ten formats and seven states, written by the formats' own libraries and without skat."""
 
 import json
+import zipfile
 from pathlib import Path
 
 import mujoco
@@ -92,6 +93,23 @@ def documented(path, state="clean"):
 def write(kind, state, folder):
     """Write a log; return (the source, what a user says of names and units)."""
     return WRITERS[kind](Path(folder), state)
+
+
+def held(path):
+    """Write the documented CSV of commands that are held from row to row, which a simulation can meet exactly."""
+    model = mujoco.MjModel.from_xml_string(ARM)
+    data = mujoco.MjData(model)
+    rows = []
+    for time in np.arange(ROWS) / RATE:
+        data.ctrl[:] = (
+            np.sin(9 * time) + 0.5 * np.sin(31 * time),
+            np.sin(14 * time + 1) - 0.5 * np.sin(23 * time),
+        )
+        rows.append([time, *data.qpos, *data.qvel, *data.ctrl])
+        mujoco.mj_step(model, data, 1000 // RATE)
+    names = [f"{kind}.{joint}" for kind in ("qpos", "qvel", "ctrl") for joint in JOINTS]
+    pd.DataFrame(rows, columns=["time", *names]).to_csv(path, index=False)
+    return path
 
 
 def _options(state, names):
@@ -288,6 +306,98 @@ def minari_arrow(folder, state="clean"):
         ]
     )
     return path, {}
+
+
+def torch_tensors(folder):
+    """Write what ``torch.save`` writes of a dictionary of tensors: a program for pickle's machine, and numbers."""
+
+    def word(text):
+        return b"X" + len(text).to_bytes(4, "little") + text.encode()
+
+    def numbers(values):
+        return b"(" + b"".join(b"J" + int(value).to_bytes(4, "little") for value in values) + b"t"
+
+    program, stored = b"\x80\x02}(", {}
+    t, q, v, u = table("clean")
+    for key, (name, values) in enumerate({"time": t, "dof_pos": q, "dof_vel": v, "ctrl": u}.items()):
+        stored[f"a/data/{key}"] = values.tobytes()
+        size = b"J" + values.size.to_bytes(4, "little")
+        storage = (
+            b"(" + word("storage") + b"ctorch\nDoubleStorage\n" + word(str(key)) + word("cpu") + size + b"tQ"
+        )
+        layout = numbers(values.shape) + numbers(step // 8 for step in values.strides)
+        hooks = b"\x89ccollections\nOrderedDict\n)R"
+        program += (
+            word(name) + b"ctorch._utils\n_rebuild_tensor_v2\n(" + storage + b"K\0" + layout + hooks + b"tR"
+        )
+    with zipfile.ZipFile(folder / "log.pt", "w") as archive:
+        archive.writestr("a/data.pkl", program + b"u.")
+        archive.writestr("a/byteorder", "little")
+        for name, content in stored.items():
+            archive.writestr(name, content)
+    return folder / "log.pt", {}
+
+
+def mcap_mixed(folder):
+    """Write an MCAP file of JSON with all that messages may hold, beside what a log needs."""
+    from mcap.writer import Writer
+
+    t, q, v, u = table("clean")
+    with (folder / "log.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("arm", "jsonschema", b'{"type": "object"}')
+        topics = {"/arm": "json", "/commands": "json", "/picture": "json", "/odd": "json", "/bytes": "cbor"}
+        channels = [writer.register_channel(topic, encoding, schema) for topic, encoding in topics.items()]
+        for row in range(len(t)):
+            stamp = round(t[row] * 1e9)
+            arm = {
+                "header": {"stamp": {"sec": stamp // 10**9, "nanosec": stamp % 10**9}},
+                "on": row % 2 == 0,
+                "note": None,
+                "huge": 10**400,
+                "feet": [{"force": 1.0, "at": {"x": 0.1}}, {"force": 2.0, "at": {"x": 0.2}}],
+                "joints": [
+                    {"position": q[row, place], "velocity": v[row, place], "name": joint}
+                    for place, joint in enumerate(JOINTS)
+                ],
+            }
+            odd = [row, {"stamp": {"sec": "soon", "nanosec": 0}}] if row else list(range(3000))
+            picture = {"data": "x" * (200_000 if row < 2 else 10)}
+            for channel, message in zip(channels, (arm, {"position": u[row].tolist()}, picture, odd, 0)):
+                writer.add_message(channel, stamp, json.dumps(message).encode(), stamp)
+        writer.finish()
+    columns = {
+        f"{kind}.{joint}": f"/arm.joints[{place}].{name}"
+        for kind, name in (("qpos", "position"), ("qvel", "velocity"))
+        for place, joint in enumerate(JOINTS)
+    }
+    return folder / "log.mcap", {"columns": columns}
+
+
+def lerobot_motors(folder):
+    """Write a LeRobot data set whose names are in mappings, as those of other robots are."""
+    path, _ = lerobot(folder, "clean", "v2.1")
+    info = path / "meta" / "info.json"
+    content = json.loads(info.read_text())
+    names = {"motors": dict(zip(JOINTS, (0, 1)))}
+    for feature in content["features"].values():
+        feature["names"] = names
+    info.write_text(json.dumps(content))
+    return path, {}
+
+
+def hdf5_groups(folder):
+    """Write an HDF5 file of which one group is the log."""
+    import h5py
+
+    t, q, v, u = table("clean")
+    with h5py.File(folder / "log.h5", "w") as file:
+        for name, values in (("time", t), ("position", q), ("velocity", v), ("command", u)):
+            file[f"arm/{name}"] = values
+        file["arm/picture"] = np.zeros((len(t), 2, 3))
+        file["camera/time"] = np.arange(7.0)
+    return folder / "log.h5", {"topic": "arm"}
 
 
 def hdf5_episodes(folder):

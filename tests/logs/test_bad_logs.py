@@ -72,6 +72,20 @@ def bag_without(folder, what):
     return folder / "bag"
 
 
+def bag_of_nothing(folder):
+    """A bag in which a message has lost its content."""
+    import sqlite3
+
+    path = written("rosbag2_sqlite3", folder)
+    with sqlite3.connect(next(path.glob("*.db3"))) as database:
+        database.executescript(
+            "CREATE TABLE lax AS SELECT * FROM messages; DROP TABLE messages; ALTER TABLE lax RENAME TO messages;"
+            "UPDATE messages SET data = NULL WHERE id = 9"
+        )
+    database.close()
+    return path
+
+
 def lerobot_with(folder, change):
     path = formats.lerobot(folder, "clean")[0]
     change(path)
@@ -179,6 +193,7 @@ BAD = {
     "a truncated MCAP": (lambda d, f: cut(written("mcap_json", d)), "log.mcap", "mcap recover"),
     "a truncated bag": (lambda d, f: (cut(next(written("rosbag2_sqlite3", d).glob("*.db3"))), d / "bag_sqlite3")[1], "bag_sqlite3", "Copy the bag anew"),
     "a truncated ROS 1 bag": (lambda d, f: cut(written("rosbag1", d)), "log.bag", "Copy the bag anew"),
+    "a bag of which a message is empty": (lambda d, f: bag_of_nothing(d), "a message without content", "Copy the bag anew"),
     "a bag of texts": (lambda d, f: bag_without(d, "text"), "no topic with messages that hold numbers", "/joint_states"),
     "a bag of another message": (lambda d, f: bag_without(d, "twist"), "no column could be found", "Say which is which"),
     "a LeRobot without meta": (lambda d, f: lerobot_with(d, lambda p: shutil.rmtree(p / "meta")), "no meta/info.json", "Copy the folder meta"),

@@ -11,7 +11,7 @@ pytest.importorskip("mcap")
 pytest.importorskip("minari")
 
 # 300 in all; the readers' own costs decide how many of each. benchmarks/fuzz_logs.py makes 10,000.
-TIMES = dict.fromkeys(mutations.KINDS, 16) | dict.fromkeys(("csv", "lists", "gzip", "npz"), 20)
+TIMES = dict.fromkeys(mutations.KINDS, 12) | dict.fromkeys(("csv", "lists", "gzip", "npz"), 18)
 LONGEST = 5
 
 

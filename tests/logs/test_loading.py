@@ -140,6 +140,28 @@ def test_stamps_that_jitter_over_even_samples_are_told_from_samples_that_jitter(
     assert np.sqrt(np.nanmean(missed**2)) <= log.interpolation["qpos.rail"] < 1e-4
 
 
+@pytest.mark.parametrize("clock", ["even", "uneven", "one of two"])
+def test_the_floor_of_the_noise_covers_what_interpolation_has_missed(clock, cart, tmp_path):
+    rng = np.random.default_rng(3)
+    even = smooth(300)
+    time = even["time"] + (0 if clock == "even" else rng.uniform(-0.004, 0.004, size=300))
+    place, speed = np.sin(3 * time), 3 * np.cos(3 * time)
+    if clock == "one of two":
+        even.drop(columns="qvel.rail").to_csv(tmp_path / "a.csv", index=False)
+        pd.DataFrame({"time": time, "v": speed}).to_csv(tmp_path / "b.csv", index=False)
+        log = load_log(tmp_path, cart, columns={"qvel.rail": "b.v"})
+    else:
+        log = load_log(even.assign(**{"time": time, "qpos.rail": place, "qvel.rail": speed}), cart)
+    truth = np.stack([np.sin(3 * log.time), 3 * np.cos(3 * log.time)], axis=1)
+    missed = np.nanmean((log.X[:, :2] - truth) ** 2, axis=0)
+    assert log.floor.shape == (2,)
+    np.testing.assert_array_equal(
+        log.floor > 0, {"even": [False] * 2, "uneven": [True] * 2, "one of two": [False, True]}[clock]
+    )
+    assert (missed <= log.floor + 1e-28).all()
+    assert (log.floor < 1e-6).all()
+
+
 def test_lost_rows_are_not_measured_and_commands_are_held(table, cart):
     log = load_log(table.drop(index=[10, 11]), cart)
     assert len(log) == 48
@@ -232,6 +254,39 @@ def test_columns_are_mapped_with_units_signs_and_offsets(table, cart):
     log = load_log(theirs, cart, columns=columns)
     np.testing.assert_allclose(log.X, load_log(table, cart).X, rtol=1e-12, atol=1e-15)
     assert log.table.set_index("name").loc["qpos.rail", "unit"] == "-mm+25"
+
+
+TWO = """
+<mujoco>
+  <worldbody>
+    <body><joint name="hook" axis="0 1 0"/><geom size="0.1" pos="0 0 -1"/>
+      <body pos="0 0 -1"><joint name="J1" axis="0 1 0"/><geom size="0.1" pos="0 0 -1"/></body>
+    </body>
+  </worldbody>
+  <actuator><motor name="hook" joint="hook"/><motor name="J1" joint="J1"/></actuator>
+</mujoco>
+"""
+
+
+def test_what_the_log_calls_a_joint_is_said_once_for_all_its_columns():
+    rng = np.random.default_rng(0)
+    names = ("arm_pos", "tail_pos", "arm_vel", "tail_vel", "tail_cmd", "tail_clipped")
+    theirs = {"time": 0.01 * np.arange(40)} | {name: 0.01 * rng.normal(size=40) for name in names}
+    theirs |= {"arm_pos_des": theirs["arm_pos"]}
+    columns = {"*.hook": "arm", "*.J1": "tail", "ctrl.hook": "0", "ctrl.*": "*_clipped"}
+    log = load_log(theirs, MujocoSimulator(TWO), columns=columns)
+    expected = [theirs[name] for name in ("arm_pos", "tail_pos", "arm_vel", "tail_vel")]
+    np.testing.assert_array_equal(log.X[:, :4], np.stack(expected, axis=1)[:-1])
+    np.testing.assert_array_equal(log.X[:, 4:], np.stack([np.zeros(40), theirs["tail_clipped"]], axis=1)[:-1])
+    turned = load_log(theirs, MujocoSimulator(TWO), columns=columns | {"*.hook": "arm:-deg"})
+    np.testing.assert_allclose(turned.X[:, [0, 2]], np.deg2rad(-log.X[:, [0, 2]]), rtol=1e-12)
+    np.testing.assert_array_equal(turned.X[:, [1, 3, 4, 5]], log.X[:, [1, 3, 4, 5]])
+    again = load_log(theirs, MujocoSimulator(TWO), columns=columns | {"qvel.J1": "arm_vel"})
+    np.testing.assert_array_equal(again.X[:, 3], log.X[:, 2])
+    with pytest.raises(
+        LogError, match=r"column 'leg': was told for \*\.J1 and is not there\. It has time, arm_pos"
+    ):
+        load_log(theirs, MujocoSimulator(TWO), columns=columns | {"*.J1": "leg"})
 
 
 def test_units_in_names_are_taken(table, cart):

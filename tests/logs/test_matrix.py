@@ -80,6 +80,10 @@ MORE = {
     "HDF5 with a group an episode": formats.hdf5_episodes,
     "Parquet of lists": formats.parquet_lists,
     "a folder of tables": formats.tables,
+    "PyTorch": formats.torch_tensors,
+    "MCAP of nested messages": formats.mcap_mixed,
+    "LeRobot with names in a mapping": formats.lerobot_motors,
+    "a group of an HDF5": formats.hdf5_groups,
 }
 
 

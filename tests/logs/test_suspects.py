@@ -51,6 +51,23 @@ def test_commands_that_are_late_are_told(arm, frame):
     assert "of 2 rows later" in suspect.sentence
 
 
+@pytest.mark.parametrize(("rows", "said"), [(1, "1 row later"), (-2, "2 rows earlier")])
+def test_velocities_that_are_apart_from_the_positions_are_told(rows, said, arm, tmp_path):
+    held = pd.read_csv(formats.held(tmp_path / "held.csv"))
+    names = ["qvel.shoulder", "qvel.elbow"]
+    suspect = first(load_log(held.assign(**{name: held[name].shift(rows) for name in names}), arm))
+    assert suspect.sentence.startswith(f"the velocities fit those of {said}")
+    assert suspect.repaired < 1e-6 * suspect.error
+
+
+def test_swapped_joints_are_told_with_positions_alone_too(arm, frame):
+    theirs = frame.drop(columns=["qvel.shoulder", "qvel.elbow"])
+    theirs = theirs.rename(columns={"qpos.elbow": "qpos.shoulder", "qpos.shoulder": "qpos.elbow"})
+    suspect = first(load_log(theirs, arm))
+    assert suspect.sentence == "qpos.shoulder and qpos.elbow are swapped"
+    assert suspect.repaired < 0.3 * suspect.error
+
+
 @pytest.mark.parametrize("velocities", [True, False])
 def test_degrees_are_refused_where_commands_are_positions(velocities, arm, frame):
     """Also where no joint leaves its range: the servo's forces are linear, and gravity alone tells."""

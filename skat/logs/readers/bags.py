@@ -43,6 +43,8 @@ def _messages(paths, path, topics):
                 return
             except Exception as error:
                 raise _damaged(path, error) from None
+            if data is None:
+                raise _damaged(path, "a message without content", connection.topic)
             if len(data) > LARGEST_MESSAGE or connection.msgtype in unknown:
                 continue
             try:

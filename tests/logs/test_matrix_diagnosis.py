@@ -1,0 +1,91 @@
+"""The whole diagnosis of a log in ten cells of the matrix: the same cause, inside the same interval."""
+
+import functools
+
+import mujoco
+import numpy as np
+import pytest
+
+from skat.diagnosis import SimulationDiagnosis
+from skat.logs import load_log
+from skat.simulators import MujocoSimulator
+from tests.logs import formats
+
+pytest.importorskip("pyarrow")
+pytest.importorskip("rosbags")
+pytest.importorskip("mcap")
+pytest.importorskip("minari")
+
+# Each format once, each state at least once.
+CELLS = list(zip(formats.FORMATS, (*formats.STATES, "positions", "jitter", "lost")))
+CAUSE = "damping[elbow]"
+# Of the log's arm; its model has half of it.
+HIDDEN = 0.3
+MODEL = formats.ARM.replace(f'damping="{HIDDEN}"', f'damping="{HIDDEN / 2}"')
+EFFECTS = [CAUSE, "damping[shoulder]", "mass[lower]", "gain[shoulder]", "gain[elbow]", "dry_friction[elbow]"]
+NOISE = {"position": 2e-4, "velocity": 2e-3}  # rad, rad/s
+
+ROWS = 400
+
+
+@functools.cache
+def motion():
+    """Return the motion of the arm every ms, as sensors with noise tell it, under commands that each row holds."""
+    model = mujoco.MjModel.from_xml_string(formats.ARM)
+    data = mujoco.MjData(model)
+    steps = ROWS * 1000 // formats.RATE
+    times, q, v, u = np.arange(steps) / 1000, *(np.empty((steps, 2)) for _ in range(3))
+    for step in range(steps):
+        time = times[step - step % (1000 // formats.RATE)]
+        data.ctrl[:] = 1.2 * np.sin(5 * time), 0.9 * np.sin(8 * time + 1)
+        q[step], v[step], u[step] = data.qpos, data.qvel, data.ctrl
+        mujoco.mj_step(model, data)
+    rng = np.random.default_rng(0)
+    q += NOISE["position"] * rng.normal(size=q.shape)
+    v += NOISE["velocity"] * rng.normal(size=v.shape)
+    return times, q, v, u
+
+
+@pytest.fixture
+def noisy(monkeypatch):
+    """Let the writers write longer logs of an arm with sensors."""
+    monkeypatch.setattr(formats, "ROWS", ROWS)
+    monkeypatch.setattr(formats, "motion", motion)
+
+
+def diagnosed(source, **options):
+    log = load_log(source, MujocoSimulator(MODEL), **options)
+    diagnosis = SimulationDiagnosis(log.simulator, effects=EFFECTS, test_size=0, random_state=0)
+    return diagnosis.fit(log.X, log.y, groups=log.groups)
+
+
+def named(diagnosis):
+    """Return the only cause."""
+    assert [cause.name for cause in diagnosis.causes_] == [CAUSE], diagnosis.verdict_
+    return diagnosis.causes_[0]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("kind", "state"), CELLS, ids=[f"{kind}-{state}" for kind, state in CELLS])
+def test_a_log_in_any_format_and_state_names_the_same_cause_inside_the_same_interval(
+    kind, state, noisy, tmp_path
+):
+    source, options = formats.write(kind, state, tmp_path)
+    cause = named(diagnosed(source, **options))
+    told = {"units": "deg"} if state == "degrees" else {}
+    same = named(diagnosed(formats.documented(tmp_path / "same.csv", state), **told))
+    np.testing.assert_allclose([cause.value, *cause.interval], [same.value, *same.interval], rtol=1e-6)
+    clean = named(diagnosed(formats.documented(tmp_path / "clean.csv")))
+    # What lacks half of its channels tells less: its wider interval is to hold what the whole log says.
+    assert _holds(clean.interval, cause.value) or _holds(cause.interval, clean.value)
+    assert clean.interval[0] < HIDDEN / 2 < clean.interval[1]
+
+
+def _holds(interval, value):
+    return interval[0] <= value <= interval[1]
+
+
+def test_each_format_and_each_state_is_in_a_cell():
+    assert {kind for kind, _ in CELLS} == set(formats.FORMATS)
+    assert {state for _, state in CELLS} == set(formats.STATES)
+    assert len(CELLS) == 10
