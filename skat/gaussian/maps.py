@@ -6,12 +6,8 @@ where the rank is decided; from there on only products, orthogonal factors and d
 remain.
 """
 
-<<<<<<< HEAD
-from dataclasses import dataclass
-from typing import Any
-=======
 from dataclasses import dataclass, replace
->>>>>>> transport
+from typing import Any
 
 import numpy as np
 from scipy.linalg import bandwidth, lapack, solve_triangular
@@ -93,7 +89,7 @@ class AffineMap:
             self, coef=coef, source_mean=self.source_mean * scale, target_mean=self.target_mean * scale
         )
 
-    def tame(self, source):
+    def tame(self, source: Any) -> "AffineMap":
         r"""Return the map with `is_tame` set for rows of these moments.
 
         A sum in float32 errs by some :math:`\epsilon (\sum_j A_{ij}^2 \sigma_j^2)^{1/2}`. Where no terms cancel, that
@@ -131,13 +127,8 @@ class AffineMap:
         """What the origin is carried to."""
         return self.target_mean - self.coef @ self.source_mean
 
-<<<<<<< HEAD
     def __call__(self, rows: Any) -> Any:
-        """Return the rows carried over, in float64 arithmetic and the rows' own floating type.
-=======
-    def __call__(self, rows):
         """Return the rows carried over, in the rows' own floating type.
->>>>>>> transport
 
         The difference from the source mean is taken first, so that no digits are lost far from the origin. The
         arithmetic is of float64, but of float32 where the rows and a tame map allow it.
@@ -151,15 +142,9 @@ class AffineMap:
         # What rounding took from the mean is the same for all rows.
         target_mean = (self.target_mean - self.coef @ (self.source_mean - source_mean)).astype(working)
 
-<<<<<<< HEAD
         def carry(starts: Any) -> None:
-            buffer = np.empty((min(size, len(rows)), rows.shape[1]))
-            product = None if carried.dtype == np.float64 else np.empty(buffer.shape)
-=======
-        def carry(starts):
             buffer = np.empty((min(size, len(rows)), rows.shape[1]), dtype=working)
             product = None if carried.dtype == working else np.empty(buffer.shape)
->>>>>>> transport
             for start in starts:
                 block, image = rows[start : start + size], carried[start : start + size]
                 centred = buffer[: len(block)]
