@@ -341,14 +341,16 @@ def _regridded(piece, step):
 
 
 def interpolated(
-    times: np.ndarray, values: np.ndarray, at: np.ndarray, dt: float
+    times: np.ndarray, values: np.ndarray, at: np.ndarray, dt: float, *, kinked: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
     r"""Return values between samples, by cubics through the four around, and an estimate of the error.
 
     .. math:: q(t) = \sum_{i=0}^{3} q_i \prod_{j \ne i} \frac{t - t_j}{t_i - t_j}
 
     The estimate is the difference of the parabolas through the first and the last three, between which the cubic
-    lies: a bound for motion that is smooth from sample to sample. What held commands do between samples it cannot see.
+    lies: a bound for motion that is smooth from sample to sample. A velocity has a kink wherever a held command
+    changes; beside it the cubic has about the mean of both slopes, half of the jump off either. The straight line
+    between two samples has one of them, so twice its distance from the cubic counts as well.
 
     Parameters
     ----------
@@ -359,6 +361,8 @@ def interpolated(
         s.
     dt : float
         The usual distance of samples; places between samples further apart than 1.5 of it are NaN.
+    kinked : bool, default=False
+        Whether the slope jumps from sample to sample.
 
     Returns
     -------
@@ -379,6 +383,10 @@ def interpolated(
         np.einsum("pn,pnc->pc", left_three, around[:, :3])
         - np.einsum("pn,pnc->pc", right_three, around[:, 1:])
     )
+    if kinked:
+        share = ((at - times[left]) / (times[left + 1] - times[left]))[:, None]
+        line = (1 - share) * values[left] + share * values[left + 1]
+        errors = np.maximum(errors, 2 * np.abs(line - smooth))
     near = np.minimum(np.abs(times[left] - at), np.abs(times[left + 1] - at))
     nearest = np.where(np.abs(times[left] - at) <= np.abs(times[left + 1] - at), left, left + 1)
     exact = near <= ON_GRID * dt * 1e-3

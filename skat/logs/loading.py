@@ -435,7 +435,7 @@ def _grid(record, found, data, states, own, kept, main, names, n_states, step, d
                 stamps, samples = piece.times, values[kept[piece.rows]]
             else:
                 stamps, samples = times_of[place], values
-            _interpolate(part, stamps, samples, at, piece.spacing, sums)
+            _interpolate(part, stamps, samples, at, piece.spacing, sums, kinked=not name.startswith("qpos."))
         if sums[1]:
             errors[name] = float(np.sqrt(sums[0] / sums[1]))
         del values
@@ -443,7 +443,7 @@ def _grid(record, found, data, states, own, kept, main, names, n_states, step, d
     return grid, groups, errors
 
 
-def _interpolate(part, stamps, samples, at, step, sums):
+def _interpolate(part, stamps, samples, at, step, sums, *, kinked):
     """Write samples at the places of a grid, as they are where they were taken there, otherwise between them."""
     good = np.isfinite(samples) & np.isfinite(stamps)
     stamps, samples = stamps[good], samples[good]
@@ -465,7 +465,7 @@ def _interpolate(part, stamps, samples, at, step, sums):
         rest = np.arange(len(at))
     if not len(rest):
         return
-    values, missed = clock.interpolated(stamps, samples[:, None], at, usual)
+    values, missed = clock.interpolated(stamps, samples[:, None], at, usual, kinked=kinked)
     part[rest] = values[:, 0]
     finite = np.isfinite(values[:, 0])
     sums[0] += float(np.sum(missed[finite, 0] ** 2))

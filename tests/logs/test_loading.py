@@ -159,7 +159,32 @@ def test_the_floor_of_the_noise_covers_what_interpolation_has_missed(clock, cart
         log.floor > 0, {"even": [False] * 2, "uneven": [True] * 2, "one of two": [False, True]}[clock]
     )
     assert (missed <= log.floor + 1e-28).all()
-    assert (log.floor < 1e-6).all()
+    assert (log.floor < 1e-5).all()
+
+
+def test_the_floor_covers_velocities_whose_slope_jumps_with_held_commands(cart):
+    """Under a force that is held for each row, the velocity is made of straight lines and the position of parabolas."""
+    rng = np.random.default_rng(4)
+    dt, force = 0.02, 5 * np.sin(0.9 * np.arange(300))
+    corners = np.r_[0, np.cumsum(dt * force)]
+    places = np.r_[0, np.cumsum(dt * (corners[:-1] + corners[1:]) / 2)]
+    time = dt * np.arange(300)
+    at = np.clip(time + rng.uniform(-0.004, 0.004, size=300), 0, None)
+    row = np.clip((at / dt).astype(int), 0, 299)
+    rest = at - dt * row
+    speed = corners[row] + rest * force[row]
+    place = places[row] + rest * corners[row] + rest**2 * force[row] / 2
+    theirs = {"time": at, "qpos.rail": place, "qvel.rail": speed, "ctrl.push": force}
+    log = load_log(theirs, cart)
+    row = np.clip(np.floor(log.time / dt + 1e-9).astype(int), 0, 299)
+    rest = log.time - dt * row
+    truth = np.stack(
+        [places[row] + rest * corners[row] + rest**2 * force[row] / 2, corners[row] + rest * force[row]],
+        axis=1,
+    )
+    missed = np.nanmean((log.X[:, :2] - truth) ** 2, axis=0)
+    assert (missed <= log.floor).all()
+    assert (log.floor <= 30 * missed).all()
 
 
 def test_lost_rows_are_not_measured_and_commands_are_held(table, cart):

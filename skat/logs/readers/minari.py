@@ -98,7 +98,16 @@ def _from_minari(folder, metadata):
             "Write the data set anew in Minari's format hdf5, or with its spaces.",
         )
     minari = required("minari", "A Minari data set in Arrow")
+    _check_arrow(folder)
     return [_flat(episode) for episode in minari.MinariDataset(folder).iterate_episodes()]
+
+
+def _check_arrow(folder):
+    """Raise where a table is damaged: Arrow ends the process where it works with offsets that lead out of a buffer."""
+    dataset = required("pyarrow.dataset", "A Minari data set in Arrow")
+    for file in sorted(folder.rglob("*.arrow")):
+        for batch in dataset.dataset(file, format="arrow").to_batches():
+            batch.validate(full=True)
 
 
 def _flat(episode):
