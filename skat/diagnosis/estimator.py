@@ -15,7 +15,7 @@ from skat.diagnosis.identifiability import identifiability, preflight
 from skat.diagnosis.log import check_log, check_matrix, measured_channels
 from skat.diagnosis.omnibus import find_remainder, is_structured
 from skat.diagnosis.plausibility import warn_of_doubts, warn_of_lasting_noise
-from skat.diagnosis.report import Report
+from skat.diagnosis.report.from_first_engine import FirstReport as Report
 from skat.diagnosis.residuals import Residuals
 from skat.diagnosis.selection import Selection
 from skat.diagnosis.trajectories import TrajectoryResiduals

@@ -1,7 +1,7 @@
 """All that a report shows, as frozen data: who fills it computes, and the page is a view that computes nothing.
 
-What is not known is None, or an empty tuple, and is left out of the page. Names of channels, joints and effects are those
-of the simulator. Where the diagnosis named nothing, `extended` is None wherever it stands beside `nominal`.
+What is not known is None, or an empty tuple, and is left out of the page. Names of channels, joints and effects are
+those of the simulator. Where the diagnosis named nothing, `extended` is None wherever it stands beside `nominal`.
 """
 
 from __future__ import annotations
