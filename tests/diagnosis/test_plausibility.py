@@ -2,14 +2,13 @@
 
 import re
 import warnings
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from skat.diagnosis import doubts
-from skat.diagnosis.doubts import warn_of_doubts
+from skat.diagnosis import plausibility
 from skat.diagnosis.log import check_log
+from skat.diagnosis.plausibility import warn_of_doubts, warn_of_lasting_noise
 from skat.simulators import FunctionSimulator, MujocoSimulator
 
 ARM = """
@@ -55,8 +54,7 @@ def test_angles_in_degrees_are_noticed(simulator, log):
 
 
 def test_angles_that_may_be_degrees_are_only_warned_of(simulator, log, monkeypatch):
-    lenient = [replace(one, refused=1e12) if one.name == "degrees" else one for one in doubts.DOUBTS]
-    monkeypatch.setattr(doubts, "DOUBTS", lenient)
+    monkeypatch.setattr(plausibility, "CERTAIN_IN_RADIANS", 1e12)
     X, y, groups = noisy(log)
     X[:, :2], y[:] = np.rad2deg(X[:, :2]), np.rad2deg(y)
     with pytest.warns(UserWarning, match="look like degrees") as caught:
@@ -88,7 +86,7 @@ def test_commands_that_stand_a_row_late_are_noticed(simulator, log):
         rows = np.flatnonzero(groups == episode)
         X[rows[1:], 2] = X[rows[:-1], 2].copy()
     with pytest.warns(UserWarning, match=r"Commands look a row late.*move the commands up by one row"):
-        warn_of_doubts(simulator, check_log(simulator, X, y, groups))
+        plausibility.warn_of_doubts(simulator, check_log(simulator, X, y, groups))
 
 
 def test_delayed_commands_are_no_late_ones(simulator, log):
@@ -189,6 +187,33 @@ def test_state_that_rests_in_the_simulation_too_is_sound(simulator):
         warn_of_doubts(simulator, check_log(simulator, X, y, np.zeros(40)))
 
 
+@pytest.mark.parametrize("kind", ["backward", "forward", "central"])
+def test_velocities_that_are_differences_of_noisy_positions_are_noticed(simulator, log, kind):
+    X, y, groups = log
+    rng = np.random.default_rng(1)
+    for group in np.unique(groups):
+        rows = np.flatnonzero(groups == group)
+        position = np.append(X[rows, 0], y[rows[-1], 0])
+        position += 0.01 * rng.standard_normal(len(position))
+        rate = np.diff(position) / simulator.dt
+        velocity = {
+            "backward": np.append(rate[0], rate),
+            "forward": np.append(rate, rate[-1]),
+            "central": np.gradient(position, simulator.dt),
+        }[kind]
+        X[rows, :2] = np.c_[position, velocity][:-1]
+        y[rows] = np.c_[position, velocity][1:]
+    with pytest.warns(
+        UserWarning, match=rf"qvel\.shoulder is no measurement of velocity, but {kind} differences"
+    ):
+        warn_of_doubts(simulator, check_log(simulator, X, y, groups))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warn_of_doubts(
+            simulator, check_log(simulator, X, y, groups, hidden=["qvel.shoulder"]), ["qvel.shoulder"]
+        )
+
+
 def test_simulation_that_is_random_is_refused():
     rng = np.random.default_rng(0)
     names = {"input_names": ("u",), "output_names": ("y",)}
@@ -203,6 +228,33 @@ def test_simulation_that_is_random_is_refused():
                 warn_of_doubts(random, log)
 
 
+@pytest.mark.parametrize(("unit", "noticed"), [("rad/s", True), (None, True), ("m/s", False)])
+def test_velocities_that_are_differences_are_noticed_by_units_or_whatever_they_are_called(unit, noticed):
+    def turn(X):
+        return np.c_[X[:, 0] + 0.1 * X[:, 1] + 0.005 * X[:, 2], X[:, 1] + 0.1 * X[:, 2]]
+
+    rig = FunctionSimulator(
+        turn,
+        input_names=("angle", "speed", "torque"),
+        output_names=("angle", "speed"),
+        state_names=("angle", "speed"),
+        units={"angle": "rad", "speed": unit} if unit else {},
+        dt=0.1,
+    )
+    rng = np.random.default_rng(0)
+    torque = rng.normal(size=(60, 1))
+    states = np.zeros((61, 2))
+    for k in range(60):
+        states[k + 1] = turn(np.c_[states[k : k + 1], torque[k : k + 1]])[0]
+    angle = states[:, 0] + 0.01 * rng.normal(size=61)
+    measured = np.c_[angle, np.gradient(angle, 0.1)]
+    log = check_log(rig, np.c_[measured[:-1], torque], measured[1:], np.zeros(60))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        warn_of_doubts(rig, log)
+    assert any("speed is no measurement of velocity" in str(one.message) for one in caught) == noticed
+
+
 def swung(simulator, seed, effects=None):
     """Return the noisy states (8, 51, 2) of an arm in swings of 50 rows, and the torques (8, 50, 1)."""
     rng = np.random.default_rng(seed)
@@ -211,7 +263,7 @@ def swung(simulator, seed, effects=None):
     return states + 0.01 * states.std(axis=(0, 1)) * rng.normal(size=states.shape), torques
 
 
-def texts_about(simulator, states, torques, hidden=()):
+def doubts_about(simulator, states, torques):
     X = np.concatenate([states[:, :-1], torques], axis=2).reshape(400, 3)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -224,10 +276,10 @@ def texts_about(simulator, states, torques, hidden=()):
 @pytest.mark.parametrize("seed", range(4))
 def test_velocities_of_a_filter_are_noticed_with_their_lag(simulator, seed):
     states, torques = swung(simulator, seed)
-    assert texts_about(simulator, states, torques) == []
+    assert doubts_about(simulator, states, torques) == []
     for row in range(1, 51):
         states[:, row, 1] = 0.3 * states[:, row - 1, 1] + 0.7 * states[:, row, 1]
-    (doubt,) = texts_about(simulator, states, torques)
+    (doubt,) = doubts_about(simulator, states, torques)
     share = float(re.search(r"velocities lag the positions by about \S+ s \((\d+) % of a row\)", doubt)[1])
     assert abs(share - 100 * 0.3 / 0.7) < 10
 
@@ -236,10 +288,10 @@ def test_velocities_of_a_filter_are_noticed_with_their_lag(simulator, seed):
 def test_finer_steps_of_reality_are_no_lag_and_hide_none(simulator, finer):
     text = ARM.replace('timestep="0.01"', f'timestep="{0.01 / finer}"')
     states, torques = swung(MujocoSimulator(text, frame_skip=2 * finer), 0)
-    assert texts_about(simulator, states, torques) == []
+    assert doubts_about(simulator, states, torques) == []
     for row in range(1, 51):
         states[:, row, 1] = 0.3 * states[:, row - 1, 1] + 0.7 * states[:, row, 1]
-    (doubt,) = texts_about(simulator, states, torques)
+    (doubt,) = doubts_about(simulator, states, torques)
     assert doubt.startswith("The velocities lag the positions by about")
 
 
@@ -248,14 +300,14 @@ def test_finer_steps_of_reality_are_no_lag_and_hide_none(simulator, finer):
     [{"delay[action]": 0.01}, {"scale[qvel.shoulder]": 1.2, "bias[qvel.shoulder]": 0.3}, {"mass[all]": 1.5}],
 )
 def test_what_a_robot_does_is_no_lag_of_its_velocities(simulator, effects):
-    assert texts_about(simulator, *swung(simulator, 0, effects)) == []
+    assert doubts_about(simulator, *swung(simulator, 0, effects)) == []
 
 
 def test_positions_of_a_filter_are_noticed(simulator):
     states, torques = swung(simulator, 0)
     for row in range(1, 51):
         states[:, row, 0] = 0.3 * states[:, row - 1, 0] + 0.7 * states[:, row, 0]
-    (doubt,) = texts_about(simulator, states, torques)
+    (doubt,) = doubts_about(simulator, states, torques)
     assert doubt.startswith("The positions lag the velocities by about")
 
 
@@ -290,3 +342,32 @@ def test_rows_in_which_a_free_body_diverges_are_no_doubt_about_its_velocities(mo
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warn_of_doubts(simulator, check_log(simulator, states[:-1], states[1:], np.zeros(40)))
+
+
+@pytest.mark.parametrize("step", [0.0, 0.02])
+def test_noise_that_lasts_is_told_from_that_of_the_sensor(simulator, log, step):
+    X, y, groups = log
+    rng = np.random.default_rng(0)
+    y = y + [[0.01, 0.0]] * rng.normal(size=y.shape)
+    if step:
+        y[:, 0] = step * np.round(y[:, 0] / step)
+    follows = np.flatnonzero(groups[1:] == groups[:-1]) + 1
+    X[follows, :2] = y[follows - 1]
+    noisy, sensor = (
+        check_log(simulator, X, y, groups, hidden=("qvel.shoulder",)),
+        np.hypot(0.01, step / 12**0.5),
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warn_of_lasting_noise(simulator, noisy, ("qvel.shoulder",), np.array([1.3 * sensor]))
+    with pytest.warns(UserWarning, match=r"qpos\.shoulder is 0\.0\d+ rad, but neighbouring rows .* noise="):
+        warn_of_lasting_noise(simulator, noisy, ("qvel.shoulder",), np.array([3 * sensor]))
+
+
+def test_a_sensor_with_coarse_steps_is_not_taken_for_a_quiet_one(simulator, log):
+    X, y, groups = log
+    X[:, 0], y[:, 0] = np.round(X[:, 0]), np.round(y[:, 0])
+    coarse = check_log(simulator, X, y, groups, hidden=("qvel.shoulder",))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warn_of_lasting_noise(simulator, coarse, ("qvel.shoulder",), np.array([0.29]))
