@@ -40,6 +40,23 @@ def clear_errors():
         raise typer.Exit(EXIT_BAD_INPUT) from error
 
 
+@contextmanager
+def heard():
+    """Yield a list that the texts of warnings given within are added to; they are shown as before."""
+    texts: list[str] = []
+    show = warnings.showwarning
+
+    def hear(message, *others, **named):
+        texts.append(str(message))
+        show(message, *others, **named)
+
+    warnings.showwarning = hear
+    try:
+        yield texts
+    finally:
+        warnings.showwarning = show
+
+
 def existing_file(path, what):
     """Return a path that the user named, after a check that it is a file.
 

@@ -1,4 +1,4 @@
-"""The process that draws: ``python -m skat.replay.drawing FOLDER`` writes the pictures of the poses in FOLDER to its output.
+"""The process that draws the poses in a folder: ``python -m skat.replay.drawing FOLDER`` writes pictures to its output.
 
 Without a folder it only says whether it could.
 """
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-GHOST = (0.1, 0.75, 0.5, 0.45)
+GHOST = (0.1, 0.75, 0.5, 0.4)
 # Of the distance at which a ball around all poses fills the picture.
 ROOM = 0.85
 # From above, and from the side.
@@ -41,6 +41,8 @@ def draw(folder: str) -> None:
     camera: Any = name or seeing_all(model, np.concatenate([simulated, ghosts]))
     width, height = (int(one) for one in size)
     with mujoco.Renderer(model, height, width) as renderer:
+        # Shadows take most of the time where the processor draws, and the ghost would cast one.
+        renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
         renderer.render()
         print(READY, flush=True)
         data, other = mujoco.MjData(model), mujoco.MjData(model)

@@ -138,7 +138,13 @@ def _write_gif(path: Path, pictures: Iterator[Pictures], fps: float) -> None:
         Image.fromarray(picture).quantize(COLOURS, dither=Image.Dither.NONE) for picture in pictures
     )
     first.save(
-        path, format="gif", save_all=True, append_images=others, duration=round(1000 / fps), loop=0, optimize=True
+        path,
+        format="gif",
+        save_all=True,
+        append_images=others,
+        duration=round(1000 / fps),
+        loop=0,
+        optimize=True,
     )
 
 
@@ -172,7 +178,7 @@ def _ffmpeg() -> str:
         import imageio_ffmpeg
     except ImportError:
         raise RuntimeError(
-            "an MP4 is written by ffmpeg, which is not installed: apt install ffmpeg, or pip install imageio-ffmpeg; or "
-            "name the film .gif, which needs neither."
+            "an MP4 is written by ffmpeg, which is not installed: apt install ffmpeg, or pip install imageio-ffmpeg; "
+            "or name the film .gif, which needs neither."
         ) from None
     return str(imageio_ffmpeg.get_ffmpeg_exe())

@@ -77,14 +77,17 @@ def frames(
         there = f"it has {', '.join(map(str, names))}" if names else "it has none"
         raise ValueError(f"the model has no camera {camera!r}; {there}.")
     poses = np.asarray(simulated, dtype=float).reshape(-1, model.nq)
-    others = np.empty((0, model.nq)) if ghosts is None else np.asarray(ghosts, dtype=float).reshape(-1, model.nq)
+    others = (
+        np.empty((0, model.nq)) if ghosts is None else np.asarray(ghosts, dtype=float).reshape(-1, model.nq)
+    )
     if len(others) not in (0, len(poses)):
-        raise ValueError(f"a ghost for each pose is needed; there are {len(poses)} poses and {len(others)} ghosts.")
+        raise ValueError(
+            f"a ghost for each pose is needed; there are {len(poses)} poses and {len(others)} ghosts."
+        )
     with TemporaryDirectory() as folder:
         mujoco.mj_saveModel(model, str(Path(folder, "model.mjb")))
-        np.savez(
-            Path(folder, "poses.npz"), simulated=poses, ghosts=others, size=np.array(size), camera=np.array(camera or "")
-        )
+        name = np.array(camera or "")
+        np.savez(Path(folder, "poses.npz"), simulated=poses, ghosts=others, size=np.array(size), camera=name)
         yield from _drawn(folder, len(poses), size)
 
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    Array = NDArray[np.float64]
+    Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,9 @@ def motion(
     notes = []
     lacking = [name for name, column in zip(first.state_names, states.T) if not np.isfinite(column).any()]
     if lacking:
-        notes.append(f"{', '.join(lacking)} were not measured: positions are as at rest, velocities as positions change.")
+        notes.append(
+            f"{', '.join(lacking)} were not measured: positions are as at rest, velocities as positions change."
+        )
     known = _filled(states, n_positions, np.asarray(rest, dtype=float), float(first.dt), first.state_names)
     simulated = {}
     for name, simulator in simulators.items():
@@ -83,20 +85,23 @@ def motion(
             notes.append(f"The simulation {name} diverges: its last pose is held.")
         columns = [simulator.state_names.index(one) for one in first.state_names[:n_positions]]
         simulated[name] = _held(poses[:, columns], known[:, :n_positions])
-    return Motion(np.arange(len(states)) * float(first.dt), known[:, :n_positions], simulated, tuple(notes))
+    time = np.arange(len(states), dtype=float) * float(first.dt)
+    return Motion(time, known[:, :n_positions], simulated, tuple(notes))
 
 
 def _filled(states: Array, n_positions: int, rest: Array, dt: float, names: tuple[str, ...]) -> Array:
     """Return states without gaps: held, at rest where there is nothing to hold, velocities as positions change."""
     filled = states.copy()
-    filled[:, :n_positions] = _held(states[:, :n_positions], np.broadcast_to(rest, (len(states), n_positions)))
+    filled[:, :n_positions] = _held(
+        states[:, :n_positions], np.broadcast_to(rest, (len(states), n_positions))
+    )
     for column in range(n_positions, len(names)):
         if np.isfinite(states[0, column]):
             filled[:, column] = _held(states[:, [column]], np.zeros((len(states), 1)))[:, 0]
             continue
         position = names[column].replace("qvel.", "qpos.", 1)
         # Velocities of quaternions are no difference of columns; at rest is the better guess.
-        change = np.zeros(len(states))
+        change: Any = np.zeros(len(states))
         if position in names:
             change = np.gradient(filled[:, names.index(position)], dt)
         filled[:, column] = np.where(np.isfinite(states[:, column]), states[:, column], change)
@@ -136,6 +141,8 @@ def _rolled_out(simulator: Any, states: Array, commands: Array, horizon: int | N
         there = commands[start : start + pieces]
         inputs[piece, : len(there)] = there
     paths = simulator.rollout_many(states[starts], inputs, [{}], n_steps=pieces)[0]
-    joined = np.concatenate([paths[:, :-1].reshape(-1, paths.shape[2])[:n_steps], np.empty((1, paths.shape[2]))])
+    joined = np.concatenate(
+        [paths[:, :-1].reshape(-1, paths.shape[2])[:n_steps], np.empty((1, paths.shape[2]))]
+    )
     joined[-1] = paths[-1, n_steps - starts[-1]]
     return joined

@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from matplotlib import pyplot
+from skat.diagnosis.report.pictures import typical_and_worst
 
 from skat.diagnosis import Cause, Gain, SimulationDiagnosis
 from skat.diagnosis.comparison import EXTENDED, NOMINAL
@@ -22,7 +23,6 @@ from skat.diagnosis.log import check_log
 from skat.diagnosis.omnibus import Remainder
 from skat.diagnosis.report import Report
 from skat.diagnosis.report.page import _rows
-from skat.diagnosis.report.pictures import typical_and_worst
 from skat.diagnosis.report.sentences import (
     capital,
     cause_sentence,

@@ -34,7 +34,8 @@ def model_changes(nominal: Any, extended: Any) -> tuple[tuple[Change, ...], tupl
     if not (hasattr(nominal, "to_mjcf") and hasattr(extended, "to_mjcf")):
         return (), ()
     with TemporaryDirectory() as folder:
-        texts, beside = [], ()
+        texts: list[str] = []
+        beside: tuple[str, ...] = ()
         for number, simulator in enumerate((nominal, extended)):
             # Each in a folder of its own, for its assets.
             path = Path(folder, str(number), "model.xml")

@@ -17,6 +17,7 @@ from skat.diagnosis.open_loop import Episodes
 from skat.diagnosis.report.changes import model_changes
 from skat.diagnosis.report.content import (
     Alternative,
+    Change,
     ChannelError,
     ChannelNoise,
     Cloud,
@@ -29,6 +30,7 @@ from skat.diagnosis.report.content import (
     Series,
     ShownCause,
     ShownLog,
+    Still,
     Table,
     Verdict,
     Visibility,
@@ -115,11 +117,6 @@ class FirstReport(Report):
         self._title = "A simulation against measured data"
         self._provenance = provenance(seed=diagnosis.random_state)
 
-    @property
-    def content(self):
-        """All that the page shows, with what is drawn."""
-        return self._content(figures=True)
-
     def text(self):
         """Return the findings as a few lines of text."""
         diagnosis = self.diagnosis
@@ -188,20 +185,19 @@ class FirstReport(Report):
         if figures:
             self._compare()
         shown = self._tests or [TestedLog("Rows fitted", self.log)]
-        changes, beside = ((), ())
-        stills, stills_note = (), ""
+        changes: tuple[Change, ...] = ()
+        beside: tuple[str, ...] = ()
+        stills: tuple[Still, ...] = ()
         left: tuple[Left, ...] = ()
+        stills_note = ""
         if figures:
             if diagnosis.causes_:
                 changes, beside = model_changes(diagnosis.simulator, diagnosis.extended_simulator_)
             left = _laws(diagnosis, shown[0].log)
         logs = tuple(_shown_log(diagnosis, test, not self._tests, figures) for test in shown)
         if figures:
-            stills, stills_note = worst_moment(
-                diagnosis.simulator,
-                diagnosis.extended_simulator_ if diagnosis.causes_ else None,
-                next((log.episodes[0] for log in logs if log.episodes), None),
-            )
+            episode = next((log.episodes[0] for log in logs if log.episodes), None)
+            stills, stills_note = worst_moment(diagnosis.simulator, episode)
         return Content(
             title=self._title,
             verdict=Verdict(

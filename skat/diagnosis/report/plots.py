@@ -257,7 +257,7 @@ def _axis(label: str, low: float, high: float, *, is_plain: bool = False) -> Axi
     else:
         label = _with_power(label, exponent)
     low, high = low / 10.0**exponent, high / 10.0**exponent
-    places = MaxNLocator(nbins=5, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)
+    places = np.asarray(MaxNLocator(nbins=5, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high))
     places = places[(places >= low - 1e-9 * (high - low)) & (places <= high + 1e-9 * (high - low))]
     ticks = [(100 * (place - low) / (high - low), _tick(place, high - low)) for place in places]
     return Axis(label, low, high, tuple(ticks))

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-import warnings
-from contextlib import contextmanager
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from skat.diagnosis.report.content import Provenance, SourceFile
 
@@ -83,23 +81,6 @@ def source_file(role: str, path: str | PathLike[str]) -> SourceFile:
         hashlib.sha256(listing.encode()).hexdigest(),
         sum(one.stat().st_size for one in inner),
     )
-
-
-@contextmanager
-def heard() -> Iterator[list[str]]:
-    """Yield a list that the texts of warnings given within are added to; they are shown as before."""
-    texts: list[str] = []
-    show = warnings.showwarning
-
-    def hear(message: Warning | str, *others: Any, **named: Any) -> None:
-        texts.append(str(message))
-        show(message, *others, **named)
-
-    warnings.showwarning = hear
-    try:
-        yield texts
-    finally:
-        warnings.showwarning = show
 
 
 def _sha256(path: Path) -> str:
