@@ -34,7 +34,9 @@ ALLOWED = {
         "metrics",
         "simulators",
         "plotting",
+        "replay",
     },
+    "replay": {"files"},
     "plotting": {"rounding", "gaussian", "transport", "metrics"},
     "experiments": {
         "_compat",
@@ -60,13 +62,14 @@ ALLOWED = {
         "logs",
         "diagnosis",
         "experiments",
+        "replay",
         "",
     },
     "__main__": {"cli"},
     "": {"transport"},
 }
-MAY_IMPORT_MUJOCO = {"effects", "simulators", "datasets", "diagnosis"}
-IMPORTED_WHERE_USED = {"ot", "matplotlib", "pooch", "dask", "distributed", "torch", "gymnasium", "openpyxl"}
+MAY_IMPORT_MUJOCO = {"effects", "simulators", "datasets", "diagnosis", "replay"}
+IMPORTED_WHERE_USED = {"ot", "matplotlib", "pooch", "dask", "distributed", "torch", "gymnasium", "openpyxl", "PIL"}
 IMPORTED_WHERE_USED |= {
     "pyarrow",
     "polars",
