@@ -69,7 +69,17 @@ ALLOWED = {
     "": {"transport"},
 }
 MAY_IMPORT_MUJOCO = {"effects", "simulators", "datasets", "diagnosis", "replay"}
-IMPORTED_WHERE_USED = {"ot", "matplotlib", "pooch", "dask", "distributed", "torch", "gymnasium", "openpyxl", "PIL"}
+IMPORTED_WHERE_USED = {
+    "ot",
+    "matplotlib",
+    "pooch",
+    "dask",
+    "distributed",
+    "torch",
+    "gymnasium",
+    "openpyxl",
+    "PIL",
+}
 IMPORTED_WHERE_USED |= {
     "pyarrow",
     "polars",

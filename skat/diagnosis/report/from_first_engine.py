@@ -361,15 +361,15 @@ def _notes(errors):
 
 def _left_sentences(diagnosis):
     remainder = diagnosis.remainder_
-    if diagnosis.verdict_ != "unexplained":
+    if diagnosis.verdict_ != "unexplained" or not is_structured(remainder, diagnosis.alpha):
         return ()
-    sentences = [f"{capital(remainder_sentence(diagnosis))}."]
-    if is_structured(remainder, diagnosis.alpha):
-        sentences += [
+    return (
+        f"{capital(remainder_sentence(diagnosis))}.",
+        *(
             f"What is left acts on {direction} as a function of {coordinate}: p {_p_value(p)}."
             for direction, coordinate, p in remainder.table[:3]
-        ]
-    return tuple(sentences)
+        ),
+    )
 
 
 def _noise(diagnosis):

@@ -322,7 +322,7 @@ def _has_after(content: Content) -> bool:
 
 
 def _has_errors(log: ShownLog) -> bool:
-    return bool(log.errors or log.comparison or log.sentences or log.comparison_sentences)
+    return bool(log.errors or log.comparison or log.sentences or log.comparison_sentences or log.is_fitted)
 
 
 def _grids(content: Content, visible: list) -> dict[str, Grid | None]:
