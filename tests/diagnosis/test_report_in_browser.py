@@ -12,6 +12,8 @@ from tests.diagnosis.synthetic import full_content
 WIDTHS = [1280, 390]
 LOOKS = [("light", "screen"), ("dark", "screen"), ("dark", "print")]
 SMALLEST_LABEL_PX = 9
+# The part of a plot that is seen: left, top, width, height.
+WINDOW = "{}.getAttribute('viewBox').split(' ').map(Number)"
 
 
 @pytest.fixture(scope="module")
@@ -68,19 +70,22 @@ def test_the_page_fits_its_labels_can_be_read_and_the_console_is_silent(read, ke
         const shown = [...document.querySelectorAll("body *")].filter((one) => one.checkVisibility());
         const scrolled = (one) => one.closest(".scroll, svg");
         const beyond = shown.filter((one) => !scrolled(one) && one.getBoundingClientRect().right > wide + 0.5);
-        const texts = shown.filter((one) => [...one.childNodes].some((node) => node.nodeType === 3 && node.data.trim()));
-        const sizes = texts.filter((one) => !["STYLE", "SCRIPT"].includes(one.tagName))
-          .map((one) => parseFloat(getComputedStyle(one).fontSize) * one.getBoundingClientRect().width / (one.offsetWidth || one.getBoundingClientRect().width || 1));
+        const says = (one) => [...one.childNodes].some((node) => node.nodeType === 3 && node.data.trim());
+        // Text in a drawing that is scaled is smaller than its style says.
+        const scale = (one) => one.offsetWidth ? one.getBoundingClientRect().width / one.offsetWidth : 1;
+        const sizes = shown.filter((one) => says(one) && !["STYLE", "SCRIPT"].includes(one.tagName))
+          .map((one) => parseFloat(getComputedStyle(one).fontSize) * scale(one));
         return {
           overflow: document.documentElement.scrollWidth - wide,
           beyond: beyond.map((one) => one.outerHTML.slice(0, 120)),
-          smallest: Math.min(...sizes), texts: sizes.length,
+          smallest: Math.min(...sizes), texts: sizes.length, inside: document.querySelectorAll('svg text').length,
         };
         """
     )
     assert found["overflow"] <= 0
     assert found["beyond"] == []
     assert found["texts"] > 3 or key == "bare"
+    assert found["inside"] == 0
     assert found["smallest"] >= SMALLEST_LABEL_PX
     assert reader.messages() == []
 
@@ -91,9 +96,12 @@ def test_labels_of_an_axis_do_not_meet(read, width):
         """
         const meeting = [];
         for (const axis of document.querySelectorAll(".plot .x, .plot .y")) {
-          const boxes = [...axis.children].filter((one) => one.checkVisibility()).map((one) => [one.textContent, one.getBoundingClientRect()]);
-          boxes.forEach(([text, box], k) => boxes.slice(k + 1).forEach(([other, far]) => {
-            if (box.left < far.right && far.left < box.right && box.top < far.bottom && far.top < box.bottom) meeting.push([text, other]);
+          const labels = [...axis.children].filter((one) => one.checkVisibility());
+          labels.forEach((one, k) => labels.slice(k + 1).forEach((other) => {
+            const [box, far] = [one.getBoundingClientRect(), other.getBoundingClientRect()];
+            const across = box.left < far.right && far.left < box.right;
+            const up = box.top < far.bottom && far.top < box.bottom;
+            if (across && up) meeting.push([one.textContent, other.textContent]);
           }));
         }
         return meeting;
@@ -111,8 +119,12 @@ def test_axe_core_finds_no_serious_fault(read, key, width, scheme):
     reader.ask("document.querySelectorAll('details').forEach((one) => { one.open = true; });")
     reader.ask(script)
     found = reader.driver.execute_async_script(
-        "const done = arguments[0]; axe.run(document).then((result) => done(result.violations.map((one) => "
-        "[one.impact, one.id, one.nodes.slice(0, 3).map((node) => node.html.slice(0, 160) + ' ' + node.failureSummary)])));"
+        """
+        const done = arguments[0];
+        const told = (node) => node.html.slice(0, 160) + node.failureSummary;
+        axe.run(document).then((result) => done(result.violations.map(
+          (one) => [one.impact, one.id, one.nodes.slice(0, 3).map(told)])));
+        """
     )
     assert [one for one in found if one[0] in ("serious", "critical")] == []
 
@@ -161,8 +173,11 @@ def test_signals_zoom_from_the_keyboard_and_all_channels_move_together(read, wid
 
     reader = read(width=width)
     group = reader.driver.find_element(By.CSS_SELECTOR, ".signals")
-    boxes = "return [...arguments[0].querySelectorAll('.plot svg')].map((one) => one.getAttribute('viewBox').split(' ').map(Number))"
-    ticks = "return [...arguments[0].querySelector('.x').children].map((one) => [parseFloat(one.style.left), parseFloat(one.textContent)])"
+    boxes = f"return [...arguments[0].querySelectorAll('.plot svg')].map((one) => {WINDOW.format('one')})"
+    ticks = (
+        "return [...arguments[0].querySelector('.x').children]"
+        ".map((one) => [parseFloat(one.style.left), parseFloat(one.textContent)])"
+    )
     before = reader.ask(boxes, group)
     assert {tuple(box) for box in before} == {(0, 0, 1000, 1000)}
     group.send_keys("+")
@@ -191,19 +206,11 @@ def test_zooming_shows_what_lies_in_the_window_on_an_axis_of_its_own(read):
     group = reader.driver.find_element(By.CSS_SELECTOR, ".signals")
     for _ in range(6):
         group.send_keys("+")
-    top, height = reader.ask(
-        "return group = arguments[0].querySelector('svg').getAttribute('viewBox').split(' ').slice(1).filter((_, k) => k !== 1).map(Number)",
-        group,
-    )
-    points = reader.ask(
-        "return [...arguments[0].querySelectorAll('svg')][0].querySelector('.measured').getAttribute('d')",
-        group,
-    )
+    svg = group.find_element(By.CSS_SELECTOR, "svg")
+    left, top, width, height = reader.ask(f"return {WINDOW.format('arguments[0]')}", svg)
+    points = reader.ask("return arguments[0].querySelector('.measured').getAttribute('d')", svg)
     x, y = np.array([[float(one) for one in pair] for pair in re.findall(r"([-\d.]+) ([-\d.]+)", points)]).T
-    window = reader.ask(
-        "return arguments[0].querySelector('svg').getAttribute('viewBox').split(' ').map(Number)", group
-    )
-    seen = y[(x >= window[0]) & (x <= window[0] + window[2])]
+    seen = y[(x >= left) & (x <= left + width)]
     assert top <= seen.min()
     assert seen.max() <= top + height
     assert height < 300
@@ -216,7 +223,7 @@ def test_signals_zoom_by_buttons_and_by_dragging(read):
     reader = read()
     group = reader.driver.find_element(By.CSS_SELECTOR, ".signals")
     svg = group.find_element(By.CSS_SELECTOR, "svg")
-    box = "return arguments[0].getAttribute('viewBox').split(' ').map(Number)"
+    box = f"return {WINDOW.format('arguments[0]')}"
     buttons = group.find_elements(By.CSS_SELECTOR, ".tools button")
     assert [button.is_enabled() for button in buttons] == [True, False, False, False, False]
     buttons[0].click()
@@ -243,7 +250,10 @@ def test_everything_is_reached_by_the_tab_key_and_has_a_name(read):
     assert len(names) > 30
     assert all(names)
     images = reader.ask(
-        "return [...document.querySelectorAll('img, svg[role=img]')].map((one) => one.alt || one.getAttribute('aria-label'))"
+        """
+        return [...document.querySelectorAll("img, svg[role=img]")]
+          .map((one) => one.alt || one.getAttribute("aria-label"));
+        """
     )
     assert all(images)
 
