@@ -13,6 +13,7 @@ PACKAGE = Path(__file__).parent.parent / "skat"
 ALLOWED = {
     "_compat": set(),
     "files": set(),
+    "progress": set(),
     "episodes": set(),
     "rounding": set(),
     "gaussian": {"_compat"},
@@ -51,6 +52,7 @@ ALLOWED = {
     },
     "cli": {
         "files",
+        "progress",
         "rounding",
         "gaussian",
         "transport",

@@ -25,10 +25,10 @@ from skat.cli.terminal import (
     output_console,
     output_file,
     print_line,
-    progress_bars,
     table_of,
 )
 from skat.files import whole
+from skat.progress import progress_bars
 
 Logs = Annotated[
     list[Path],

@@ -20,7 +20,8 @@ from skat.cli.measured import (
     read_log,
     show_log,
 )
-from skat.cli.terminal import clear_errors, existing_path, output_file, print_line, progress_bars
+from skat.cli.terminal import clear_errors, existing_path, output_file, print_line
+from skat.progress import progress_bars
 
 BEFORE, AFTER = "as given", "extended"
 

@@ -8,7 +8,6 @@ from pathlib import Path
 import typer
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from skat.files import writable
@@ -99,28 +98,6 @@ def unused(path):
     return candidate
 
 
-@contextmanager
-def progress_bars():
-    """Show the stages of the work; yield the function to call with (stage, done, total).
-
-    On a terminal a stage has a bar, which goes away at the end; elsewhere its name is printed as it begins.
-    """
-    console = error_console()
-    if not console.is_terminal:
-        yield _stage_printer(console)
-        return
-    tasks = {}
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
-    with Progress(*columns, console=console, transient=True) as bars:
-
-        def report(stage, done, total):
-            if stage not in tasks:
-                tasks[stage] = bars.add_task(stage, total=total)
-            bars.update(tasks[stage], completed=done, total=total)
-
-        yield report
-
-
 def table_of(frame, *, title=None, formats=None):
     """Return a table with the rows of a data frame.
 
@@ -167,17 +144,6 @@ def _cell(value, number):
 def _console(stream):
     # A pipe has no width; 160 keeps rows of a table on one line.
     return Console(file=stream, highlight=False, width=None if stream.isatty() else 160)
-
-
-def _stage_printer(console):
-    begun = set()
-
-    def report(stage, done, total):
-        if stage not in begun:
-            begun.add(stage)
-            console.print(f"{stage} ...", markup=False, soft_wrap=True)
-
-    return report
 
 
 def _say(console, word, colour, message):

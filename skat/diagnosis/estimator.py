@@ -316,6 +316,12 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
     def _repr_html_(self):
         return self.report_.html(figures=False) if hasattr(self, "report_") else super()._repr_html_()
 
+    def _repr_mimebundle_(self, **_):
+        """Return what Jupyter shows; scikit-learn would have it show the parameters only."""
+        if not hasattr(self, "report_"):
+            return super()._repr_mimebundle_()
+        return {"text/plain": repr(self), "text/html": self._repr_html_()}
+
     def __getattr__(self, name):
         if name.endswith("_") and not name.startswith("_") and "verdict_" not in vars(self):
             raise NotFittedError(
