@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 GHOST = (0.1, 0.75, 0.5, 0.4)
+# Relative to the robot: a ghost in the very place of the robot is within it, in the place of patches of both.
+GHOST_SIZE = 0.98
 # Of the distance at which a ball around all poses fills the picture.
 ROOM = 0.85
 # From above, and from the side.
@@ -79,6 +81,7 @@ def add_ghost(model: mujoco.MjModel, data: mujoco.MjData, scene: mujoco.MjvScene
     for index in range(first, scene.ngeom):
         geom = scene.geoms[index]
         geom.rgba[:] = GHOST
+        geom.size[:] *= GHOST_SIZE
         geom.matid = -1
         geom.transparent = True
 

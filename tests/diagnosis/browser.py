@@ -1,12 +1,14 @@
 """Chromium without a window, for tests that look at a page as a reader does.
 
 Needs Chromium and its driver (Debian's ``chromium`` and ``chromium-driver``) and selenium; axe-core is looked for where
-``npm install axe-core`` puts it, or where AXE_CORE says that axe.min.js is.
+``npm install axe-core`` puts it, or where AXE_CORE says that axe.min.js is. To look at
+a report oneself: ``python -m tests.diagnosis.browser report.html FOLDER`` writes pictures of it and a PDF.
 """
 
 import base64
 import os
 import shutil
+import sys
 from pathlib import Path
 
 import pytest
@@ -78,3 +80,25 @@ class Reader:
         """Return the page as PDF."""
         answer = self.driver.execute_cdp_cmd("Page.printToPDF", {"printBackground": False})
         return base64.b64decode(answer["data"])
+
+    def photographed(self):
+        """Return the whole page as PNG."""
+        answer = self.driver.execute_cdp_cmd("Page.captureScreenshot", {"captureBeyondViewport": True})
+        return base64.b64decode(answer["data"])
+
+
+def photograph(page, folder):
+    """Write pictures of a page for desk and phone, light and dark, and as it is printed."""
+    driver = browser()
+    try:
+        for width in (1280, 390):
+            for scheme in ("light", "dark"):
+                reader = Reader(driver).look(page.resolve(), width=width, scheme=scheme)
+                (folder / f"{page.stem}-{width}-{scheme}.png").write_bytes(reader.photographed())
+        (folder / f"{page.stem}.pdf").write_bytes(Reader(driver).look(page.resolve()).printed())
+    finally:
+        driver.quit()
+
+
+if __name__ == "__main__":
+    photograph(*map(Path, sys.argv[1:]))
