@@ -56,7 +56,7 @@ BREAKS = re.compile(
 )
 # Channels of an episode that are drawn unfolded.
 MOST_CHANNELS = 4
-# Causes that can be told from their nearest alias as clearly as this need no measurement to do so.
+# Effects that are less similar to their nearest alias can be told from it.
 ALIKE = 0.9
 
 
@@ -326,8 +326,8 @@ def _has_errors(log: ShownLog) -> bool:
 
 
 def _grids(content: Content, visible: list) -> dict[str, Grid | None]:
-    named = {cause.name for cause in content.causes}
-    near = [one for one in visible if one.name in named or (one.similarity or 0.0) >= ALIKE]
+    confused = {cause.name for cause in content.causes if cause.aliases}
+    near = [one for one in visible if one.name in confused or (one.similarity or 0.0) >= ALIKE]
     files_of = content.provenance.files
     return {
         "causes": cause_grid("Causes", content.causes) if content.causes else None,
