@@ -66,3 +66,12 @@ def test_tests_and_files_that_a_page_names_exist(path):
         assert name in functions, f"{path.name} names {file}::{name}"
     for file in re.findall(r"``((?:benchmarks|examples|tests|docs)/[\w/]+\.\w+)``", text):
         assert (ROOT / file).exists(), f"{path.name} names {file}"
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "examples").glob("plot_*.py")), ids=lambda path: path.name)
+def test_thumbnails_of_the_gallery_show_an_effect_and_no_lone_interval(path):
+    text = path.read_text("utf-8")
+    drawn = re.findall(r"\b(\w+Display)\.from_|(?:plt|pyplot)\.(subplots)\(", text)
+    chosen = re.search(r"^# sphinx_gallery_thumbnail_number = (\d+)$", text, re.MULTILINE)
+    display, _ = drawn[int(chosen[1]) - 1 if chosen else 0]
+    assert display != "CauseDisplay"
