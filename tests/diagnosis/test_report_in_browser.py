@@ -113,7 +113,7 @@ def test_labels_of_an_axis_do_not_meet(read, width):
 @pytest.mark.parametrize("key", ["full", "long"])
 @pytest.mark.parametrize("width", WIDTHS)
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_axe_core_finds_no_serious_fault(read, key, width, scheme):
+def test_axe_core_finds_no_fault(read, key, width, scheme):
     script = axe_script()
     reader = read(key, width=width, scheme=scheme)
     reader.ask("document.querySelectorAll('details').forEach((one) => { one.open = true; });")
@@ -126,7 +126,7 @@ def test_axe_core_finds_no_serious_fault(read, key, width, scheme):
           (one) => [one.impact, one.id, one.nodes.slice(0, 3).map(told)])));
         """
     )
-    assert [one for one in found if one[0] in ("serious", "critical")] == []
+    assert found == []
 
 
 def test_links_lead_to_what_they_name(read):
