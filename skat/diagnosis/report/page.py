@@ -218,6 +218,12 @@ def without_figures(content: Content) -> Content:
 
 
 def _rendered(content: Content, *, is_page: bool) -> str:
+    body = _template().render(content=content, is_page=is_page, **_parts(content))
+    return body.replace(" %", "\N{NO-BREAK SPACE}%").encode("ascii", "xmlcharrefreplace").decode()
+
+
+@cache
+def _template() -> Any:
     from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup
 
@@ -229,16 +235,13 @@ def _rendered(content: Content, *, is_page: bool) -> str:
         lstrip_blocks=True,
     )
     environment.filters |= {"breakable": _breakable, "readable_date": _readable_date}
-    body = environment.get_template(TEMPLATE).render(
-        content=content,
-        is_page=is_page,
-        css=Markup(_resource(STYLE)),
-        script=Markup(_resource(SCRIPT)),
-        probability_text=probability_text,
-        alternatives_text=alternatives_text,
-        **_parts(content),
-    )
-    return body.replace(" %", "\N{NO-BREAK SPACE}%").encode("ascii", "xmlcharrefreplace").decode()
+    environment.globals |= {
+        "css": Markup(_resource(STYLE)),
+        "script": Markup(_resource(SCRIPT)),
+        "probability_text": probability_text,
+        "alternatives_text": alternatives_text,
+    }
+    return environment.get_template(TEMPLATE)
 
 
 def _parts(content: Content) -> dict[str, Any]:
@@ -419,7 +422,6 @@ def _readable_date(date: str) -> str:
     return f"{date[:10]} {date[11:16]} {'UTC' if date.endswith('+00:00') else date[19:]}".strip()
 
 
-@cache
 def _resource(name: str) -> str:
     return files("skat.diagnosis.report").joinpath(name).read_text(encoding="utf-8")
 
