@@ -7,6 +7,7 @@ its mass and its damping to the measurements gets wrong ones. Here the measureme
 know what there is to find; the diagnosis is not told, nor how large the noise is.
 """
 
+# sphinx_gallery_thumbnail_number = 2
 # %%
 # The simulation that one would write first.
 

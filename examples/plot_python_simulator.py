@@ -7,6 +7,7 @@ in every textbook. What may be wrong with it is declared as effects; the real ca
 has a left tyre that is worn by 3 %.
 """
 
+# sphinx_gallery_thumbnail_number = 2
 # %%
 # A simulation is a function of rows, (x, y, heading, speed, rate, left, right) to the next state, and of the effects
 # by name. Half a dozen steps of Heun's method go into a transition of 0.1 s.

@@ -4,6 +4,8 @@ import json
 import re
 import subprocess
 import sys
+import warnings
+from hashlib import sha256
 
 import mujoco
 import numpy as np
@@ -12,7 +14,9 @@ import pytest
 from typer.testing import CliRunner
 
 from skat.cli import app
+from skat.cli.terminal import clear_errors, heard
 from skat.simulators import MujocoSimulator
+from tests.diagnosis.pages import Page
 
 MODEL = """
 <mujoco>
@@ -109,9 +113,18 @@ def test_diagnose_names_the_hidden_friction_and_writes_a_report(here):
     assert "% of the excess is explained (95 %: " in result.stdout
     for method in ("AffineTransport", "ProcrustesAffineTransport", "CORAL", "ExactTransport", "extended"):
         assert method in result.stdout
-    report = (here / "log-report.html").read_text()
-    assert "damping[rail]" in report
-    assert "<svg" in report or "<img" in report
+    report = Page((here / "log-report.html").read_text())
+    assert "damping[rail]" in report.text
+    assert any("line measured" in plot["roles"] for plot in report.plots)
+    for told in ("model.xml against log.csv", sha256((here / "log.csv").read_bytes()).hexdigest(), "SHA-256"):
+        assert told in report.text
+
+
+def test_warnings_are_shown_and_remembered_for_the_report(capsys):
+    with clear_errors(), heard() as said:
+        warnings.warn("the clock is uneven", UserWarning, stacklevel=1)
+    assert said == ["the clock is uneven"]
+    assert "Warning: the clock is uneven" in capsys.readouterr().err
 
 
 def test_a_column_that_was_guessed_is_hidden_from_the_diagnosis(here):
@@ -235,7 +248,7 @@ def test_a_second_report_gets_another_name_unless_one_is_given(here):
     assert (here / "log-report.html").read_text() == "mine"
     assert (here / "log-report-2.html").exists()
     assert skat(*arguments, "-o", "r.html", "--force").exit_code == 0
-    assert "damping[rail]" in (here / "r.html").read_text()
+    assert "damping[rail]" in Page((here / "r.html").read_text()).text
 
 
 @pytest.mark.parametrize("missing", ["model.xml", "log.csv"])

@@ -138,3 +138,12 @@ def test_docstrings_of_the_reference_are_valid_numpydoc(name):
     for target in (f"skat.{name}", *(f"skat.{name}.{part}" for part in parts)):
         errors = [error for error in validate(target)["errors"] if error[0] not in NOT_ASKED]
         assert not errors, f"{target}: {errors}"
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "examples").glob("plot_*.py")), ids=lambda path: path.name)
+def test_thumbnails_of_the_gallery_show_an_effect_and_no_lone_interval(path):
+    text = path.read_text("utf-8")
+    drawn = re.findall(r"\b(\w+Display)\.from_|(?:plt|pyplot)\.(subplots)\(", text)
+    chosen = re.search(r"^# sphinx_gallery_thumbnail_number = (\d+)$", text, re.MULTILINE)
+    display, _ = drawn[int(chosen[1]) - 1 if chosen else 0]
+    assert display != "CauseDisplay"

@@ -13,6 +13,7 @@ PACKAGE = Path(__file__).parent.parent / "skat"
 ALLOWED = {
     "_compat": set(),
     "files": set(),
+    "progress": set(),
     "episodes": set(),
     "rounding": set(),
     "gaussian": {"_compat"},
@@ -34,7 +35,9 @@ ALLOWED = {
         "metrics",
         "simulators",
         "plotting",
+        "replay",
     },
+    "replay": {"files"},
     "plotting": {"rounding", "gaussian", "transport", "metrics"},
     "experiments": {
         "_compat",
@@ -49,6 +52,7 @@ ALLOWED = {
     },
     "cli": {
         "files",
+        "progress",
         "rounding",
         "gaussian",
         "transport",
@@ -60,13 +64,24 @@ ALLOWED = {
         "logs",
         "diagnosis",
         "experiments",
+        "replay",
         "",
     },
     "__main__": {"cli"},
     "": {"transport"},
 }
-MAY_IMPORT_MUJOCO = {"effects", "simulators", "datasets", "diagnosis"}
-IMPORTED_WHERE_USED = {"ot", "matplotlib", "pooch", "dask", "distributed", "torch", "gymnasium", "openpyxl"}
+MAY_IMPORT_MUJOCO = {"effects", "simulators", "datasets", "diagnosis", "replay"}
+IMPORTED_WHERE_USED = {
+    "ot",
+    "matplotlib",
+    "pooch",
+    "dask",
+    "distributed",
+    "torch",
+    "gymnasium",
+    "openpyxl",
+    "PIL",
+}
 IMPORTED_WHERE_USED |= {
     "pyarrow",
     "polars",

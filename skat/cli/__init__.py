@@ -1,6 +1,7 @@
-"""The command line: ``skat diagnose``, ``check``, ``preflight``, ``effects``, ``transport``, ``demo``, ..."""
+"""The command line: ``skat diagnose``, ``check``, ``preflight``, ``effects``, ``replay``, ``demo``, ..."""
 
-import skat.cli.measured  # noqa: F401 - registers its commands
+import skat.cli.measured
+import skat.cli.replay  # noqa: F401 - these register their commands
 from skat.cli.commands import app
 
 __all__ = ["app"]

@@ -14,11 +14,11 @@ from skat.cli.terminal import (
     output_console,
     output_file,
     print_line,
-    progress_bars,
     table_of,
     unused,
 )
 from skat.files import whole
+from skat.progress import progress_bars
 
 
 def _version(wanted: bool):

@@ -1,7 +1,7 @@
 """The commands that take a model and a log: ``skat diagnose``, ``check`` and ``preflight``."""
 
+import shlex
 import sys
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,13 +21,14 @@ from skat.cli.commands import (
 from skat.cli.terminal import (
     clear_errors,
     existing_path,
+    heard,
     output_console,
     output_file,
     print_line,
-    progress_bars,
     table_of,
 )
 from skat.files import whole
+from skat.progress import progress_bars
 
 Logs = Annotated[
     list[Path],
@@ -70,14 +71,6 @@ FrameSkip = Annotated[
 Jobs = Annotated[int | None, typer.Option(help="Processes to use; -1: one per core.")]
 
 
-class Velocities(StrEnum):
-    """What a log's velocities are."""
-
-    auto = "auto"
-    measured = "measured"
-    computed = "computed"
-
-
 @app.command()
 def diagnose(
     model: Model,
@@ -98,13 +91,6 @@ def diagnose(
     hidden: Annotated[
         list[str] | None, typer.Option(help="Name of a state column that is a guess, no measurement; repeat.")
     ] = None,
-    velocities: Annotated[
-        Velocities | None,
-        typer.Option(
-            help="Whether a sensor measured them, or they were computed from positions. Default: auto, the log tells."
-        ),
-    ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Give a first answer within seconds.")] = False,
     alpha: Alpha = 0.01,
     max_effects: Annotated[int, typer.Option(min=1, help="Name this many causes at most.")] = 6,
     test_size: Annotated[float, typer.Option(help="Part of the log that measures the gain; 0: none.")] = 0.3,
@@ -123,20 +109,19 @@ def diagnose(
 
     MODEL is MJCF, URDF or a robot's folder; LOG is CSV, Parquet, NPZ, HDF5, a ROS bag, MCAP, LeRobot or Minari.
     """
-    with clear_errors():
+    with clear_errors(), heard() as warned:
         from skat.diagnosis.report.machine import findings_as_data
         from skat.experiments.studies import study_log
 
         path = report_path(output, f"{log[0].name.partition('.')[0]}-report.html", force)
         save_map, json = (None if one is None else output_file(one, force=force) for one in (save_map, json))
-        simulator = _simulator(model, base, motors)
+        simulator = model_simulator(model, base, motors)
         if extended is not None:
             extended = _extended_file(extended, simulator, force)
-        options = _options(simulator, maps, columns, topic, rate, episodes, base, frame_skip)
-        fit = _log(log, simulator, options)
-        told = _show_log(fit, save_map, force)
-        tested = None if not test else _log(test, fit.simulator, options | {"rate": 1 / fit.dt})
-        said = {"velocities": velocities and velocities.value, "quick": quick}
+        options = log_options(simulator, maps, columns, topic, rate, episodes, base, frame_skip)
+        fit = read_log(log, simulator, options)
+        told = show_log(fit, save_map, force)
+        tested = None if not test else read_log(test, fit.simulator, options | {"rate": 1 / fit.dt})
         with progress_bars() as progress:
             study = study_log(
                 fit,
@@ -149,10 +134,10 @@ def diagnose(
                 random_state=seed,
                 n_jobs=jobs,
                 progress=progress,
-                **{name: value for name, value in said.items() if value},
             )
         show_study(study)
         mistakes = _show_mistakes(study, fit) if study.diagnosis.verdict_ == "unexplained" else []
+        _describe(study, model, log, test, fit, told, mistakes, warned, seed)
         write_report(study, path, force)
         if json is not None:
             context = {
@@ -206,11 +191,11 @@ def check(
         from skat.diagnosis.checks import channel_table
 
         save_map = None if save_map is None else output_file(save_map, force=force)
-        simulator = _simulator(model, base, motors)
-        found = _log(
-            log, simulator, _options(simulator, maps, columns, topic, rate, episodes, base, frame_skip)
+        simulator = model_simulator(model, base, motors)
+        found = read_log(
+            log, simulator, log_options(simulator, maps, columns, topic, rate, episodes, base, frame_skip)
         )
-        _show_log(found, save_map, force, table=False)
+        show_log(found, save_map, force, table=False)
         clock = (
             f"{len(found)} rows of {found.dt:g} s ({1 / found.dt:g} Hz) in {len(found.group_names)} episodes"
         )
@@ -249,9 +234,9 @@ def preflight_log(
     """
     with clear_errors():
         output = None if output is None else output_file(output, force=force)
-        simulator = _simulator(model, base, motors)
-        found = _log(
-            log, simulator, _options(simulator, maps, columns, topic, rate, episodes, base, frame_skip)
+        simulator = model_simulator(model, base, motors)
+        found = read_log(
+            log, simulator, log_options(simulator, maps, columns, topic, rate, episodes, base, frame_skip)
         )
         if found.unmeasured:
             raise ValueError(
@@ -265,7 +250,8 @@ def preflight_log(
             print_line(f"Table: {output}")
 
 
-def _simulator(model, base, motors):
+def model_simulator(model, base, motors):
+    """Return the simulator of a model that the user named, and say what was chosen for it."""
     from skat.simulators import MujocoSimulator
 
     simulator = MujocoSimulator(
@@ -276,7 +262,7 @@ def _simulator(model, base, motors):
     return simulator
 
 
-def _options(simulator, maps, columns, topic, rate, episodes, base, frame_skip) -> dict[str, Any]:
+def log_options(simulator, maps, columns, topic, rate, episodes, base, frame_skip) -> dict[str, Any]:
     """Return the keyword arguments of `load_log`; a root that is fixed has been welded in the model already."""
     from skat.logs import read_map
 
@@ -293,7 +279,8 @@ def _options(simulator, maps, columns, topic, rate, episodes, base, frame_skip) 
     }
 
 
-def _log(paths, simulator, options):
+def read_log(paths, simulator, options):
+    """Return the log of the files that the user named."""
     from skat.logs import load_log
 
     for path in paths:
@@ -301,7 +288,7 @@ def _log(paths, simulator, options):
     return load_log(paths[0] if len(paths) == 1 else list(paths), simulator, **options)
 
 
-def _show_log(log, save_map, force, *, table=True):
+def show_log(log, save_map, force, *, table=True):
     """Show which column was taken for what, where that was not said by its name, and all that was done."""
     from skat.logs import write_map
 
@@ -315,6 +302,26 @@ def _show_log(log, save_map, force, *, table=True):
     if save_map is not None:
         print_line(f"Map: {write_map(save_map, log, force=force)}")
     return list(log.notes)
+
+
+def _describe(study, model, paths, tested, log, told, mistakes, warned, seed):
+    """Say on the report what it is of, and how it was made."""
+    from skat.diagnosis.report.provenance import provenance
+
+    names = ", ".join(path.name for path in paths)
+    made = provenance(
+        files=[
+            ("model", model),
+            *(("log", path) for path in paths),
+            *(("test", path) for path in tested or ()),
+        ],
+        command=shlex.join(["skat", *sys.argv[1:]]),
+        seed=seed,
+        settings={"Rate": f"{1 / log.dt:g} Hz, {log.simulator.frame_skip} time steps of the model each"},
+        warnings=warned,
+        notes=[*told, *(f"A usual mistake that would explain it: {one.sentence}" for one in mistakes)],
+    )
+    study.diagnosis.report_.describe(title=f"{model.name} against {names}", made=made)
 
 
 def _show_mistakes(study, log):

@@ -8,7 +8,6 @@ from pathlib import Path
 import typer
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from skat.files import writable
@@ -38,6 +37,23 @@ def clear_errors():
     except (ValueError, OSError, RuntimeError, TypeError, ImportError) as error:
         _say(console, "Error", "red", error)
         raise typer.Exit(EXIT_BAD_INPUT) from error
+
+
+@contextmanager
+def heard():
+    """Yield a list that the texts of warnings given within are added to; they are shown as before."""
+    texts: list[str] = []
+    show = warnings.showwarning
+
+    def hear(message, *others, **named):
+        texts.append(str(message))
+        show(message, *others, **named)
+
+    warnings.showwarning = hear
+    try:
+        yield texts
+    finally:
+        warnings.showwarning = show
 
 
 def existing_file(path, what):
@@ -80,28 +96,6 @@ def unused(path):
         number += 1
         candidate = path.with_name(f"{path.stem}-{number}{path.suffix}")
     return candidate
-
-
-@contextmanager
-def progress_bars():
-    """Show the stages of the work; yield the function to call with (stage, done, total).
-
-    On a terminal a stage has a bar, which goes away at the end; elsewhere its name is printed as it begins.
-    """
-    console = error_console()
-    if not console.is_terminal:
-        yield _stage_printer(console)
-        return
-    tasks = {}
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
-    with Progress(*columns, console=console, transient=True) as bars:
-
-        def report(stage, done, total):
-            if stage not in tasks:
-                tasks[stage] = bars.add_task(stage, total=total)
-            bars.update(tasks[stage], completed=done, total=total)
-
-        yield report
 
 
 def table_of(frame, *, title=None, formats=None):
@@ -150,17 +144,6 @@ def _cell(value, number):
 def _console(stream):
     # A pipe has no width; 160 keeps rows of a table on one line.
     return Console(file=stream, highlight=False, width=None if stream.isatty() else 160)
-
-
-def _stage_printer(console):
-    begun = set()
-
-    def report(stage, done, total):
-        if stage not in begun:
-            begun.add(stage)
-            console.print(f"{stage} ...", markup=False, soft_wrap=True)
-
-    return report
 
 
 def _say(console, word, colour, message):

@@ -15,7 +15,7 @@ from skat.diagnosis.identifiability import identifiability, preflight
 from skat.diagnosis.log import check_log, check_matrix, measured_channels
 from skat.diagnosis.omnibus import find_remainder, is_structured
 from skat.diagnosis.plausibility import warn_of_doubts, warn_of_lasting_noise
-from skat.diagnosis.report import Report
+from skat.diagnosis.report.from_first_engine import FirstReport as Report
 from skat.diagnosis.residuals import Residuals
 from skat.diagnosis.selection import Selection
 from skat.diagnosis.trajectories import TrajectoryResiduals
@@ -315,6 +315,12 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
 
     def _repr_html_(self):
         return self.report_.html(figures=False) if hasattr(self, "report_") else super()._repr_html_()
+
+    def _repr_mimebundle_(self, **_):
+        """Return what Jupyter shows; scikit-learn would have it show the parameters only."""
+        if not hasattr(self, "report_"):
+            return super()._repr_mimebundle_()
+        return {"text/plain": repr(self), "text/html": self._repr_html_()}
 
     def __getattr__(self, name):
         if name.endswith("_") and not name.startswith("_") and "verdict_" not in vars(self):

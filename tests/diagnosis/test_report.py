@@ -1,626 +1,432 @@
-import base64
-import copy
-import pickle
+import dataclasses
+import hashlib
+import io
 import re
-import runpy
-import warnings
-from dataclasses import replace
-from html.parser import HTMLParser
+import subprocess
+import sys
 from pathlib import Path
-from types import SimpleNamespace
-from xml.etree import ElementTree
 
-import matplotlib
+import mujoco
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib import pyplot
+from PIL import Image
 
-from skat.diagnosis import Cause, Gain, SimulationDiagnosis
-from skat.diagnosis.comparison import EXTENDED, NOMINAL
-from skat.diagnosis.log import check_log
-from skat.diagnosis.omnibus import Remainder
 from skat.diagnosis.report import Report
-from skat.diagnosis.report.page import _rows
-from skat.diagnosis.report.pictures import typical_and_worst
-from skat.diagnosis.report.sentences import (
-    capital,
-    cause_sentence,
-    cautions,
-    gain_sentence,
-    verdict_sentences,
+from skat.diagnosis.report.changes import mjcf_changes, model_changes
+from skat.diagnosis.report.content import (
+    Alternative,
+    Change,
+    Content,
+    Episode,
+    Left,
+    Series,
+    ShownCause,
+    ShownLog,
+    SourceFile,
+    Verdict,
 )
-from skat.effects import Effect
-from skat.simulators import FunctionSimulator
+from skat.diagnosis.report.page import page
+from skat.diagnosis.report.plots import SIZE, cause_line, points_of_each, signal_plots, spectrum_plot
+from skat.diagnosis.report.provenance import provenance, source_file
+from skat.diagnosis.report.stills import worst_moment
+from skat.diagnosis.report.tables import guarded_size, is_guarded, probability_text
+from skat.simulators import MujocoSimulator
+from tests.diagnosis.pages import Page
+from tests.diagnosis.synthetic import episode, full_content
+from tests.machines import SERVO_ARM
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "plot_diagnosis.py"
-VOID = {"meta", "img", "br", "link", "input", "hr"}
+ORDER = [
+    "signals",
+    "causes",
+    "next",
+    "errors",
+    "left",
+    "noise",
+    "visible",
+    "changes",
+    "made",
+]
 
 
-def swing(X, **values):
-    """A driven pendulum, whatever its effects and channels are called."""
-    damping = next(iter(values.values()))
-    rate = X[:, 1] + 0.05 * (X[:, 2] - np.sin(X[:, 0]) - damping * X[:, 1])
-    return np.stack([X[:, 0] + 0.05 * rate, rate], axis=1)
+def bare(name="nothing detected", **parts):
+    return Content("A against B", Verdict(name, "Nothing detected", ("No effect is seen.",)), **parts)
 
 
-def blow_up(X, **values):
-    return np.where(np.abs(X[:, :1]) > 1.0, np.nan, swing(X, **values))
+def one_channel(measured, nominal, extended=None):
+    time = np.arange(len(measured), dtype=float)
+    (plot,) = signal_plots(Episode("1", time, (Series("q", "rad", measured, nominal, extended),)))
+    return plot
 
 
-def throw(Z, drag):
-    reach = (3 + np.tanh(Z[:, 0])) ** 2 * np.sin(1.4 + 0.8 * np.tanh(Z[:, 1])) / 9.81
-    return np.stack([reach / (1 + drag * reach), reach - drag], axis=1)
+def numbers_of(path):
+    return np.array([[float(part) for part in pair] for pair in re.findall(r"([-\d.]+) ([-\d.]+)", path)])
 
 
-def pendulum(function=swing, angle="angle", effect="damping[hinge]", units=None):
-    return FunctionSimulator(
-        function,
-        units=units,
-        input_names=(angle, "rate", "push"),
-        output_names=(angle, "rate"),
-        state_names=(angle, "rate"),
-        effects=(Effect(effect, unit="1/s", neutral=0.0, bounds=(0.0, 5.0)),),
+# -- what the page says --------------------------------------------------------------------------------------
+
+
+def test_sections_stand_in_the_order_in_which_they_matter():
+    ids = Page(page(full_content())).ids
+    assert [one for one in ids if one in ORDER] == ORDER
+
+
+def test_the_page_shows_every_text_and_name_of_its_content():
+    content = full_content()
+    text = Page(page(content)).text
+
+    def texts(part):
+        if isinstance(part, str):
+            yield part
+        elif isinstance(part, tuple | list):
+            for one in part:
+                yield from texts(one)
+        elif dataclasses.is_dataclass(part):
+            for field in dataclasses.fields(part):
+                yield from texts(getattr(part, field.name))
+
+    shown = [one for one in texts(content) if one not in ("1", "map", "before", "after", "ambiguous")]
+    # Alternative texts and roles of bars are attributes; a cause's sentence is the verdict's; the date is written out.
+    hidden = {still.alt for still in content.stills} | {content.provenance.date}
+    hidden |= {cause.sentence for cause in (*content.causes, *content.also_seen)}
+    missing = [one for one in shown if one and one not in hidden and re.sub(r"\s+", " ", one) not in text]
+    assert not missing
+
+
+def test_what_is_not_known_leaves_no_trace():
+    html = page(bare())
+    parsed = Page(html)
+    assert "No effect is seen." in parsed.text
+    assert parsed.ids == []
+    assert "table" not in parsed.tags
+    assert not parsed.plots
+    assert "None" not in parsed.text
+    assert "nan" not in parsed.text
+
+
+def test_links_of_the_page_lead_to_its_sections():
+    parsed = Page(page(full_content()))
+    targets = [source[1:] for source in parsed.sources if source.startswith("#")]
+    assert set(targets) >= set(ORDER)
+    assert set(targets) <= set(parsed.ids)
+    assert len(parsed.ids) == len(set(parsed.ids))
+
+
+def test_the_page_refers_to_nothing_outside_and_is_ascii():
+    html = page(full_content(title="Ångström <arm> & more"))
+    assert html.isascii()
+    assert not re.search(r"https?://|@import|url\(", html)
+    assert all(source.startswith(("#", "data:")) for source in Page(html).sources)
+    assert "<title>&#197;ngstr&#246;m &lt;arm&gt; &amp; more: 2 causes named" in html
+
+
+def test_the_same_content_gives_the_same_page():
+    assert page(full_content()) == page(full_content())
+
+
+def test_names_that_look_like_markup_stay_text():
+    evil = '<img src=x onerror="alert(1)">'
+    cause = dataclasses.replace(full_content().causes[0], name=evil, aliases=(Alternative((evil,)),))
+    series = Series(evil, evil, np.arange(3.0), np.arange(3.0))
+    log = ShownLog(evil, episodes=(Episode(evil, np.arange(3.0), (series,)),))
+    html = page(
+        full_content(title=evil, causes=(cause,), logs=(log,), changes=(Change(evil, evil, evil, evil),))
     )
+    assert "<img src=x" not in html
+    assert Page(html).text.count(evil) > 5
 
 
-def thrower():
-    drag = Effect("drag", unit="1", neutral=0.0, bounds=(-0.2, 5.0))
-    return FunctionSimulator(throw, input_names=("z0", "z1"), output_names=("a", "b"), effects=(drag,))
+def test_a_page_of_a_large_robot_stays_below_two_megabytes():
+    large = [episode(f"Episode {k}", n_times=20_000, seed=k) for k in range(3)]
+    wide = [
+        dataclasses.replace(
+            one,
+            channels=tuple(
+                dataclasses.replace(channel, name=f"{channel.name}{k}")
+                for k in range(4)
+                for channel in one.channels
+            ),
+        )
+        for one in large
+    ]
+    noise = np.random.default_rng(0).integers(0, 255, (360, 480, 3), dtype=np.uint8)
+    buffer = io.BytesIO()
+    Image.fromarray(noise).quantize(96).save(buffer, format="png")
+    content = full_content()
+    stills = tuple(dataclasses.replace(still, png=buffer.getvalue()) for still in content.stills)
+    logs = (dataclasses.replace(content.logs[0], episodes=tuple(wide)),)
+    assert len(page(full_content(logs=logs, stills=stills))) < 2e6
 
 
-def pendulum_log(n_episodes=6, seed=0, damping=0.6, n_steps=30):
-    rng = np.random.default_rng(seed)
-    states = [np.column_stack([rng.uniform(-2, 2, n_episodes), rng.normal(size=n_episodes)])]
-    pushes = rng.normal(size=(n_episodes, n_steps))
-    for step in range(n_steps):
-        states.append(swing(np.column_stack([states[-1], pushes[:, step]]), damping=damping))
-    states = np.stack(states, axis=1)
-    states += 0.01 * rng.normal(size=states.shape)
-    X = np.concatenate([states[:, :-1], pushes[:, :, None]], axis=2).reshape(-1, 3)
-    return X, states[:, 1:].reshape(-1, 2), np.repeat(np.arange(n_episodes), n_steps)
+def test_a_fragment_has_no_script_and_no_ids_that_could_meet_another_one_s():
+    parsed = Page(Report(full_content()).html())
+    assert "script" not in parsed.tags
+    assert not parsed.ids
+    assert Page(Report(full_content())._repr_html_()).plots == []
 
 
-def cause_of(simulator, value, aliases=()):
-    effect = next(iter(simulator.effects()))
-    return Cause(
-        name=effect.name,
-        family=effect.family,
-        target=effect.target,
-        value=value,
-        interval=(value - 0.0125, value + 0.0125),
-        unit=effect.unit,
-        p_value=1e-9,
-        aliases=aliases,
-        sentence=effect.describe(value),
+def test_text_says_verdict_probability_sentences_and_gain():
+    text = repr(Report(full_content()))
+    assert text.startswith("Verdict: ambiguous (probability 87 %)\n")
+    assert "Rows held out: With the causes built in" in text
+
+
+def test_a_verdict_that_does_not_exist_is_refused():
+    with pytest.raises(ValueError, match="verdict must be one of nothing detected, named"):
+        bare("perhaps")
+
+
+def test_a_table_that_is_added_is_shown_and_counted_among_the_contents():
+    report = Report(full_content())
+    report.add_table(
+        "All balls", pd.DataFrame({"error": [0.1, 0.2]}, index=pd.Index(["a", "b"], name="ball"))
     )
+    report.describe(title="Balls")
+    html = page(report.content)
+    assert "All balls ball error a 0.1 b 0.2" in Page(html).text
+    assert "#table-1" in Page(html).sources
+    with pytest.raises(TypeError, match="it is a list"):
+        report.add_table("No table", [1])
 
 
-def diagnosed(simulator, *, value=0.6, verdict="named", aliases=(), hidden=()):
-    """Return a diagnosis as fit would leave it, of what is given."""
-    diagnosis = SimulationDiagnosis(simulator, hidden=hidden)
-    diagnosis.verdict_ = verdict
-    diagnosis.causes_ = [] if value is None else [cause_of(simulator, value, aliases)]
-    diagnosis._values = {cause.name: cause.value for cause in diagnosis.causes_}
-    diagnosis.extended_simulator_ = simulator.extended(diagnosis._values)
-    diagnosis.noise_ = np.full(len(simulator.residual_names) - len(hidden), 0.01)
-    diagnosis.remainder_ = Remainder(1e-6, "rate", "angle", (("rate", "angle", 1e-7), ("angle", "rate", 0.2)))
-    diagnosis.refused_ = None
-    diagnosis.gain_ = None
-    if value is not None:
-        diagnosis.gain_ = Gain(5.91, 1.02, 1.0, 0.996, (0.98, 1.01), 1, {"rate": (0.05, 0.01)})
-    names = [effect.name for effect in simulator.effects()]
-    diagnosis.identifiability_ = pd.DataFrame(
-        {
-            "smallest": [0.02] + [np.inf] * (len(names) - 1),
-            "unit": [effect.unit for effect in simulator.effects()],
-            "nearest_alias": "",
-            "similarity": 0.25,
-        },
-        index=pd.Index(names, name="effect"),
-    )
-    return diagnosis
-
-
-def reported(simulator=None, log=None, held_out=True, **findings):
-    simulator = pendulum() if simulator is None else simulator
-    diagnosis = diagnosed(simulator, **findings)
-    X, y, groups = pendulum_log() if log is None else log
-    log = check_log(simulator, X, y, groups, hidden=diagnosis.hidden)
-    parts = log.split(0.4, np.random.RandomState(0)) if held_out else (log,)
-    diagnosis.report_ = Report(diagnosis, *parts)
-    return diagnosis.report_
-
-
-def thrown_log(drag=0.5, seed=0):
-    rng = np.random.default_rng(seed)
-    Z = rng.normal(size=(80, 2))
-    return Z, throw(Z, drag) + 0.01 * rng.normal(size=Z.shape), None
-
-
-class Page(HTMLParser):
-    """The parts of a page; tags that do not match raise."""
-
-    def __init__(self, html):
-        super().__init__()
-        self.open, self.tags, self.texts, self.sources = [], [], [], []
-        self.feed(html)
-        self.close()
-        assert not self.open, f"never closed: {self.open}"
-
-    def handle_starttag(self, tag, attributes):
-        self.tags.append(tag)
-        if tag not in VOID:
-            self.open.append(tag)
-        for name, value in attributes:
-            if name in ("src", "href"):
-                self.sources.append(value)
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag, f"</{tag}> closes something else"
-
-    def handle_data(self, data):
-        if self.open and self.open[-1] != "style":
-            self.texts.append(data)
-
-    @property
-    def text(self):
-        return re.sub(r"\s+", " ", " ".join(self.texts).replace("\N{NO-BREAK SPACE}", " "))
-
-
-def pictures_of(html):
-    """Return the SVGs of a page, parsed."""
-    sources = Page(html).sources
-    assert all(source.startswith("data:image/svg+xml;base64,") for source in sources)
-    return [ElementTree.fromstring(base64.b64decode(source.partition(",")[2])) for source in sources]
-
-
-def texts_of(svg):
-    return [element.text for element in svg.iter("{http://www.w3.org/2000/svg}text")]
-
-
-# -- words ---------------------------------------------------------------------------------------------------
-
-
-def test_a_cause_is_said_with_its_interval_in_text_and_page():
-    report = reported()
-    sentence = "Viscous damping of hinge is 0.6 1/s more than the model's (95 %: 0.5875 to 0.6125)."
-    assert sentence in report.text()
-    text = Page(report.html(figures=False)).text
-    assert sentence in text
-    assert "1 cause named" in text
+# -- numbers -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("value", "interval", "text"),
+    ("value", "interval", "neutral", "text"),
     [
-        (
-            1.050045,
-            (1.050032, 1.050058),
-            "the radius is 1.05 (1.050045; 95 %: 1.050032 to 1.050058).",
-        ),
-        (1.0502, (1.03, 1.07), "the radius is 1.05 (95 %: 1.03 to 1.07)."),
-        (0.6, (0.6, 0.6), "the radius is 0.6 (95 %: 0.6 to 0.6)."),
+        (96.0, (49.5, 240.0), 0.0, "between 49.5 and 240"),
+        (0.6, (0.588, 0.612), 0.0, "0.6"),
+        (1.02, (0.9, 1.14), 1.0, "between 0.9 and 1.14"),
+        (2.0, (1.9, 2.1), 1.0, "2"),
+        (1.0, (-np.inf, np.inf), 0.0, "between -∞ and ∞"),
     ],
 )
-def test_sentence_adds_the_size_where_rounding_puts_it_outside_its_interval(value, interval, text):
-    cause = Cause(
-        "radius[wheel]", "radius", "wheel", value, interval, "1", 0.0, (), f"the radius is {value:.3g}"
+def test_a_size_whose_interval_is_wider_than_itself_is_not_said(value, interval, neutral, text):
+    assert guarded_size(value, interval, neutral) == text
+    assert is_guarded(value, interval, neutral) == text.startswith("between")
+
+
+def test_under_unexplained_no_bare_number_stands_for_what_is_hardly_known():
+    wild = ShownCause("dry_friction[elbow]", "N m", 96.3, (49.5, 240.0), 0.0, "Dry friction of elbow.")
+    left = Left("elbow", "N m", 0.123, (0.001, 0.9))
+    errors = dataclasses.replace(full_content().logs[0].errors[0], gain=1.153, interval=(-2.0, 8.0))
+    log = ShownLog("Rows held out", errors=(errors,))
+    content = Content("x", Verdict("unexplained", "Unexplained"), causes=(wild,), left=(left,), logs=(log,))
+    text = Page(page(content)).text
+    assert "between 49.5 and 240" in text
+    assert "at most 0.9" in text
+    assert "not known" in text
+    assert "take their sizes as hints" in text
+    for bare_number in ("96", "0.123", "115"):
+        assert bare_number not in text
+
+
+def test_a_probability_is_never_a_certainty():
+    texts = [
+        probability_text(one).replace("\N{NO-BREAK SPACE}", " ") for one in (1.0, 0.996, 0.87, 0.004, 0.0)
+    ]
+    assert texts == ["> 99 %", "> 99 %", "87 %", "< 1 %", "< 1 %"]
+
+
+# -- plots ---------------------------------------------------------------------------------------------------
+
+
+def test_a_line_goes_through_the_places_of_its_values():
+    plot = one_channel(np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.5, 0.0]))
+    points = numbers_of(plot.marks[0].path)
+    np.testing.assert_allclose(points[:, 0], [0, SIZE / 2, SIZE], atol=0.01)
+    up = plot.y.low + (1 - points[:, 1] / SIZE) * (plot.y.high - plot.y.low)
+    np.testing.assert_allclose(up, [0, 1, 0], atol=2e-4)
+
+
+def test_ticks_say_where_they_stand():
+    plot = one_channel(np.linspace(-3.2, 7.9, 50), np.zeros(50))
+    for axis in (plot.x, plot.y):
+        assert 3 <= len(axis.ticks) <= 7
+        for place, text in axis.ticks:
+            said = float(text.replace("−", "-"))
+            assert axis.low + place / 100 * (axis.high - axis.low) == pytest.approx(said, abs=1e-9)
+
+
+def test_tiny_and_huge_values_are_told_in_powers_of_ten():
+    tiny = one_channel(2e-7 * np.sin(np.arange(50)), np.zeros(50))
+    assert tiny.y.label == "q (10⁻⁷ rad)"
+    assert all(len(text) <= 5 for _, text in tiny.y.ticks)
+    huge = one_channel(3e8 * np.sin(np.arange(50)), np.zeros(50))
+    assert huge.y.label == "q (10⁸ rad)"
+
+
+def test_a_constant_channel_and_one_that_was_never_simulated_are_drawn():
+    plot = one_channel(np.full(9, 3.0), np.full(9, np.nan))
+    assert plot.y.low < 3 < plot.y.high
+    assert plot.marks[1].path == ""
+
+
+def test_lines_break_where_values_are_missing_and_lone_values_are_dots():
+    gappy = np.array([0, 1, np.nan, 5, np.nan, 2, 3], dtype=float)
+    plot = one_channel(np.arange(7.0), gappy)
+    assert plot.marks[1].path.count("M") == 3
+    assert "h0" in plot.marks[1].path
+
+
+def test_a_simulation_that_runs_away_does_not_hide_what_was_measured():
+    plot = one_channel(np.sin(np.arange(60)), np.exp(np.arange(60.0)))
+    assert plot.y.high < 4
+    assert np.abs(numbers_of(plot.marks[1].path)).max() <= 10 * SIZE
+
+
+@pytest.mark.parametrize("n_times", [50, 5_000, 100_000])
+def test_a_long_line_keeps_its_extremes_and_its_ends(n_times):
+    values = np.random.default_rng(0).standard_normal(n_times)
+    (plot,) = signal_plots(
+        Episode("1", np.arange(n_times, dtype=float), (Series("q", "1", values, values),)), 500
     )
-    assert cause_sentence(cause) == capital(text)
+    points = numbers_of(plot.marks[0].path)
+    assert len(points) <= 500
+    up = plot.y.low + (1 - points[:, 1] / SIZE) * (plot.y.high - plot.y.low)
+    tolerance = 2e-4 * (plot.y.high - plot.y.low)
+    np.testing.assert_allclose([up.max(), up.min()], [values.max(), values.min()], atol=tolerance)
+    np.testing.assert_allclose(up[[0, -1]], values[[0, -1]], atol=tolerance)
 
 
-def test_rows_in_groups_are_said_to_be_so_and_compared_by_group():
-    X, y, _ = thrown_log()
-    report = reported(thrower(), (X, y, np.arange(len(X)) // 10))
-    assert f"in {report.log.n_episodes} groups" in Page(report.html(figures=False)).text
-    _, _, groups = _rows(report.log)
-    assert len(np.unique(groups)) == report.log.n_episodes < len(report.log)
+def test_all_lines_together_have_a_bounded_number_of_points():
+    for n_series in (1, 10, 100, 300):
+        assert n_series * points_of_each(n_series) <= 60_000
 
 
-def test_where_channels_were_not_measured_no_more_is_claimed_than_was_tested():
-    log = pendulum_log()
-    for array in log[:2]:
-        array[:, 1] = 0.0
-    for findings in ({"value": None, "verdict": "nothing detected"}, {}):
-        text = Page(reported(log=log, hidden=("rate",), held_out=False, **findings).html(figures=False)).text
-        assert "what it depends on was not tested" in text
-        assert "no difference from the simulation" not in text
+def test_a_spectrum_without_power_is_not_drawn():
+    content = full_content().left[0].spectrum
+    assert spectrum_plot(dataclasses.replace(content, density=np.zeros_like(content.density)), "N m") is None
 
 
-def test_a_sentence_begins_with_a_capital_unless_it_begins_with_the_name_of_an_effect():
-    assert "\n  drag is 0.5 (95 %" in reported(thrower(), thrown_log(), value=0.5).text()
-    report = reported()
-    report.diagnosis.causes_ = [replace(report.diagnosis.causes_[0], sentence="a constant force is 2 N")]
-    assert "\n  A constant force is 2 N (95 %" in report.text()
+def test_a_cause_s_line_has_its_interval_where_the_numbers_put_it():
+    cause = ShownCause("x", "1", 2.0, (1.5, 3.0), 1.0, "")
+    line = cause_line(cause)
+    assert (line.value - line.neutral) / (line.high - line.neutral) == pytest.approx(0.5)
+    assert (line.low - line.neutral) / (line.high - line.neutral) == pytest.approx(0.25)
+    assert cause_line(dataclasses.replace(cause, interval=(-np.inf, np.inf))) is None
 
 
-def test_nothing_detected_is_said_with_what_would_have_shown():
-    report = reported(value=None, verdict="nothing detected")
-    assert report.text() == "Verdict: nothing detected"
-    text = Page(report.html(figures=False)).text
-    assert "Nothing detected" in text
-    assert "no difference from the simulation that noise would not explain" in text
-    assert "1 of 5 effects would have been named" in text
-    assert "says nothing: bias[angle], bias[rate], scale[angle], scale[rate]" in text
+# -- changes of the model ------------------------------------------------------------------------------------
 
 
-def test_an_ambiguous_verdict_names_what_cannot_be_told_apart():
-    report = reported(verdict="ambiguous", aliases=("scale[rate]", "bias[rate]"))
-    assert "cannot be told from: scale[rate], bias[rate]" in report.text()
-    text = Page(report.html(figures=False)).text
-    assert (
-        "cannot tell damping[hinge] from scale[rate] and bias[rate]: put in its place, each of them" in text
+def test_changes_are_those_that_were_made():
+    before = (
+        '<mujoco><option timestep="0.002"/><worldbody><body name="a"><joint name="j" damping="1"/>'
+        '<geom size="0.1"/></body></worldbody></mujoco>'
     )
-
-
-def test_errors_without_a_shape_are_said_to_have_none():
-    simulator = pendulum()
-    diagnosis = diagnosed(simulator, value=None, verdict="unexplained")
-    diagnosis.remainder_ = Remainder(0.4, "rate", "angle", (("rate", "angle", 0.02),))
-    diagnosis.excess_p_value_, diagnosis.diverged_share_ = 1e-6, 0.0
-    X, y, groups = pendulum_log()
-    log = check_log(simulator, X, y, groups)
-    report = Report(diagnosis, *log.split(0.4, np.random.RandomState(0)))
-    assert "larger than the noise explains" in report.text()
-    assert "something acts on" not in report.text()
-    assert "What is left" not in report.html(figures=False)
-    diagnosis.excess_p_value_, diagnosis.diverged_share_ = 1.0, 0.25
-    report = Report(diagnosis, *log.split(0.4, np.random.RandomState(0)))
-    assert "The simulation diverges in 25 % of the rows, which tell nothing." in report.text()
-
-
-def test_an_unexplained_verdict_says_what_is_left_and_how_far_a_transport_comes():
-    report = reported(value=None, verdict="unexplained")
-    assert "Something acts on rate that depends on angle, and no effect known explains it." in report.text()
-    text = Page(report.html()).text
-    assert "Something acts on rate that depends on angle" in text
-    assert text.count("on data not used") >= 2  # in the verdict, and under the table of errors
-    assert "What is left" in text
-
-
-def test_what_was_significant_but_refused_is_told_beside_what_is_left():
-    diagnosis = diagnosed(pendulum(), value=None, verdict="unexplained")
-    effect = pendulum().effects()[0]
-    diagnosis.refused_ = (effect.name, 0.2718)
-    told = verdict_sentences(diagnosis, [])[1]
-    assert told.startswith(
-        f"{effect.name} = 0.272 {effect.unit} would explain a part of it, but is not named"
+    after = (
+        '<mujoco><option timestep="0.001"/><worldbody><body name="a"><joint name="j" damping="1" armature="0.1"/>'
+        '<joint name="j.play" range="0 1"/><geom size="0.10000000000000001"/></body></worldbody></mujoco>'
     )
+    assert set(mjcf_changes(before, after)) == {
+        Change("option", "timestep", "0.002", "0.001"),
+        Change('joint "j"', "armature", None, "0.1"),
+        Change('joint "j.play"', "", None, 'name="j.play" range="0 1"'),
+        # What rounds to the same is told with all digits.
+        Change('geom of body "a"', "size", "0.1", "0.10000000000000001"),
+    }
+    assert mjcf_changes(before, before) == ()
 
 
-@pytest.mark.parametrize(
-    ("gain", "expected"),
-    [
-        (
-            Gain(5.9, 1.02, 1.0, 0.996, (0.98, 1.01)),
-            "from 5.9 to 1.02 times what noise alone gives; 100 % of the",
-        ),
-        (Gain(1.1, 1.0, 1.0, 0.9, (-1.0, 3.0)), "too close to the noise to say which share"),
-        (Gain(1.1, 1.0, 1.0, 0.9, (-np.inf, np.inf)), "too close to the noise to say which share"),
-        (
-            Gain(2.8, 2.5, 1.0, 0.2, (-np.inf, np.inf)),
-            "20 % of the excess is explained, in too few rows to bound",
-        ),
-        (
-            Gain(0.024, 0.0065, 0.0073, 1.05, (0.92, 2.7), "episode"),
-            "from 0.024 to 0.0065; 105 % of the excess is explained, in too few episodes to bound the share.",
-        ),
-        (Gain(0.9, 0.88, 1.0, 0.0, (-np.inf, np.inf)), "so that there is no excess to explain"),
-        (
-            Gain(2.6, 0.1, 0.05, 0.98, (0.9, 0.99), "episode"),
-            "open-loop error of whole episodes goes from 2.6 to",
-        ),
-        (
-            Gain(2.6, 0.1, 0.05, 0.98, (np.nan, np.nan), "episode"),
-            "98 % of the excess is explained, in too few episodes for an interval.",
-        ),
-    ],
-)
-def test_a_gain_is_said_in_its_own_terms(gain, expected):
-    assert expected in gain_sentence(diagnosed(pendulum()), gain)
-
-
-@pytest.mark.parametrize(("nominal", "explained"), [(0.963, 0.0), (1.172, 3.9)])
-def test_no_share_is_said_where_the_noise_estimate_contains_what_is_unexplained(nominal, explained):
-    gain = Gain(nominal, 0.452, 1.0, explained, (-np.inf, np.inf))
-    diagnosis = diagnosed(pendulum(), verdict="unexplained")
-    sentence = gain_sentence(diagnosis, gain)
-    assert f"from {nominal:.3g} to 0.452" in sentence
-    assert "the noise estimate itself contains what is unexplained" in sentence
-    assert "%" not in sentence
-    diagnosis.noise = [0.01, 0.01]
-    assert "the noise estimate" not in gain_sentence(diagnosis, gain)
-    diagnosis.noise, diagnosis.remainder_, diagnosis.excess_p_value_ = (
-        "estimate",
-        None,
-        1.0,
-    )  # it only diverges
-    assert "the noise estimate" not in gain_sentence(diagnosis, gain)
-
-
-@pytest.mark.parametrize("n_causes", [3, 4])
-def test_a_caution_is_said_where_so_many_causes_stand_together(n_causes):
-    report = reported()
-    report.diagnosis.causes_ = report.diagnosis.causes_ * n_causes
-    caution = "So many causes together may stand for one that is not in the list."
-    for text in (
-        " ".join(verdict_sentences(report.diagnosis, [])),
-        report.text(),
-        Page(report.html(figures=False)).text,
-    ):
-        assert text.count(caution) == (n_causes > 3)
-
-
-@pytest.mark.parametrize(
-    ("names", "said"),
-    [
-        (["mass[arm]"], []),
-        (["bias[angle]", "scale[rate]"], []),
-        (["mass[arm]", "bias[angle]"], ["bias[angle] beside another cause"]),
-        (["delay[action]"], ["A filter that delays the velocities measured, and motors that answer slowly"]),
-    ],
-)
-def test_what_a_cause_may_stand_for_is_said(names, said):
-    causes = [SimpleNamespace(name=name, family=name.partition("[")[0]) for name in names]
-    found = cautions(causes)
-    assert len(found) == len(said)
-    assert all(text.startswith(start) for text, start in zip(found, said))
-
-
-def test_repr_is_the_text_and_a_notebook_shows_the_page_without_pictures():
-    report = reported()
-    assert repr(report) == report.text()
-    assert report._repr_html_() == report.html(figures=False)
-    assert "img" not in Page(report.html(figures=False)).tags
-
-
-# -- the page ------------------------------------------------------------------------------------------------
-
-
-def test_the_page_is_one_file_of_matching_tags_and_valid_pictures(tmp_path):
-    path = reported().to_html(tmp_path / "report.html")
-    html = path.read_text(encoding="utf-8")
-    assert html.startswith("<!DOCTYPE html>")
-    pictures = pictures_of(html)
-    assert len(pictures) >= 3
-    assert not re.search(r"https?://|<script|<link|@import|url\(", html)
-
-
-def test_the_page_is_ascii_so_that_no_encoding_breaks_it():
-    assert reported(pendulum(angle="ångström")).html().isascii()
-
-
-def test_pictures_follow_the_reader_between_light_and_dark():
-    html = reported().html()
-    assert "prefers-color-scheme: dark" in html
-    for source in Page(html).sources:
-        svg = base64.b64decode(source.partition(",")[2]).decode()
-        assert "prefers-color-scheme: dark" in svg
-        assert "stroke: var(--" in svg
-
-
-def test_a_simulation_with_a_state_is_shown_in_open_loop_before_and_after():
-    (cause, episodes, *_) = pictures_of(reported().html())
-    assert "damping[hinge]" in texts_of(cause)
-    assert {"measured", "simulated, before", "simulated, after", "angle", "rate", "step"} <= set(
-        texts_of(episodes)
+def test_a_model_s_changes_and_what_mjcf_cannot_express_are_those_of_its_effects():
+    arm = MujocoSimulator(SERVO_ARM, frame_skip=5)
+    joint = arm.state_names[0].removeprefix("qpos.")
+    better = arm.extended({f"dry_friction[{joint}]": 0.25, "wind[x]": 0.5})
+    changes, beside = model_changes(arm, better)
+    assert changes == (Change(f'joint "{joint}"', "frictionloss", changes[0].before, changes[0].after),)
+    compiled = better.compiled()
+    assert float(changes[0].after) == pytest.approx(
+        compiled.dof_frictionloss[
+            compiled.jnt_dofadr[mujoco.mj_name2id(compiled, mujoco.mjtObj.mjOBJ_JOINT, joint)]
+        ]
     )
+    assert len(beside) == 1
+    assert beside[0].startswith("wind[x]: ")
+    assert model_changes(object(), object()) == ((), ())
 
 
-def test_a_long_episode_is_no_worse_for_its_length():
-    assert typical_and_worst(np.array([10.0, 90.0, 4.0]), np.array([10, 300, 8])) == [2, 0]
-    assert typical_and_worst(np.array([3.0]), np.array([7])) == [0]
+# -- how it was made -----------------------------------------------------------------------------------------
 
 
-def test_a_one_shot_simulation_is_shown_measured_against_simulated():
-    texts = [texts_of(svg) for svg in pictures_of(reported(thrower(), thrown_log(), value=0.5).html())]
-    assert any(
-        {"measured a", "simulated a", "simulated, before", "simulated, after"} <= set(one) for one in texts
+def test_files_are_told_with_the_hash_that_other_tools_give(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_bytes(b"time,qpos.a\n0,1\n" * 100)
+    program = "import hashlib, sys; print(hashlib.sha256(open(sys.argv[1], 'rb').read()).hexdigest())"
+    expected = subprocess.run(
+        [sys.executable, "-c", program, path], capture_output=True, text=True, check=True
     )
+    assert source_file("log", path) == SourceFile("log", str(path), expected.stdout.strip(), 1600)
+    assert source_file("log", tmp_path / "gone.csv").sha256 == ""
 
 
-def test_independent_rows_are_shown_by_their_changes_of_state():
-    X, y = (part[::2] for part in pendulum_log()[:2])
-    texts = [texts_of(svg) for svg in pictures_of(reported(log=(X, y, None)).html())]
-    assert any({"measured change of rate", "simulated change of rate"} <= set(one) for one in texts)
+def test_a_folder_s_hash_changes_with_any_file_in_it(tmp_path):
+    for name in ("a", "b"):
+        (tmp_path / name).write_text(name)
+    first = source_file("log", tmp_path)
+    listing = "".join(f"{hashlib.sha256(name.encode()).hexdigest()}  {name}\n" for name in ("a", "b"))
+    assert first.sha256 == hashlib.sha256(listing.encode()).hexdigest()
+    assert first.path.endswith("(2 files)")
+    (tmp_path / "b").write_text("c")
+    assert source_file("log", tmp_path).sha256 != first.sha256
 
 
-def test_where_a_channel_is_hidden_only_measured_ones_are_shown():
-    X, y, groups = pendulum_log()
-    X[:, 1] = y[:, 1] = 0.0
-    html = reported(log=(X, y, groups), hidden=("rate",)).html()
-    episodes = texts_of(pictures_of(html)[1])
-    assert "angle" in episodes
-    assert "rate" not in episodes
-    assert "the initial state that fits each simulation best" in Page(html).text
-
-
-def test_what_an_error_depends_on_is_shown_only_where_it_does():
-    title = "what the error depends on"
-    assert title in Page(reported().html()).text
-    right = reported(log=pendulum_log(damping=0.0), value=None, verdict="nothing detected")
-    assert title not in Page(right.html()).text
-
-
-def test_axes_bear_the_units_that_the_simulator_knows():
-    simulator = pendulum(units={"angle": "rad", "rate": "rad/s"})
-    X, y, _ = pendulum_log()
-    _, episodes, structure, residuals = map(texts_of, pictures_of(reported(simulator).html()))
-    assert {"(rad)", "(rad/s)"} <= set(episodes) & set(residuals)
-    assert {"rate (rad/s)", "error of rate", "(rad/s)"} <= set(structure)
-    independent = pictures_of(reported(simulator, log=(X[::2], y[::2], None)).html())
-    assert any("simulated change of rate (rad/s)" in texts_of(svg) for svg in independent)
-
-
-def test_a_simulation_that_diverges_is_shown_as_far_as_it_goes():
-    html = reported(pendulum(blow_up)).html()
-    assert len(pictures_of(html)) >= 2
-    assert "rows left out, in which a simulation diverges" in Page(html).text
-
-
-def test_a_log_that_cannot_be_simulated_at_all_is_said_on_a_page_that_is_written():
-    X, y, groups = pendulum_log()
-    report = reported(pendulum(blow_up), value=0.6)
-    X[:, 0], y[:, 0] = X[:, 0] + 50, y[:, 0] + 50
-    report.add_test("Far away", X, y, groups, gain=report.diagnosis.gain_)
-    assert "No comparison by method: The simulation diverges in every row" in Page(report.html()).text
-
-
-def test_errors_are_measured_on_rows_held_out_by_every_method():
-    text = Page(reported().html()).text
-    for method in (
-        NOMINAL,
-        EXTENDED,
-        "AffineTransport",
-        "ProcrustesAffineTransport",
-        "CORAL",
-        "ExactTransport",
-    ):
-        assert method in text
-    assert "open-loop error of whole episodes" in text
-
-
-def test_without_rows_held_out_the_page_says_that_no_gain_is_measured():
-    text = Page(reported(held_out=False).html()).text
-    assert "No rows were held out" in text
-    assert "Error by method" not in text
-
-
-def test_names_are_escaped_in_page_and_pictures():
-    evil = "<script>alert('x')</script>&"
-    report = reported(pendulum(angle=evil), value=None, verdict="nothing detected")
-    report.add_table(evil, pd.DataFrame({evil: [evil]}))
-    html = report.html()
-    assert "<script" not in html
-    assert "script" not in Page(html).tags
-    assert evil in Page(html).text
-    assert any(evil in texts_of(svg) for svg in pictures_of(html))
-    assert all("script" not in element.tag for svg in pictures_of(html) for element in svg.iter())
-
-
-# -- what can be added ---------------------------------------------------------------------------------------
-
-
-def test_a_table_is_added_with_its_index_numbers_and_gaps():
-    report = reported()
-    frame = pd.DataFrame(
-        {"error": [0.123456789, np.nan], "right": [True, False]}, index=pd.Index(["one", "two"], name="ball")
+def test_provenance_has_versions_date_and_each_warning_once():
+    made = provenance(
+        command="skat diagnose", seed=3, settings={"Rate": "100 Hz", "No": None}, warnings=["w", "w"]
     )
-    report.add_table("All balls", frame)
-    frame.loc["one", "error"] = 99.0
-    html = report.html(figures=False)
-    assert '<td>one</td><td class="number">0.1235</td><td>yes</td>' in html
-    assert '<td>two</td><td class="number"></td><td>no</td>' in html
-    assert "<h2>All balls</h2>" in html
-    assert "<th>ball</th>" in html
+    assert dict(made.versions)["mujoco"] == mujoco.__version__
+    assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d[+-]\d\d:\d\d", made.date)
+    assert (made.seed, made.settings, made.warnings) == ("3", (("Rate", "100 Hz"),), ("w",))
 
 
-def test_a_long_table_is_folded_away():
-    report = reported()
-    report.add_table("Long", pd.DataFrame({"n": range(100)}))
-    assert "<summary>100 rows</summary>" in report.html(figures=False)
+# -- stills --------------------------------------------------------------------------------------------------
 
 
-def test_what_is_no_table_is_refused():
-    with pytest.raises(TypeError, match="frame must be a pandas DataFrame; it is a list"):
-        reported().add_table("Numbers", [1, 2])
-
-
-def test_another_log_is_shown_instead_of_the_rows_fitted():
-    report = reported(held_out=False)
-    errors = pd.DataFrame(
-        {"method": [NOMINAL, "mine", EXTENDED], "error": [0.3, 0.1, 0.2], "ratio": [1.5, 0.5, 1.0]}
-        | {
-            "ratio_low": [1.4, 0.4, 1.0],
-            "ratio_high": [1.6, 0.6, 1.0],
-            "n_rows": [0, 9, 0],
-            "note": ["", "", ""],
-        }
+def arm_episode(simulator, n_times=5):
+    names = simulator.state_names
+    time = np.arange(n_times, dtype=float)
+    still = np.zeros(n_times)
+    moved = np.array([0.0, 0.1, 0.4, 0.2, 0.1])
+    channels = tuple(
+        Series(name, "rad", still, moved if k == 0 else still, still) for k, name in enumerate(names)
     )
-    gain = Gain(2.5, 0.25, 0.1, 0.94, (0.9, 0.97), "episode", {"angle": (2.5, 0.25)})
-    report.add_test("Drop 2", *pendulum_log(seed=1), gain=gain, errors=errors)
-    text = Page(report.html(figures=False)).text
-    assert "Drop 2" in text
-    assert "goes from 2.5 to 0.25; 94 % of the excess is explained (95 %: 90 to 97 %)" in text
-    assert text.count("mine beats the extended simulation on data not used: 0.5 times its error") == 2
-    assert "No rows were held out" not in text
-    assert "Drop 2: the open-loop error of whole episodes goes from 2.5 to 0.25" in report.text()
+    return Episode("Episode 2, the worst", time, channels)
 
 
-# -- files ---------------------------------------------------------------------------------------------------
+def test_without_opengl_the_page_says_so_in_place_of_pictures(monkeypatch):
+    from skat.replay import NoOpenGL
+
+    def refuse(*_, **__):
+        raise NoOpenGL("MuJoCo found no OpenGL to draw with. Install one.")
+
+    monkeypatch.setattr("skat.replay.frames", refuse)
+    simulator = MujocoSimulator(SERVO_ARM)
+    stills, note = worst_moment(simulator, arm_episode(simulator))
+    assert stills == ()
+    assert "Install one." in note
+    assert note in Page(page(full_content(stills=(), stills_note=note))).text
 
 
-def test_a_file_that_exists_is_kept_unless_forced(tmp_path):
-    path = tmp_path / "report.html"
-    path.write_text("mine")
-    report = reported(held_out=False)
-    with pytest.raises(FileExistsError, match=r"report.html exists\. Choose another name, or .*force=True"):
-        report.to_html(path)
-    assert path.read_text() == "mine"
-    assert report.to_html(str(path), force=True) == path
-    assert "What the simulation gets wrong" in path.read_text()
+def test_the_worst_moment_is_the_one_that_is_drawn(monkeypatch):
+    drawn = {}
+
+    def draw(simulator, poses, ghosts, *, size):
+        drawn.update(poses=np.array(poses), ghosts=np.array(ghosts))
+        return [np.zeros((size[1], size[0], 3), dtype=np.uint8) for _ in poses]
+
+    monkeypatch.setattr("skat.replay.frames", draw)
+    simulator = MujocoSimulator(SERVO_ARM)
+    stills, note = worst_moment(simulator, arm_episode(simulator))
+    assert note == ""
+    assert drawn["poses"][:, 0].tolist() == [0.4, 0.0]
+    assert not drawn["ghosts"].any()
+    assert "2 s into episode 2, the worst" in stills[0].title
+    assert all(still.png.startswith(b"\x89PNG") for still in stills)
 
 
-def test_folders_are_refused_as_files_and_missing_ones_named(tmp_path):
-    with pytest.raises(FileExistsError, match="is a folder; expected the name of a file"):
-        reported().to_html(tmp_path, force=True)
-    with pytest.raises(FileNotFoundError, match=r"There is no folder .*nowhere"):
-        reported().to_html(tmp_path / "nowhere" / "report.html")
-
-
-# -- objects -------------------------------------------------------------------------------------------------
-
-
-def test_a_report_pickles_and_copies_with_its_diagnosis_and_shows_the_same():
-    report = reported()
-    report.add_table("More", pd.DataFrame({"n": [1]}))
-    html = report.html()
-    assert report.html() == html
-    for twin in (pickle.loads(pickle.dumps(report)), copy.deepcopy(report)):
-        assert twin.html() == html
-    frozen = pickle.dumps(report)
-    assert b"matplotlib" not in frozen
-    assert len(frozen) < 200_000
-
-
-def test_drawing_leaves_no_trace_in_pyplot():
-    before = dict(matplotlib.rcParams), pyplot.get_fignums()
-    reported().html()
-    assert (dict(matplotlib.rcParams), pyplot.get_fignums()) == before
-
-
-def test_a_report_stays_as_it_is_when_the_diagnosis_is_fitted_again():
-    X, y, groups = pendulum_log(n_episodes=8)
-    diagnosis = SimulationDiagnosis(pendulum(), random_state=0).fit(X, y, groups)
-    report = diagnosis.report_
-    first = report.text()
-    assert "damping of hinge" in first
-    diagnosis.fit(*pendulum_log(n_episodes=8, seed=1, damping=0.0))
-    assert report.text() == first
-    assert diagnosis.report_.text() != first
-
-
-def test_a_fitted_diagnosis_shows_itself_with_the_gain_on_rows_held_out(tmp_path):
-    diagnosis = SimulationDiagnosis(pendulum(), random_state=0).fit(*pendulum_log(n_episodes=10))
-    assert repr(diagnosis).endswith(diagnosis.report_.text())
-    assert diagnosis._repr_html_() == diagnosis.report_.html(figures=False)
-    copy_of_it = pickle.loads(pickle.dumps(diagnosis))
-    path = copy_of_it.report_.to_html(tmp_path / "report.html")
-    text = Page(path.read_text(encoding="utf-8")).text
-    (cause,) = diagnosis.causes_
-    assert cause.interval[0] < 0.6 < cause.interval[1]
-    assert "Rows held out" in text
-    assert "No transport beats the extended simulation" in text
-
-
-def test_the_example_finds_the_friction_that_it_hides():
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        names = runpy.run_path(str(EXAMPLE))
-    pyplot.close("all")
-    (cause,) = names["diagnosis"].causes_
-    assert cause.name == "dry_friction[hinge]"
-    assert cause.interval[0] < 0.03 < cause.interval[1]
-    assert names["gain"].ratio > 10
-    assert "No transport beats" in Page(names["diagnosis"].report_.html()).text
+def test_resources_of_the_page_are_ascii_so_that_none_is_escaped_within_it():
+    folder = Path(sys.modules[page.__module__].__file__).parent
+    for name in ("page.css", "page.js"):
+        assert (folder / name).read_bytes().isascii()

@@ -1,150 +1,118 @@
-"""The findings of a diagnosis as text and as a page."""
+"""A Content as text and as a page: a view, which computes nothing."""
 
-import copy
-import warnings
-from dataclasses import dataclass, replace
-from importlib.metadata import version
+from __future__ import annotations
 
-import pandas as pd
+import base64
+import dataclasses
+import re
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any
 
-from skat.diagnosis.comparison import ceiling_sentence, compare_transports
-from skat.diagnosis.findings import Gain
-from skat.diagnosis.log import Log, check_log
-from skat.diagnosis.report.pictures import cause_picture, log_pictures
-from skat.diagnosis.report.sentences import (
-    capital,
-    cause_sentence,
-    cautions,
-    counted,
-    gain_sentence,
-    remainder_sentence,
-    verdict_sentences,
+import numpy as np
+
+from skat.diagnosis.report.plots import (
+    cause_line,
+    cloud_plot,
+    law_plot,
+    points_of_each,
+    signal_plots,
+    spectrum_plot,
 )
 from skat.diagnosis.report.tables import (
-    Table,
+    Cell,
+    Grid,
+    alternatives_text,
     as_table,
-    cause_table,
-    channel_table,
-    error_bars,
-    error_notes,
-    identifiability_table,
-    remainder_table,
+    cause_grid,
+    change_grid,
+    error_grid,
+    force_grid,
+    guarded_size,
+    is_guarded,
+    left_grid,
+    method_grid,
+    noise_grid,
+    probability_text,
+    text_grid,
+    visibility_grid,
 )
 from skat.files import whole, writable
 
-TEMPLATE = "page.html.jinja"
-LONGEST_REPR = 120
-HEADLINES = {
-    "nothing detected": "Nothing detected",
-    "named": "{} named",
-    "ambiguous": "{} named, but the data allow other names",
-    "unexplained": "Unexplained",
-}
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from os import PathLike
+    from pathlib import Path
+
+    import pandas as pd
+
+    from skat.diagnosis.report.content import Content, Episode, Provenance, ShownLog
+
+TEMPLATE, STYLE, SCRIPT = "page.html.jinja", "page.css", "page.js"
+# Names break after a bracket, an underscore or a dot; what is as long as a hash within itself.
+BREAKS = re.compile(
+    r"(?<=[\[_])|(?<=\.)(?=[a-zA-Z])|(?<=\b[0-9a-f]{16})(?=[0-9a-f]{16})|(?<=[0-9a-f]{32})(?=[0-9a-f]{16})"
+)
+# Channels of an episode that are drawn unfolded.
+MOST_CHANNELS = 4
+# Effects that are less similar to their nearest alias can be told from it.
+ALIKE = 0.9
 
 
 @dataclass(frozen=True)
-class ShownLog:
-    """Rows that a diagnosis is shown and tested on.
+class Section:
+    """A part of the page.
 
     Attributes
     ----------
-    title : str
-    log : Log
-    gain : Gain or None
-    open_loop : Gain or None
-        Over whole episodes, where `gain` is one step ahead.
-    errors : DataFrame or None
-        From `compare_transports`.
-    note : str
-        Why there are none.
-    is_compared : bool
-        Whether `errors` and `open_loop` were sought.
+    anchor, title : str
+    grid : Grid or None
+        Of a table that the user added.
     """
 
+    anchor: str
     title: str
-    log: Log
-    gain: Gain | None = None
-    open_loop: Gain | None = None
-    errors: pd.DataFrame | None = None
-    note: str = ""
-    is_compared: bool = False
+    grid: Grid | None = None
 
 
 class Report:
-    """The findings of a fitted diagnosis, in text and as a page.
-
-    It stays as it is if the diagnosis is fitted again, pickles with it, and draws its pictures when they are
-    asked for.
+    """The findings of a diagnosis, in text and as a page.
 
     Parameters
     ----------
-    diagnosis : SimulationDiagnosis
-        Fitted.
-    log : Log
-        The rows it was fitted to.
-    held_out : Log, optional
-        The rows that measured its gain.
+    content : Content
     """
 
-    def __init__(self, diagnosis, log, held_out=None):
-        self.diagnosis, self.log = copy.copy(diagnosis), log
-        # The report of an earlier fit, with its logs.
-        vars(self.diagnosis).pop("report_", None)
-        self._tables: list[Table] = []
-        self._tests = [ShownLog("Rows held out", held_out, diagnosis.gain_)] if held_out is not None else []
+    def __init__(self, content: Content) -> None:
+        self.content = content
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         return self.text()
 
-    def _repr_html_(self):
+    def _repr_html_(self) -> str:
         return self.html(figures=False)
 
-    def text(self):
+    def text(self) -> str:
         """Return the findings as a few lines of text."""
-        diagnosis = self.diagnosis
-        lines = [f"Verdict: {diagnosis.verdict_}"]
-        for cause in diagnosis.causes_:
-            lines.append(f"  {cause_sentence(cause)}")
-            if cause.aliases:
-                lines.append(f"    cannot be told from: {', '.join(cause.aliases)}")
-        lines += [f"  {sentence}" for sentence in cautions(diagnosis.causes_)]
-        if diagnosis.verdict_ == "unexplained":
-            lines.append(f"  {capital(remainder_sentence(diagnosis))}.")
-        if diagnosis.causes_:
-            lines += [
-                f"  {test.title}: {gain_sentence(diagnosis, test.gain)}" for test in self._tests if test.gain
-            ]
-        return "\n".join(lines)
+        return page_text(self._content(figures=False))
 
-    def html(self, figures=True):
-        """Return the findings as a piece of HTML that needs no other file.
+    def html(self, figures: bool = True) -> str:
+        """Return the findings as a piece of HTML that needs no other file, for a page or a notebook.
 
         Parameters
         ----------
         figures : bool, default=True
-            Whether to add the pictures, and the errors of transports learned from the data: it takes seconds.
+            Whether to draw.
 
         Returns
         -------
         str
-            ASCII, to stand in any page or notebook; it follows the reader's choice of light or dark.
+            ASCII, without a script; it follows the reader's choice of light or dark.
         """
-        from jinja2 import Environment, PackageLoader, StrictUndefined
+        return fragment(self._content(figures))
 
-        environment = Environment(
-            loader=PackageLoader("skat.diagnosis.report", "."),
-            autoescape=True,
-            undefined=StrictUndefined,
-            trim_blocks=True,
-            lstrip_blocks=True,
-        )
-        if figures:
-            self._compare()
-        page = environment.get_template(TEMPLATE).render(self._content(figures))
-        page = page.replace(" %", "\N{NO-BREAK SPACE}%")
-        return page.encode("ascii", "xmlcharrefreplace").decode()
-
-    def to_html(self, path, *, force=False):
+    def to_html(self, path: str | PathLike[str], *, force: bool = False) -> Path:
         """Write the findings, with pictures, as a page that any browser shows.
 
         Parameters
@@ -165,18 +133,12 @@ class Report:
             If its folder does not exist.
         """
         path = writable(path, force=force)
-        body = self.html()
-        page = (
-            '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-            '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-            '<meta name="color-scheme" content="light dark">\n<title>Diagnosis of a simulation</title>\n'
-            f"</head>\n<body>\n{body}\n</body>\n</html>\n"
-        )
+        text = page(self._content(figures=True))
         with whole(path) as draft:
-            draft.write_text(page, encoding="utf-8")
+            draft.write_text(text, encoding="utf-8")
         return path
 
-    def add_table(self, title, frame):
+    def add_table(self, title: str, frame: pd.DataFrame) -> None:
         """Add a table to the page.
 
         Parameters
@@ -185,140 +147,290 @@ class Report:
         frame : DataFrame
             An index with a name is shown as the first column.
         """
-        if not isinstance(frame, pd.DataFrame):
-            raise TypeError(f"frame must be a pandas DataFrame; it is a {type(frame).__name__}.")
-        self._tables.append(as_table(title, frame))
+        self.content = dataclasses.replace(
+            self.content, tables=(*self.content.tables, checked_table(title, frame))
+        )
 
-    def add_test(self, title, X, y, groups=None, *, gain=None, errors=None):
-        """Add a log that the diagnosis was not fitted to; the page shows it instead of the rows fitted.
+    def describe(self, *, title: str | None = None, made: Provenance | None = None) -> None:
+        """Say what the findings are of and how they were made.
 
         Parameters
         ----------
-        title : str
-            What was measured.
-        X, y, groups
-            As in `SimulationDiagnosis.fit`.
-        gain : Gain, optional
-            From ``diagnosis.evaluate``; by default it is measured one step ahead.
-        errors : DataFrame, optional
-            From `compare_transports`; by default it is computed when the page is made.
+        title : str, optional
+        made : Provenance, optional
+            It takes the place of the one that there was.
         """
-        diagnosis = self.diagnosis
-        log = check_log(diagnosis.simulator, X, y, groups, fewest_rows=1, hidden=tuple(diagnosis.hidden))
-        if gain is None:
-            gain = diagnosis.evaluate(X, y, groups, initial_state=_initial_state(diagnosis))
-        self._tests.append(ShownLog(str(title), log, gain, errors=None if errors is None else errors.copy()))
+        self.content = dataclasses.replace(
+            self.content,
+            title=self.content.title if title is None else title,
+            provenance=self.content.provenance if made is None else made,
+        )
 
-    # -- content ------------------------------------------------------------------------------------------
+    def _content(self, figures: bool) -> Content:
+        return self.content if figures else without_figures(self.content)
 
-    def _compare(self):
-        """Measure each test in open loop, and transports on it, once."""
-        fitted = _rows(self.log)
-        for index, test in enumerate(self._tests):
-            if test.is_compared:
-                continue
-            rows, errors, note = _rows(test.log), test.errors, ""
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", UserWarning)  # the rows were accepted before
-                if errors is None:
-                    try:
-                        errors = compare_transports(
-                            self.diagnosis,
-                            *fitted[:2],
-                            *rows[:2],
-                            groups_fit=fitted[2],
-                            groups_test=rows[2],
-                            random_state=0,
-                        )
-                    except (ValueError, RuntimeError) as error:  # no row of it can be simulated
-                        note = f"No comparison by method: {error}"
-                open_loop = self._open_loop_gain(test, rows)
-            self._tests[index] = replace(
-                test, errors=errors, open_loop=open_loop, note=note, is_compared=True
+
+def checked_table(title: str, frame: pd.DataFrame):
+    """Return a DataFrame as a Table, after a check that it is one."""
+    import pandas as pd
+
+    if not isinstance(frame, pd.DataFrame):
+        raise TypeError(f"frame must be a pandas DataFrame; it is a {type(frame).__name__}.")
+    return as_table(title, frame)
+
+
+def page(content: Content) -> str:
+    """Return a whole page, in ASCII."""
+    title = _escaped(f"{content.title}: {content.verdict.headline}")
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f'<meta name="color-scheme" content="light dark">\n<title>{title}</title>\n'
+        # An empty icon: else a browser asks for one.
+        f'<link rel="icon" href="data:,">\n</head>\n<body>\n{_rendered(content, is_page=True)}\n</body>\n</html>\n'
+    )
+
+
+def fragment(content: Content) -> str:
+    """Return a piece of a page, in ASCII and without a script."""
+    return _rendered(content, is_page=False)
+
+
+def page_text(content: Content) -> str:
+    """Return what the page says first, as lines of text."""
+    verdict = content.verdict
+    head = f"Verdict: {verdict.name}"
+    if verdict.probability is not None:
+        head += f" (probability {probability_text(verdict.probability)})".replace("\N{NO-BREAK SPACE}", " ")
+    lines = [head, *(f"  {sentence}" for sentence in verdict.sentences)]
+    lines += [f"  {log.title}: {sentence}" for log in content.logs for sentence in log.sentences]
+    return "\n".join(lines)
+
+
+def without_figures(content: Content) -> Content:
+    """Return the content without what is drawn."""
+    logs = tuple(dataclasses.replace(log, episodes=(), clouds=()) for log in content.logs)
+    left = tuple(dataclasses.replace(one, law=None, spectrum=None) for one in content.left)
+    return dataclasses.replace(content, logs=logs, left=left, stills=(), stills_note="")
+
+
+# -- what the template shows ---------------------------------------------------------------------------------
+
+
+def _rendered(content: Content, *, is_page: bool) -> str:
+    body = _template().render(content=content, is_page=is_page, **_parts(content))
+    return body.replace(" %", "\N{NO-BREAK SPACE}%").encode("ascii", "xmlcharrefreplace").decode()
+
+
+@cache
+def _template() -> Any:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from markupsafe import Markup
+
+    environment = Environment(
+        loader=PackageLoader("skat.diagnosis.report", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"breakable": _breakable, "readable_date": _readable_date}
+    environment.globals |= {
+        "css": Markup(_resource(STYLE)),
+        "script": Markup(_resource(SCRIPT)),
+        "probability_text": probability_text,
+        "alternatives_text": alternatives_text,
+    }
+    return environment.get_template(TEMPLATE)
+
+
+def _parts(content: Content) -> dict[str, Any]:
+    visible = [one for one in content.visibility if np.isfinite(one.smallest)]
+    roles = [
+        ("measured", "measured"),
+        ("before", "simulated, before" if _has_after(content) else "simulated"),
+    ]
+    if _has_after(content):
+        roles.append(("after", "simulated, after"))
+    left = [
+        (
+            one,
+            None if one.law is None else law_plot(one.law, one.unit),
+            None if one.spectrum is None else spectrum_plot(one.spectrum, one.unit),
+        )
+        for one in content.left
+    ]
+    left = [one for one in left if one[1] or one[2] or one[0].sentence]
+    return {
+        "sections": _sections(content),
+        "roles": roles,
+        "shown": [_Shown(log, content) for log in content.logs if log.episodes or log.clouds],
+        "stills": [(one, _data_uri(one.png, "image/png")) for one in content.stills],
+        "lines": [
+            (cause, line, _Size(cause)) for cause in content.causes if (line := cause_line(cause)) is not None
+        ],
+        "errors": [
+            (
+                log,
+                error_grid(f"Errors, {log.title}", log.errors) if log.errors else None,
+                method_grid(f"Errors by method, {log.title}", log.comparison) if log.comparison else None,
             )
+            for log in content.logs
+            if _has_errors(log)
+        ],
+        "left": left,
+        "law_has_before": [one.law is not None and one.law.before is not None for one, *_ in left],
+        "n_visible": len(visible),
+        "invisible": [one.name for one in content.visibility if not np.isfinite(one.smallest)],
+        "facts": _facts(content),
+        "grids": _grids(content, visible),
+    }
 
-    def _open_loop_gain(self, test, rows):
-        """Return the Gain over whole episodes, or None if it is known or there is none."""
-        known = test.gain is not None and test.gain.horizon == "episode"
-        if known or not test.log.consecutive or not self.diagnosis.causes_:
-            return None
-        diagnosis = copy.copy(self.diagnosis)
-        diagnosis.random_state = 0
-        try:
-            return diagnosis.evaluate(*rows, horizon="episode", initial_state=_initial_state(diagnosis))
-        except RuntimeError:  # an episode diverges, which the picture shows
-            return None
 
-    def _content(self, figures):
-        diagnosis = self.diagnosis
-        shown = self._tests or [ShownLog("Rows fitted", self.log)]
-        pictures = {}
-        if figures:
-            pictures = {index: log_pictures(diagnosis, test.log) for index, test in enumerate(shown)}
-        table, invisible = identifiability_table(diagnosis)
-        return {
-            "verdict": diagnosis.verdict_,
-            "headline": HEADLINES[diagnosis.verdict_].format(counted(diagnosis.causes_, "cause")),
-            "sentences": verdict_sentences(
-                diagnosis, [test.errors for test in self._tests if test.errors is not None]
+class _Size:
+    """A cause's size in words, and whether a dot may stand for it."""
+
+    def __init__(self, cause):
+        unit = "" if cause.unit in ("", "1") else f" {cause.unit}"
+        self.text = f"{guarded_size(cause.value, cause.interval, cause.neutral)}{unit}"
+        self.has_dot = not is_guarded(cause.value, cause.interval, cause.neutral)
+
+
+class _Shown:
+    """The plots of a log."""
+
+    def __init__(self, log: ShownLog, content: Content):
+        n_series = sum(
+            len(episode.channels) * (3 if _has_after(content) else 2)
+            for one in content.logs
+            for episode in one.episodes
+        )
+        most = points_of_each(n_series)
+        self.title, self.signal_horizon, self.is_fitted = log.title, log.signal_horizon, log.is_fitted
+        self.episodes = [(episode.label, *_split(episode, most)) for episode in log.episodes]
+        self.clouds = [cloud_plot(cloud) for cloud in log.clouds]
+
+
+def _split(episode: Episode, most_points: int) -> tuple[list, list]:
+    plots = signal_plots(episode, most_points)
+    return plots[:MOST_CHANNELS], plots[MOST_CHANNELS:]
+
+
+def _has_after(content: Content) -> bool:
+    shown = [
+        one for log in content.logs for part in (*log.episodes, log) for one in getattr(part, "channels", ())
+    ]
+    shown += [cloud for log in content.logs for cloud in log.clouds]
+    return any(one.extended is not None for one in shown)
+
+
+def _has_errors(log: ShownLog) -> bool:
+    return bool(log.errors or log.comparison or log.sentences or log.comparison_sentences or log.is_fitted)
+
+
+def _grids(content: Content, visible: list) -> dict[str, Grid | None]:
+    confused = {cause.name for cause in content.causes if cause.aliases}
+    near = [one for one in visible if one.name in confused or (one.similarity or 0.0) >= ALIKE]
+    files_of = content.provenance.files
+    return {
+        "causes": cause_grid("Causes", content.causes) if content.causes else None,
+        "also_seen": cause_grid("Also seen", content.also_seen) if content.also_seen else None,
+        "apart": visibility_grid("What cannot be told apart", near) if near else None,
+        "left": left_grid("What is left", content.left)
+        if any(o.rms is not None for o in content.left)
+        else None,
+        "noise": noise_grid("Noise", content.noise) if content.noise else None,
+        "forces": force_grid("Random forces", content.forces) if content.forces else None,
+        "visibility": visibility_grid("Effects that would have shown", visible) if visible else None,
+        "changes": change_grid("Changes of the model", content.changes) if content.changes else None,
+        "files": _file_grid(files_of) if files_of else None,
+    }
+
+
+def _file_grid(shown) -> Grid:
+    rows = tuple(
+        (
+            Cell(one.role),
+            Cell(one.path),
+            Cell(
+                "" if one.size is None else f"{one.size:,}".replace(",", "\N{NARROW NO-BREAK SPACE}"),
+                one.size,
             ),
-            "causes": cause_table(diagnosis.causes_) if diagnosis.causes_ else None,
-            "cause_picture": cause_picture(diagnosis) if figures else None,
-            "tests": [
-                {
-                    "title": test.title,
-                    "fitted": not self._tests,
-                    "gains": [
-                        gain_sentence(diagnosis, gain)
-                        for gain in (test.gain, test.open_loop)
-                        if gain and diagnosis.causes_
-                    ],
-                    "errors": error_bars(test.errors) if test.errors is not None else None,
-                    "ceiling": ceiling_sentence(test.errors) if test.errors is not None else "",
-                    "notes": error_notes(test.errors) if test.errors is not None else [],
-                    "note": test.note,
-                    "channels": channel_table(diagnosis, test),
-                    "pictures": pictures.get(index, []),
-                }
-                for index, test in enumerate(shown)
-            ],
-            "remainder": remainder_table(diagnosis),
-            "identifiability": table,
-            "invisible": invisible,
-            "tables": self._tables,
-            "facts": self._facts(),
-        }
-
-    def _facts(self):
-        diagnosis, log = self.diagnosis, self.log
-        simulator = diagnosis.simulator
-        episodes = f" in {log.n_episodes} {'episodes' if log.consecutive else 'groups'}"
-        if not log.consecutive and log.n_episodes == len(log):
-            episodes = ", independent of each other"
-        effects = len(diagnosis.identifiability_)
-        facts = {
-            "Simulator": _short(simulator),
-            "Rows fitted": f"{len(log)}{episodes}",
-            "Inputs": ", ".join(simulator.input_names),
-            "Outputs": ", ".join(simulator.output_names),
-            "Not measured": ", ".join(diagnosis.hidden),
-            "Effects considered": f"{effects}, at most {diagnosis.max_effects} named",
-            "Chance of a false alarm": f"at most {diagnosis.alpha:g}",
-            "Noise": "estimated from the log" if isinstance(diagnosis.noise, str) else "given",
-            "Written by": f"skat {version('skat')}",
-        }
-        return {name: fact for name, fact in facts.items() if fact}
+            Cell(one.sha256 or "not known"),
+        )
+        for one in shown
+    )
+    return Grid("Files", ("file", "path", "bytes", "SHA-256"), ("text", "text", "number", "text"), rows)
 
 
-def _short(simulator):
-    text = repr(simulator)
-    return text if len(text) <= LONGEST_REPR else type(simulator).__name__
+def _sections(content: Content) -> list[Section]:
+    grids = _grids(content, [one for one in content.visibility if np.isfinite(one.smallest)])
+    made = content.provenance
+    candidates: Iterator[tuple[str, str, Any]] = iter(
+        [
+            (
+                "signals",
+                "Measured and simulated",
+                content.stills
+                or content.stills_note
+                or any(log.episodes or log.clouds for log in content.logs),
+            ),
+            ("causes", "Causes", content.causes or content.also_seen),
+            (
+                "next",
+                "What cannot be told apart, and what to measure next",
+                grids["apart"] or content.next_steps,
+            ),
+            ("errors", "Errors", any(_has_errors(log) for log in content.logs)),
+            ("left", "What is left", content.left or content.left_sentences),
+            ("noise", "Noise", content.noise or content.forces),
+            ("visible", "What these data could have shown", content.visibility),
+            ("changes", "Changes of the model", content.changes or content.beside),
+        ]
+    )
+    sections = [Section(anchor, title) for anchor, title, is_there in candidates if is_there]
+    sections += [
+        Section(f"table-{number}", table.title, text_grid(table))
+        for number, table in enumerate(content.tables, start=1)
+    ]
+    if any((made.date, made.files, made.command, made.versions, made.settings, made.warnings, made.notes)):
+        sections.append(Section("made", "How this was made"))
+    return sections
 
 
-def _initial_state(diagnosis):
-    return "fitted" if tuple(diagnosis.hidden) else "measured"
+def _facts(content: Content) -> list[tuple[str, str]]:
+    made = content.provenance
+    facts = [
+        ("Command", made.command),
+        ("Date", made.date),
+        ("Seed", made.seed),
+        *made.settings,
+        ("Versions", ", ".join(f"{name} {version}" for name, version in made.versions)),
+    ]
+    return [(name, fact) for name, fact in facts if fact]
 
 
-def _rows(log):
-    """Return X, y and the episodes of a log."""
-    return log.X, log.y, log.episodes if log.consecutive or log.n_episodes < len(log) else None
+def _breakable(text: str):
+    """Return the text with places at which a long name or number may be broken."""
+    from markupsafe import Markup, escape
+
+    return Markup("<wbr>").join(escape(piece) for piece in BREAKS.split(text))
+
+
+def _readable_date(date: str) -> str:
+    """Return a date of ISO 8601 to the minute, in words as far as need be."""
+    return f"{date[:10]} {date[11:16]} {'UTC' if date.endswith('+00:00') else date[19:]}".strip()
+
+
+def _resource(name: str) -> str:
+    return files("skat.diagnosis.report").joinpath(name).read_text(encoding="utf-8")
+
+
+def _data_uri(content: bytes, kind: str) -> str:
+    return f"data:{kind};base64,{base64.b64encode(content).decode()}"
+
+
+def _escaped(text: str) -> str:
+    from html import escape
+
+    return escape(text).encode("ascii", "xmlcharrefreplace").decode()

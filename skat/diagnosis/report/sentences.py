@@ -4,12 +4,15 @@ import numpy as np
 
 from skat.diagnosis.comparison import ceiling_sentence, is_beaten
 from skat.diagnosis.omnibus import is_structured
+from skat.diagnosis.report.tables import is_guarded
 from skat.rounding import interval_text, size_text
 from skat.simulators.base import is_sensor
 
 # An error of less than so many times the floor says little of a share of its excess.
 NEAR_FLOOR = 2.0
 MANY_CAUSES = 4
+# Beyond rounding, no cause explains more than all of an excess.
+MOST_EXPLAINED = 1.05
 
 
 def verdict_sentences(diagnosis, comparisons):
@@ -23,7 +26,8 @@ def verdict_sentences(diagnosis, comparisons):
         From `compare_transports`; where a transport does better, the verdict says so.
     """
     unexplained = diagnosis.verdict_ == "unexplained"
-    sentences = [cause_sentence(cause) for cause in diagnosis.causes_]
+    neutral = {effect.name: effect.neutral for effect in diagnosis.simulator.effects(also="all")}
+    sentences = [cause_sentence(cause, neutral.get(cause.name, 0.0)) for cause in diagnosis.causes_]
     for cause in diagnosis.causes_:
         if cause.aliases:
             others, each = _listed(cause.aliases), "each of them" if len(cause.aliases) > 1 else "it"
@@ -99,7 +103,8 @@ def share_sentence(diagnosis, gain):
     pieces = "rows" if gain.horizon == 1 else "episodes"
     is_wide = gain.interval[1] - gain.interval[0] > 1
     is_near = gain.nominal <= gain.floor or (is_wide and gain.nominal < NEAR_FLOOR * gain.floor)
-    if is_near and _hides_in_the_noise(diagnosis):
+    # A share of more than all of it says that the floor is too high.
+    if (is_near or gain.explained > MOST_EXPLAINED) and _hides_in_the_noise(diagnosis):
         return "the noise estimate itself contains what is unexplained, so that no share of it can be given."
     if gain.nominal <= gain.floor:
         return "the simulation's error was no larger than noise alone makes it, so that there is no excess to explain."
@@ -133,8 +138,19 @@ def _hides_in_the_noise(diagnosis):
     return diagnosis.verdict_ == "unexplained" and is_estimated and not _only_diverges(diagnosis)
 
 
-def cause_sentence(cause):
-    """Return a Cause in a sentence, with its interval."""
+def cause_sentence(cause, neutral=0.0):
+    """Return a Cause in a sentence, with its interval; without a size where the interval says none.
+
+    Parameters
+    ----------
+    cause : Cause
+    neutral : float, default=0
+        The value at which it does nothing.
+    """
+    if is_guarded(cause.value, cause.interval, neutral):
+        unit = "" if cause.unit in ("", "1") else f" {cause.unit}"
+        ends = interval_text(cause.interval).replace(" to ", " and ")
+        return f"{cause.name} lies between {ends}{unit} (95 %), too wide to say a size."
     sentence = cause.sentence if cause.sentence.startswith(cause.name) else capital(cause.sentence)
     end = (
         "; the estimate is at the end of the range allowed, so something else may be behind it"

@@ -1,0 +1,549 @@
+"""All that a report shows, as frozen data: who fills it computes, and the page is a view that computes nothing.
+
+What is not known is None, or an empty tuple, and is left out of the page. Names of channels, joints and effects are
+those of the simulator. Where the diagnosis named nothing, `extended` is None wherever it stands beside `nominal`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+VERDICTS = ("nothing detected", "named", "ambiguous", "unexplained")
+
+
+# -- what is said first --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """Another name, or set of names, that explains the log nearly as well.
+
+    Attributes
+    ----------
+    names : tuple of str
+    probability : float or None
+        None where the engine gives none.
+    """
+
+    names: tuple[str, ...]
+    probability: float | None = None
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The answer in one line, and what has to be said beside it.
+
+    Attributes
+    ----------
+    name : {"nothing detected", "named", "ambiguous", "unexplained"}
+    headline : str
+        Such as "1 cause named".
+    sentences : tuple of str
+    probability : float or None
+        Of the set of causes named; None where the engine gives none.
+    alternatives : tuple of Alternative
+        Other sets, most probable first.
+    """
+
+    name: str
+    headline: str
+    sentences: tuple[str, ...] = ()
+    probability: float | None = None
+    alternatives: tuple[Alternative, ...] = ()
+
+
+@dataclass(frozen=True)
+class ShownCause:
+    """A cause with all that is known of it.
+
+    Attributes
+    ----------
+    name, unit : str
+    value : float
+    interval : tuple of two floats
+        95 %.
+    neutral : float
+        At which it does nothing.
+    sentence : str
+    probability : float or None
+    evidence : str
+        In the engine's own terms, such as "p = 0.002" or "34 nats".
+    aliases : tuple of Alternative
+    at_bound : bool
+        Whether the estimate stands at an end of the range allowed.
+    """
+
+    name: str
+    unit: str
+    value: float
+    interval: tuple[float, float]
+    neutral: float
+    sentence: str
+    probability: float | None = None
+    evidence: str = ""
+    aliases: tuple[Alternative, ...] = ()
+    at_bound: bool = False
+
+
+# -- measured against simulated ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """A channel over time: measured, and simulated before and after.
+
+    Attributes
+    ----------
+    name, unit : str
+    measured, nominal : ndarray of shape (n_times,)
+        NaN where there is none: lines break there.
+    extended : ndarray of shape (n_times,) or None
+    """
+
+    name: str
+    unit: str
+    measured: Array
+    nominal: Array
+    extended: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """Channels of an episode, those with the largest error first.
+
+    Attributes
+    ----------
+    label : str
+        Such as "episode 3, the worst".
+    time : ndarray of shape (n_times,)
+    time_label : str
+        With its unit: "time (s)", or "step".
+    channels : tuple of Series
+    """
+
+    label: str
+    time: Array
+    channels: tuple[Series, ...]
+    time_label: str = "time (s)"
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """A channel of rows that do not follow each other: measured against simulated.
+
+    Attributes
+    ----------
+    name, unit : str
+    measured, nominal : ndarray of shape (n_rows,)
+    extended : ndarray of shape (n_rows,) or None
+    """
+
+    name: str
+    unit: str
+    measured: Array
+    nominal: Array
+    extended: Array | None = None
+
+
+@dataclass(frozen=True)
+class ChannelError:
+    """Root mean squared error of a channel, in its unit.
+
+    Attributes
+    ----------
+    name, unit : str
+    nominal : float
+    extended : float or None
+    floor : float or None
+        What noise alone gives.
+    gain : float or None
+        Share of the excess over the floor that is gone.
+    interval : tuple of two floats or None
+        95 %, of `gain`.
+    """
+
+    name: str
+    unit: str
+    nominal: float
+    extended: float | None = None
+    floor: float | None = None
+    gain: float | None = None
+    interval: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class MethodError:
+    """Error of a simulation, or of a map from it to the data.
+
+    Attributes
+    ----------
+    method : str
+    error : float or None
+        In standard deviations of each output; None where the method has no answer.
+    kind : {"before", "after", "map"}
+    ratio : float or None
+        To the extended simulation's.
+    interval : tuple of two floats or None
+        95 %, of `ratio`.
+    n_rows : int
+        That it was fitted to.
+    """
+
+    method: str
+    error: float | None
+    kind: str = "map"
+    ratio: float | None = None
+    interval: tuple[float, float] | None = None
+    n_rows: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class ShownLog:
+    """Data with which the simulations are compared: best those that nothing was fitted to.
+
+    Attributes
+    ----------
+    title : str
+        Such as "Rows held out".
+    is_fitted : bool
+        Whether the causes were fitted to these very rows, so that no gain is measured.
+    horizon : str
+        In words, how far ahead `errors` predict: "0.4 s ahead", "one step ahead", "whole episodes".
+    signal_horizon : str
+        The same of `episodes`.
+    sentences : tuple of str
+        What the gain is.
+    episodes : tuple of Episode
+        The worst first.
+    clouds : tuple of Cloud
+        In their place where rows do not follow each other.
+    errors : tuple of ChannelError
+    comparison : tuple of MethodError
+    comparison_sentences : tuple of str
+        What the comparison says, with its notes.
+    """
+
+    title: str
+    is_fitted: bool = False
+    horizon: str = ""
+    signal_horizon: str = ""
+    sentences: tuple[str, ...] = ()
+    episodes: tuple[Episode, ...] = ()
+    clouds: tuple[Cloud, ...] = ()
+    errors: tuple[ChannelError, ...] = ()
+    comparison: tuple[MethodError, ...] = ()
+    comparison_sentences: tuple[str, ...] = ()
+
+
+# -- what is left, and what could be seen --------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Law:
+    """How a mean depends on a regressor, in bins.
+
+    Attributes
+    ----------
+    regressor, unit : str
+    x, mean, low, high : ndarray of shape (n_bins,)
+        Centre of each bin, the mean and its 95 % interval.
+    before : ndarray of shape (n_bins,) or None
+        The mean that the simulation as given leaves, for comparison.
+    """
+
+    regressor: str
+    unit: str
+    x: Array
+    mean: Array
+    low: Array
+    high: Array
+    before: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Power density of what is left.
+
+    Attributes
+    ----------
+    frequency : ndarray of shape (n_frequencies,)
+        In Hz.
+    density : ndarray of shape (n_frequencies,)
+        In squared units per Hz.
+    word : str
+        "white", "drift", "vibration at 22 Hz", "impacts".
+    """
+
+    frequency: Array
+    density: Array
+    word: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Left:
+    """What no cause explains, at one joint or channel.
+
+    Attributes
+    ----------
+    name : str
+        Of the joint, or of the channel.
+    unit : str
+        "N m", "N", or the channel's own.
+    rms : float or None
+        Root mean square.
+    interval : tuple of two floats or None
+        95 %; where it is wide, the page gives a bound in the place of a number.
+    scale : float or None
+        What `rms` is to be held against: the root mean square of what the actuators do there.
+    predictable : float or None
+        Share of its variance that the regressor of `law` predicts, on rows not used to find it.
+    law : Law or None
+    spectrum : Spectrum or None
+    sentence : str
+    """
+
+    name: str
+    unit: str
+    rms: float | None = None
+    interval: tuple[float, float] | None = None
+    scale: float | None = None
+    predictable: float | None = None
+    law: Law | None = None
+    spectrum: Spectrum | None = None
+    sentence: str = ""
+
+
+@dataclass(frozen=True)
+class ChannelNoise:
+    """Noise of a measured channel.
+
+    Attributes
+    ----------
+    name, unit : str
+    deviation : float
+        Standard deviation.
+    interval : tuple of two floats or None
+        95 %.
+    tail : float or None
+        Degrees of freedom of Student's law; infinite where it is normal.
+    """
+
+    name: str
+    unit: str
+    deviation: float
+    interval: tuple[float, float] | None = None
+    tail: float | None = None
+
+
+@dataclass(frozen=True)
+class ForceNoise:
+    """A random force on a joint.
+
+    Attributes
+    ----------
+    name, unit : str
+    rms : float
+    memory_s : float or None
+        Time constant; 0 where it is white.
+    """
+
+    name: str
+    unit: str
+    rms: float
+    memory_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Visibility:
+    """How small an effect these data would have shown.
+
+    Attributes
+    ----------
+    name, unit : str
+    smallest : float
+        Away from neutral, named one time in two; infinite where these data say nothing of it.
+    nearest_alias : str
+    similarity : float or None
+        To that, from 0 to 1: at 1 the two cannot be told apart.
+    is_named : bool
+    excitation : str
+        What to measure so that the two could be told apart.
+    """
+
+    name: str
+    unit: str
+    smallest: float
+    nearest_alias: str = ""
+    similarity: float | None = None
+    is_named: bool = False
+    excitation: str = ""
+
+
+# -- what to do about it, and how it was found ---------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Change:
+    """An attribute of an element of the model, before and after.
+
+    Attributes
+    ----------
+    element : str
+        Such as ``joint "elbow"``.
+    attribute : str
+        Empty where the element as a whole came or went.
+    before, after : str or None
+        None where it was not there.
+    """
+
+    element: str
+    attribute: str
+    before: str | None
+    after: str | None
+
+
+@dataclass(frozen=True)
+class Still:
+    """A picture of the robot.
+
+    Attributes
+    ----------
+    title, alt : str
+    png : bytes
+    """
+
+    title: str
+    alt: str
+    png: bytes
+
+
+@dataclass(frozen=True)
+class SourceFile:
+    """A file that the findings come from.
+
+    Attributes
+    ----------
+    role : str
+        "model", "log", "test".
+    path : str
+        As the user gave it.
+    sha256 : str
+        Empty where it is a folder or is gone.
+    size : int or None
+        In bytes.
+    """
+
+    role: str
+    path: str
+    sha256: str = ""
+    size: int | None = None
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """How the findings were made.
+
+    Attributes
+    ----------
+    date : str
+        ISO 8601, with the offset from UTC.
+    files : tuple of SourceFile
+    command : str
+        Empty where it was no command.
+    versions : tuple of (str, str)
+        Names of packages with their versions.
+    seed : str
+    settings : tuple of (str, str)
+    warnings, notes : tuple of str
+        All that was said while the log was read and the diagnosis ran.
+    """
+
+    date: str = ""
+    files: tuple[SourceFile, ...] = ()
+    command: str = ""
+    versions: tuple[tuple[str, str], ...] = ()
+    seed: str = ""
+    settings: tuple[tuple[str, str], ...] = ()
+    warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of the user's own: texts, ready to be shown.
+
+    Attributes
+    ----------
+    title : str
+    columns : list of str
+    rows : list of list of str
+    numeric : list of bool
+        Which columns hold numbers.
+    """
+
+    title: str
+    columns: list[str]
+    rows: list[list[str]]
+    numeric: list[bool]
+
+
+@dataclass(frozen=True, eq=False)
+class Content:
+    """All that a page shows.
+
+    Attributes
+    ----------
+    title : str
+        What it is of, such as "arm.xml against monday.csv".
+    verdict : Verdict
+    causes : tuple of ShownCause
+        Most telling first.
+    also_seen : tuple of ShownCause
+        True, but too small to matter.
+    logs : tuple of ShownLog
+    left : tuple of Left
+        The largest first.
+    left_sentences : tuple of str
+    noise : tuple of ChannelNoise
+    forces : tuple of ForceNoise
+    visibility : tuple of Visibility
+    next_steps : tuple of str
+        What to measure next, most useful first.
+    changes : tuple of Change
+    beside : tuple of str
+        What the model's format cannot express of the causes, in words.
+    stills : tuple of Still
+    stills_note : str
+        Why there are none.
+    tables : tuple of Table
+    provenance : Provenance
+    """
+
+    title: str
+    verdict: Verdict
+    causes: tuple[ShownCause, ...] = ()
+    also_seen: tuple[ShownCause, ...] = ()
+    logs: tuple[ShownLog, ...] = ()
+    left: tuple[Left, ...] = ()
+    left_sentences: tuple[str, ...] = ()
+    noise: tuple[ChannelNoise, ...] = ()
+    forces: tuple[ForceNoise, ...] = ()
+    visibility: tuple[Visibility, ...] = ()
+    next_steps: tuple[str, ...] = ()
+    changes: tuple[Change, ...] = ()
+    beside: tuple[str, ...] = ()
+    stills: tuple[Still, ...] = ()
+    stills_note: str = ""
+    tables: tuple[Table, ...] = ()
+    provenance: Provenance = field(default_factory=Provenance)
+
+    def __post_init__(self) -> None:
+        if self.verdict.name not in VERDICTS:
+            raise ValueError(f"verdict must be one of {', '.join(VERDICTS)}; it is {self.verdict.name!r}.")
