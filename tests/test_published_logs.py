@@ -1,6 +1,5 @@
 """The documented command for each published log reads it as it is."""
 
-import json
 import re
 import shlex
 from pathlib import Path
@@ -9,7 +8,6 @@ import pytest
 from typer.testing import CliRunner
 
 from skat.cli import app
-from skat.experiments import studies
 from skat.simulators import make_simulator
 
 GUIDE = Path(__file__).parent.parent / "docs" / "user_guide"
@@ -70,28 +68,6 @@ def test_a_published_log_is_read_by_its_command(here, command):
     channels = [line for line in result.stdout.splitlines() if re.search(r"│ (qpos|qvel|ctrl)\.", line)]
     assert len(channels) >= 3
     assert not [line for line in channels if "not measured" in line and "│ qvel." not in line]
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("command", COMMANDS, ids=[command.split()[1] for command in COMMANDS])
-def test_ten_seconds_of_a_published_log_are_diagnosed_by_its_command(here, command, monkeypatch):
-    if ".db3" in command:
-        pytest.importorskip("rosbags")
-    whole, looked_at = studies.study_log, []
-
-    def study_log(log, **parameters):
-        looked_at.append(log.rows(log.time < log.time[0] + 10))
-        return whole(looked_at[0], **parameters)
-
-    monkeypatch.setattr(studies, "study_log", study_log)
-    words = [*shlex.split(command.replace("check", "diagnose", 1)), "--quick", "--json", "found.json"]
-    result = CliRunner().invoke(app, words)
-    assert result.exit_code == 0, result.output
-    assert len(looked_at[0]) * looked_at[0].dt == pytest.approx(10, rel=0.2)
-    found = json.loads((here / "found.json").read_text())
-    assert found["verdict"] in ("nothing detected", "named", "ambiguous", "unexplained")
-    for cause in found["causes"]:
-        assert cause["interval"][0] <= cause["value"] <= cause["interval"][1]
 
 
 def test_every_measured_log_of_an_arm_has_a_command():

@@ -108,14 +108,14 @@ class AffineMap:
         carried = np.square(self.coef @ source.covariance_factor().T).sum(axis=1)
         return replace(self, is_tame=bool((terms <= MOST_CANCELLED * carried).all()))
 
-    def __getstate__(self):
+    def __getstate__(self) -> dict[str, Any]:
         state = dict(vars(self))
         if np.array_equal(self.coef, self.coef.T):
             # The optimal map is symmetric: half the numbers do.
             state["coef"] = self.coef[np.triu_indices(len(self.coef))]
         return state
 
-    def __setstate__(self, state):
+    def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         if self.coef.ndim == 1:
             coef = np.zeros((len(self.source_mean), len(self.source_mean)))

@@ -11,7 +11,6 @@ import pytest
 from typer.testing import CliRunner
 
 from skat.cli import app
-from skat.experiments import studies
 from skat.logs import load_log
 from skat.simulators import MujocoSimulator
 from tests.logs import formats
@@ -27,35 +26,6 @@ def here(tmp_path, monkeypatch):
 
 def skat(command):
     return CliRunner().invoke(app, shlex.split(command))
-
-
-@pytest.mark.parametrize(
-    ("options", "parameters"),
-    [
-        ("", {}),
-        ("--quick", {"quick": True}),
-        ("--velocities auto", {"velocities": "auto"}),
-        ("--velocities computed --quick", {"velocities": "computed", "quick": True}),
-        ("--velocities measured", {"velocities": "measured"}),
-    ],
-)
-def test_what_is_said_of_speed_and_velocities_reaches_the_engine(options, parameters, here, monkeypatch):
-    seen = {}
-
-    def study_log(log, **given):
-        seen.update(given)
-        raise ValueError("no engine here")
-
-    monkeypatch.setattr(studies, "study_log", study_log)
-    result = skat(f"diagnose arm.xml log.csv {options}")
-    assert result.stderr.splitlines()[-1] == "Error: no engine here"
-    assert {name: seen[name] for name in ("quick", "velocities") if name in seen} == parameters
-
-
-def test_a_kind_of_velocities_that_is_none_is_refused_with_those_there_are(here):
-    result = skat("diagnose arm.xml log.csv --velocities guessed")
-    assert result.exit_code == 2
-    assert "'auto', 'measured', 'computed'" in " ".join(result.stderr.split())
 
 
 def swapped(frame):
