@@ -259,8 +259,18 @@ class Simulator(BaseEstimator, ABC):
         candidates: Sequence[Mapping[str, float]],
         *,
         n_steps: int,
+        before: ArrayLike | None = None,
     ) -> Array:
         """Simulate whole episodes in open loop under each candidate set of effect values.
+
+        Parameters
+        ----------
+        initial_states, inputs, n_steps
+            As in `rollout`.
+        candidates : sequence of mappings from name to value
+        before : array-like of shape (n_episodes, n_before, n_inputs), optional
+            Rows before the initial state, states included: commands that come late or through a filter, and hidden
+            states, are what these rows leave. Without it, commands have held and hidden states are steady.
 
         Returns
         -------
@@ -273,14 +283,25 @@ class Simulator(BaseEstimator, ABC):
         actions = self._checked_actions(inputs, len(start), n_steps)
         totals = [self._total(values) for values in candidates]
         n_states, n_episodes = len(self.state_names), len(start)
-        flat = actions.reshape(n_episodes * n_steps, actions.shape[2])
-        starts = np.repeat(np.arange(n_episodes) * n_steps, n_steps)
+        earlier = np.zeros((n_episodes, 0, len(self.input_names)))
+        if before is not None:
+            earlier = np.asarray(before, dtype=float)
+            checked_columns(earlier.reshape(-1, earlier.shape[-1]), self.input_names, "before")
+        n_before = earlier.shape[1]
+        n_rows = n_before + n_steps
+        flat = np.concatenate([self._actions(earlier), actions], axis=1)
+        flat = flat.reshape(n_episodes * n_rows, actions.shape[2])
+        starts = np.repeat(np.arange(n_episodes) * n_rows, n_rows)
         acting = self._acting(flat, starts, [self._physical(total) for total in totals])
         by_step = [
-            None if one is None else tuple(part.reshape(n_episodes, n_steps, *part.shape[1:]) for part in one)
+            None if one is None else tuple(part.reshape(n_episodes, n_rows, *part.shape[1:]) for part in one)
             for one in acting
         ]
         carried = _Carried(self, totals, n_episodes)
+        for step in range(n_before):
+            rows = np.broadcast_to(earlier[:, step], (len(totals), *earlier[:, step].shape))
+            now = [None if one is None else tuple(part[:, step] for part in one) for one in by_step]
+            carried.step(self._true_inputs(rows, totals), now, np.arange(n_episodes))
         states = np.empty((len(totals), n_episodes, n_steps + 1, n_states))
         rows = np.empty((len(totals), n_episodes, len(self.input_names)))
         rows[:, :, :n_states] = self._true_inputs(np.broadcast_to(start, (len(totals), *start.shape)), totals)
@@ -288,7 +309,9 @@ class Simulator(BaseEstimator, ABC):
         lost = np.zeros(rows.shape[:2], dtype=bool)
         for step in range(n_steps):
             rows[:, :, n_states:] = actions[:, step]
-            now = [None if one is None else tuple(part[:, step] for part in one) for one in by_step]
+            now = [
+                None if one is None else tuple(part[:, n_before + step] for part in one) for one in by_step
+            ]
             outputs = carried.step(rows, now, np.arange(n_episodes))
             lost |= ~np.isfinite(outputs).all(axis=2)
             states[:, :, step + 1] = np.where(lost[:, :, None], np.nan, outputs)

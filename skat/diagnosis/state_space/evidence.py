@@ -19,7 +19,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import log_ndtr
 
-from skat.diagnosis.filtering import Array
+from skat.diagnosis.state_space.filtering import Array
+
+# Of the largest eigenvalue of a scaled Gram matrix: below it there is rounding.
+RANK = 1e-12
 
 
 @dataclass(frozen=True)
@@ -72,6 +75,28 @@ class Gram:
     def at_neutral(self) -> Array:
         """B of innovations extrapolated to where every value is neutral."""
         return self.projections + self.products @ self.origin
+
+    def scattered(self, excess: Array) -> "Gram":
+        r"""Return this Gram where scores scatter more than the model says.
+
+        Scores are read as :math:`b \sim N(G\theta, V)` with :math:`V = G + E G E`, E the diagonal of the roots of
+        `excess`; for no excess the likelihood is as before.
+
+        Parameters
+        ----------
+        excess : ndarray of shape (k,)
+            By how much the variance of each score, between blocks of time, is above that of the model, as a share.
+        """
+        units = 1 / np.sqrt(np.maximum(np.diag(self.products), 1e-300))
+        scaled = self.products * units * units[:, None]
+        root = np.sqrt(excess)
+        spread = scaled + scaled * root * root[:, None]
+        values, axes = np.linalg.eigh(spread)
+        kept = values > RANK * max(values[-1], 1e-300)
+        half = (axes[:, kept] / np.sqrt(values[kept])).T @ scaled
+        projections = self.projections * units
+        lowered = (axes[:, kept] / np.sqrt(values[kept])).T @ projections
+        return Gram(half.T @ half / (units * units[:, None]), half.T @ lowered / units, self.origin)
 
 
 @dataclass(frozen=True)

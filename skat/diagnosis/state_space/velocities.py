@@ -7,10 +7,12 @@ positions can, by any linear filter, causal or not, that so many neighbours expr
 """
 
 from math import comb
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from skat.diagnosis.filtering import Array
+from skat.diagnosis.state_space.filtering import Array
 from skat.simulators import Simulator
 
 # Neighbours to each side that a filter may use.
@@ -25,7 +27,7 @@ SHARE = 0.05
 ROWS_EACH = 4
 
 
-def is_computed(positions: Array, velocities: Array, episodes: Array) -> bool:
+def is_computed(positions: Array, velocities: Array, episodes: NDArray[Any]) -> bool:
     """Return whether one joint's velocities were computed from its positions.
 
     Parameters
@@ -50,12 +52,11 @@ def is_computed(positions: Array, velocities: Array, episodes: Array) -> bool:
     >>> is_computed(read, 5 * np.cos(0.05 * np.arange(400)) + 0.05 * rng.normal(size=400), np.zeros(400))
     False
     """
-    windows, targets, rough = [], [], []
+    windows, targets = [], []
     for episode in np.unique(episodes):
         q, v = positions[episodes == episode], velocities[episodes == episode]
         if len(q) <= 2 * POSITIONS + 1:
             continue
-        rough.append(np.diff(q, ORDER))
         around_q = np.lib.stride_tricks.sliding_window_view(q, 2 * POSITIONS + 1)
         inner = v[POSITIONS - VELOCITIES : len(v) - (POSITIONS - VELOCITIES)]
         around_v = np.lib.stride_tricks.sliding_window_view(inner, 2 * VELOCITIES + 1)
@@ -63,12 +64,12 @@ def is_computed(positions: Array, velocities: Array, episodes: Array) -> bool:
         windows.append(np.column_stack([around_q, np.delete(around_v, VELOCITIES, axis=1)]))
     if not windows:
         return False
-    design, target, differences = np.concatenate(windows), np.concatenate(targets), np.concatenate(rough)
+    design, target = np.concatenate(windows), np.concatenate(targets)
     kept = np.isfinite(design).all(axis=1) & np.isfinite(target)
     design, target = design[kept], target[kept]
     if len(target) < ROWS_EACH * design.shape[1]:
         return False
-    noise = _least(differences**2) / comb(2 * ORDER, ORDER)
+    noise = noise_variance(positions, episodes)
     design = np.column_stack([design - design.mean(axis=0), np.ones(len(design))])
     sizes = np.sqrt(np.mean(design**2, axis=0))
     sizes[sizes == 0] = 1.0
@@ -79,15 +80,29 @@ def is_computed(positions: Array, velocities: Array, episodes: Array) -> bool:
     return bool(np.sum(left**2) / degrees < SHARE * noise * np.sum(own**2))
 
 
-def _least(squares: Array) -> float:
-    """Return the mean of squares in the quieter pieces of a log."""
+def noise_variance(series: Array, episodes: NDArray[Any]) -> float:
+    """Return the variance of a channel's noise as neighbouring rows show it: what high differences leave.
+
+    Parameters
+    ----------
+    series : ndarray of shape (n_instants,)
+        NaN where nothing was measured.
+    episodes : ndarray of shape (n_instants,)
+
+    Returns
+    -------
+    float
+        0 where no piece is long enough to tell.
+    """
+    rough = [np.diff(series[episodes == episode], ORDER) for episode in np.unique(episodes)]
+    squares = np.concatenate(rough) ** 2 / comb(2 * ORDER, ORDER)
     squares = squares[np.isfinite(squares)]
     n_pieces = max(1, len(squares) // PIECE)
     means = [piece.mean() for piece in np.array_split(squares, n_pieces) if len(piece)]
     return float(np.quantile(means, QUIET)) if means else 0.0
 
 
-def computed_velocities(simulator: Simulator, X: Array, y: Array, groups: Array) -> tuple[str, ...]:
+def computed_velocities(simulator: Simulator, X: Array, y: Array, groups: NDArray[Any]) -> tuple[str, ...]:
     """Return the names of the velocities that were computed from positions.
 
     Parameters
@@ -102,9 +117,27 @@ def computed_velocities(simulator: Simulator, X: Array, y: Array, groups: Array)
     states = np.insert(X[:, : len(names)], last + 1, y[last], axis=0)
     episodes = np.insert(groups, last + 1, groups[last])
     return tuple(
-        name
-        for column, name in enumerate(names)
-        if name.startswith("qvel.")
-        and (position := name.replace("qvel.", "qpos.", 1)) in names
-        and is_computed(states[:, names.index(position)], states[:, column], episodes)
+        velocity
+        for position, velocity in motions(simulator)
+        if is_computed(states[:, names.index(position)], states[:, names.index(velocity)], episodes)
     )
+
+
+def motions(simulator: Simulator) -> tuple[tuple[str, str], ...]:
+    """Return (position, velocity) of each pair of channels of which the second is the rate of the first.
+
+    MuJoCo's names tell, but for orientations, whose rates no difference of a column makes; elsewhere units do, where
+    there is one pair of them.
+    """
+    states, units = simulator.state_names, simulator.units
+    names = simulator.residual_names
+    if all(name.startswith(("qpos.", "qvel.")) for name in names):
+        half = len(names) // 2
+        return tuple(pair for pair in zip(names[:half], names[half:]) if set(pair) <= set(states))
+    pairs = []
+    for name in states:
+        alike = [one for one in states if units.get(one) == units.get(name)]
+        rates = [one for one in states if name in units and units.get(one) == f"{units[name]}/s"]
+        if len(alike) == len(rates) == 1:
+            pairs.append((name, rates[0]))
+    return tuple(pairs)

@@ -1,18 +1,19 @@
 """A simulator and a log as linear dynamics about a path: chains of states, means and slopes over what is not known."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from joblib import Parallel, delayed, effective_n_jobs
 from numpy.typing import NDArray
 
-from skat.diagnosis.filtering import Array, Chains, Mask
+from skat.diagnosis.state_space.filtering import Array, Chains, Mask
 from skat.simulators import Simulator
 
 Places = NDArray[np.intp]
 
 # Transitions filtered one after the other; chains run side by side.
-CHAIN_LENGTH = 128
+CHAIN_LENGTH = 64
 # Step of a first derivative by the state, in units of a channel's spread.
 FIRST_STEP = 1e-4
 # Values that the simulations of one block of derivatives return.
@@ -44,6 +45,8 @@ class StateSpace:
         How a random force enters the state where the simulator has no forces on joints.
     spread : ndarray of shape (d,)
         Standard deviation of a chain's first state about the path, before measurements.
+    n_jobs : int or None
+        Processes of joblib that share the simulations of candidates.
     """
 
     simulator: Simulator
@@ -55,6 +58,7 @@ class StateSpace:
     real: Mask
     carrier: Array
     spread: Array
+    n_jobs: int | None = None
 
     @property
     def d(self) -> int:
@@ -67,6 +71,18 @@ class StateSpace:
         if self.simulator.state_names:
             X[:, : path.shape[-1]] = path[:, :-1][self.places]
         return X
+
+    def simulated(self, rows: Array, candidates: Sequence[Mapping[str, float]]) -> Array:
+        """Return the outputs of rows under each candidate, (n_candidates, n_rows, n_outputs)."""
+        jobs = effective_n_jobs(self.n_jobs)
+        if jobs == 1 or len(candidates) < 2:
+            return self.simulator.predict_many(rows, candidates, groups=self.groups)
+        parts = np.array_split(np.arange(len(candidates)), min(jobs, len(candidates)))
+        outputs = Parallel(n_jobs=self.n_jobs)(
+            delayed(self.simulator.predict_many)(rows, [candidates[one] for one in part], groups=self.groups)
+            for part in parts
+        )
+        return np.concatenate(outputs)
 
     def path_ends(self, path: Array) -> Array:
         """Return the states in which the rows end on a path, (n_rows, n_states)."""
@@ -100,7 +116,13 @@ class Linear:
 
 
 def state_space(
-    simulator: Simulator, X: Array, y: Array, episodes: Places, *, consecutive: bool
+    simulator: Simulator,
+    X: Array,
+    y: Array,
+    episodes: Places,
+    *,
+    consecutive: bool,
+    n_jobs: int | None = None,
 ) -> StateSpace:
     """Lay out a checked log.
 
@@ -112,6 +134,46 @@ def state_space(
     episodes : ndarray of int of shape (n_rows,)
     consecutive : bool
         Whether the rows of an episode follow each other in time.
+    n_jobs : int, optional
+        Processes of joblib that share the simulations of candidates.
+    """
+    n_states = len(simulator.state_names)
+    (chain, step), states = in_chains(simulator, X, y, episodes, consecutive=consecutive)
+    if not (consecutive and n_states):
+        episodes = chain
+    shape = len(states), states.shape[1] - 1
+    real = np.zeros(shape, dtype=bool)
+    real[chain, step] = True
+    starts_rows = np.flatnonzero(step == 0)
+    X = X.copy()
+    d = len(simulator.residual_names)
+    seen = np.isfinite(states)
+    if n_states and consecutive:
+        # A state at which an episode was cut belongs to the chain that it begins.
+        last = np.r_[starts_rows[1:] - 1]
+        cut = episodes[last] == episodes[last + 1]
+        seen[chain[last][cut], step[last][cut] + 1] = False
+    guesses = guessed(simulator, states)
+    mask = tangent_mask(simulator, seen)
+    rows = X
+    if n_states:
+        rows[:, :n_states] = guesses[:, :-1][chain, step]
+    flat = guesses[np.concatenate([np.ones((shape[0], 1), bool), real], axis=1)]
+    middle = np.broadcast_to(flat[:1], flat.shape)
+    spread = simulator.residual(flat, middle).std(axis=0)
+    spread = np.maximum(spread, 1e-6 * max(float(spread.max(initial=0.0)), 1e-6))
+    carrier = _carrier(simulator, spread) if n_states else np.zeros((d, 0))
+    return StateSpace(
+        simulator, rows, episodes, (chain, step), guesses, mask, real, carrier, 3 * spread, n_jobs
+    )
+
+
+def in_chains(
+    simulator: Simulator, X: Array, y: Array, episodes: Places, *, consecutive: bool
+) -> tuple[tuple[Places, Places], Array]:
+    """Return chain and step of each row, and the states as measured, (n_chains, n_steps + 1, n_states).
+
+    Rows that do not follow each other in time are a chain each; a one-shot simulator's have no state before.
     """
     n_states = len(simulator.state_names)
     n_rows = len(X)
@@ -128,34 +190,11 @@ def state_space(
         chain = np.cumsum(new) - 1
     else:
         chain = np.arange(n_rows)
-        episodes = chain
-    shape = int(chain[-1]) + 1, int(step.max()) + 1
-    real = np.zeros(shape, dtype=bool)
-    real[chain, step] = True
-    starts_rows = np.flatnonzero(step == 0)
-    X, y = X.copy(), y.copy()
-    d = len(simulator.residual_names)
-    states = np.full((shape[0], shape[1] + 1, y.shape[1]), np.nan)
+    states = np.full((int(chain[-1]) + 1, int(step.max()) + 2, y.shape[1]), np.nan)
     states[chain, step + 1] = y
     if n_states:
-        states[np.arange(shape[0]), 0] = X[starts_rows, :n_states]
-    seen = np.isfinite(states)
-    if n_states and consecutive:
-        # A state at which an episode was cut belongs to the chain that it begins.
-        last = np.r_[starts_rows[1:] - 1]
-        cut = episodes[last] == episodes[last + 1]
-        seen[chain[last][cut], step[last][cut] + 1] = False
-    guesses = _guesses(simulator, states, real)
-    mask = _tangent_mask(simulator, seen)
-    rows = X
-    if n_states:
-        rows[:, :n_states] = guesses[:, :-1][chain, step]
-    flat = guesses[np.concatenate([np.ones((shape[0], 1), bool), real], axis=1)]
-    middle = np.broadcast_to(flat[:1], flat.shape)
-    spread = simulator.residual(flat, middle).std(axis=0)
-    spread = np.maximum(spread, 1e-6 * max(float(spread.max(initial=0.0)), 1e-6))
-    carrier = _carrier(simulator, spread) if n_states else np.zeros((d, 0))
-    return StateSpace(simulator, rows, episodes, (chain, step), guesses, mask, real, carrier, 3 * spread)
+        states[np.arange(len(states)), 0] = X[np.flatnonzero(step == 0), :n_states]
+    return (chain, step), states
 
 
 def linearise(
@@ -254,7 +293,7 @@ def _joint_carrier(
         return None
     sizes = [SMALL_FORCE * effect.bounds[1] for effect in forces]
     candidates = [{**values, effect.name: size} for effect, size in zip(forces, sizes)]
-    outputs = space.simulator.predict_many(rows, candidates, groups=space.groups)
+    outputs = space.simulated(rows, candidates)
     base = _finite(base, safe)
     columns = [space.simulator.residual(_finite(one, base), base) / size for one, size in zip(outputs, sizes)]
     return space.padded(np.stack(columns, axis=-1))
@@ -288,7 +327,7 @@ def derivatives(
             for end in steps[name]
             if end != values.get(name, neutral[name])
         ]
-        outputs = iter(simulator.predict_many(rows, candidates, groups=space.groups))
+        outputs = iter(space.simulated(rows, candidates))
         for column, name in enumerate(part, start):
             low, high = (
                 base if end == values.get(name, neutral[name]) else next(outputs) for end in steps[name]
@@ -350,7 +389,7 @@ def _finite(values: Array, otherwise: Array) -> Array:
     return np.where(bad[..., None], otherwise, values) if bad.any() else values
 
 
-def _tangent_mask(simulator: Simulator, seen: Mask) -> Mask:
+def tangent_mask(simulator: Simulator, seen: Mask) -> Mask:
     """Return which channels of a residual were measured: a rotation as a whole, or not."""
     outputs, tangent = simulator.output_names, simulator.residual_names
     if outputs == tangent:
@@ -366,10 +405,10 @@ def _tangent_mask(simulator: Simulator, seen: Mask) -> Mask:
     return mask
 
 
-def _guesses(simulator: Simulator, states: Array, real: Mask) -> Array:
+def guessed(simulator: Simulator, states: Array) -> Array:
     """Return the states with what was not measured filled in: in time, from positions, or the model's own place."""
     filled = states.copy()
-    names, units = simulator.output_names, simulator.units
+    names = simulator.output_names
     times = np.arange(states.shape[1])
     for column in range(states.shape[2]):
         for chain in range(states.shape[0]):
@@ -393,7 +432,6 @@ def _guesses(simulator: Simulator, states: Array, real: Mask) -> Array:
         if name.endswith(".qw"):
             unknown = ~np.isfinite(states[..., column])
             filled[..., column] = np.where(unknown & (filled[..., column] == 0), 1.0, filled[..., column])
-    del units, real
     return filled
 
 

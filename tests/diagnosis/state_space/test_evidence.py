@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import integrate
 
-from skat.diagnosis.search import search, without_weak
-from skat.diagnosis.set_evidence import Gram, Priors, weigh
+from skat.diagnosis.state_space.evidence import Gram, Priors, weigh
+from skat.diagnosis.state_space.search import search, without_weak
 
 
 def priors(k, *, scale=0.3, low=-1e3, high=1e3, odds=0.1):
@@ -110,4 +110,4 @@ def test_a_cause_is_exchanged_for_a_likelier_one_that_acts_alike():
         ("a", "b", "c"), np.full(3, 0.3), np.log([0.01, 0.1, 0.1]), np.full(3, -1e3), np.full(3, 1e3)
     )
     gram = Gram(N.T @ N, N.T @ z, np.zeros(3))
-    assert search(gram, given, start=(0,))[0].members == (1,)
+    assert search(gram, given, start=(0,)).sets[0].members == (1,)

@@ -122,7 +122,7 @@ class Filtered:
     @property
     def whitened(self) -> Array:
         """Innovations of unit variance, uncorrelated."""
-        return np.einsum("ctij,ctj->cti", self.factors, self.innovations)
+        return (self.factors @ self.innovations[..., None])[..., 0]
 
 
 @dataclass(frozen=True)
@@ -161,42 +161,37 @@ def kalman_filter(chains: Chains, force_variances: Array, error_variances: Array
     Filtered
     """
     n, steps, d = chains.drive.shape
-    F = chains.carrier
+    F, A, mask = chains.carrier, chains.transitions, chains.mask
     spread = (F * force_variances[:, :, None]) @ F.swapaxes(2, 3) + chains.bends
-    means = np.zeros((n, steps + 1, d))
-    covariances = np.empty((n, steps + 1, d, d))
-    precisions, gains, factors = (np.zeros((n, steps + 1, d, d)) for _ in range(3))
-    innovations = np.zeros((n, steps + 1, d))
+    means, innovations = np.zeros((n, steps + 1, d)), np.zeros((n, steps + 1, d))
+    covariances, gains, factors, scales = (np.zeros((n, steps + 1, d, d)) for _ in range(4))
+    both = mask[..., :, None] & mask[..., None, :]
+    own, padded = np.where(mask, error_variances, 0.0), np.where(mask, error_variances, 1.0)
+    seen = mask.astype(np.float64)
     mean, P = np.zeros((n, d)), np.tile(np.diag(chains.prior), (n, 1, 1))
     diagonal = np.arange(d)
-    log_determinant = 0.0
     for t in range(steps + 1):
-        seen = chains.mask[:, t]
         means[:, t], covariances[:, t] = mean, P
-        both = seen[:, :, None] & seen[:, None, :]
-        S = np.where(both, P, 0.0)
-        S[:, diagonal, diagonal] += np.where(seen, error_variances[:, t], 1.0)
+        S = np.where(both[:, t], P, 0.0)
+        S[:, diagonal, diagonal] += padded[:, t]
         L = np.linalg.cholesky(S)
-        W = _inverse_factor(L) * seen[:, None, :]
-        log_determinant += float(2 * np.log(L[:, diagonal, diagonal]).sum())
-        precision = W.swapaxes(1, 2) @ W
-        K = P @ precision
-        innovation = np.where(seen, chains.measured[:, t] - mean, 0.0)
-        innovations[:, t], precisions[:, t], gains[:, t], factors[:, t] = innovation, precision, K, W
-        mean = mean + np.einsum("nij,nj->ni", K, innovation)
+        W = np.linalg.inv(L) * seen[:, t, None, :]
+        K = P @ (W.swapaxes(1, 2) @ W)
+        innovation = (chains.measured[:, t] - mean) * seen[:, t]
+        innovations[:, t], gains[:, t], factors[:, t], scales[:, t] = innovation, K, W, L
         if t == steps:
             break
         # The form that keeps a covariance positive where the noise is small against what was not known before.
-        kept = np.eye(d) - K
-        P = kept @ P @ kept.swapaxes(1, 2) + (K * np.where(seen, error_variances[:, t], 0.0)[:, None]) @ (
-            K.swapaxes(1, 2)
-        )
-        A = chains.transitions[:, t]
-        mean = np.einsum("nij,nj->ni", A, mean) + chains.drive[:, t]
-        P = A @ P @ A.swapaxes(1, 2) + spread[:, t]
+        AK = A[:, t] @ K
+        M = A[:, t] - AK
+        P = M @ P @ M.swapaxes(1, 2) + (AK * own[:, t, None]) @ AK.swapaxes(1, 2) + spread[:, t]
         P = (P + P.swapaxes(1, 2)) / 2
-    squares = float(np.einsum("cti,ctij,ctj->", innovations, precisions, innovations))
+        mean = (A[:, t] @ mean[..., None] + AK @ innovation[..., None])[..., 0] + chains.drive[:, t]
+    whitened = (factors @ innovations[..., None])[..., 0]
+    log_determinant = 2 * float(np.log(scales[..., diagonal, diagonal]).sum())
+    squares = float(np.sum(whitened**2))
     log_likelihood = -0.5 * (squares + log_determinant + chains.n_measured * np.log(2 * np.pi))
+    precisions = factors.swapaxes(2, 3) @ factors
     return Filtered(log_likelihood, means, covariances, innovations, precisions, gains, factors)
 
 
@@ -246,36 +241,32 @@ def smooth(
     """
     n, steps, d = chains.drive.shape
     F, P = chains.carrier, filtered.covariances
-    means = np.empty((n, steps + 1, d))
-    spreads = np.zeros((n, steps + 1, d, d))
-    forces, force_spreads = np.empty(force_variances.shape), np.empty(force_variances.shape)
-    errors, error_spreads = np.empty((n, steps + 1, d)), np.empty((n, steps + 1, d))
+    kept = np.eye(d) - filtered.gains
+    back = np.zeros((n, steps + 1, d, d))
+    back[:, :-1] = chains.transitions.swapaxes(2, 3)
+    weighed = (filtered.precisions @ filtered.innovations[..., None])[..., 0]
+    # What later measurements say of the state before and after the one at t: a gradient and its information.
     r, N = np.zeros((n, d)), np.zeros((n, d, d))
+    before, information = np.empty((n, steps + 1, d)), np.empty((n, steps + 1, d, d))
+    after, later = np.empty((n, steps + 1, d)), np.empty((n, steps + 1, d, d))
     for t in range(steps, -1, -1):
-        precision, gain, innovation = (
-            filtered.precisions[:, t],
-            filtered.gains[:, t],
-            filtered.innovations[:, t],
-        )
-        if t < steps:
-            q = force_variances[:, t]
-            forces[:, t] = q * np.einsum("nj,njf->nf", r, F[:, t])
-            force_spreads[:, t] = q - q**2 * np.einsum("njf,njk,nkf->nf", F[:, t], N, F[:, t], optimize=True)
-            A = chains.transitions[:, t]
-            r = np.einsum("nji,nj->ni", A, r)
-            N = A.swapaxes(1, 2) @ N @ A
-        noise = error_variances[:, t]
-        u = np.einsum("nij,nj->ni", precision, innovation) - np.einsum("nji,nj->ni", gain, r)
-        D = precision + gain.swapaxes(1, 2) @ N @ gain
-        errors[:, t] = noise * u
-        error_spreads[:, t] = noise - noise**2 * np.einsum("nii->ni", D)
-        # Information that the measurement at t adds to that of later times.
-        r = r + u
-        kept = np.eye(d) - gain
-        N = precision + kept.swapaxes(1, 2) @ N @ kept
-        means[:, t] = filtered.means[:, t] + np.einsum("nij,nj->ni", P[:, t], r)
-        if covariances:
-            spreads[:, t] = P[:, t] - P[:, t] @ N @ P[:, t]
+        after[:, t], later[:, t] = r, N
+        turned = (back[:, t] @ r[..., None])[..., 0]
+        r = weighed[:, t] + (kept[:, t].swapaxes(1, 2) @ turned[..., None])[..., 0]
+        B = kept[:, t].swapaxes(1, 2) @ back[:, t]
+        N = filtered.precisions[:, t] + B @ N @ B.swapaxes(1, 2)
+        before[:, t], information[:, t] = r, N
+    q = force_variances
+    forces = q * (F.swapaxes(2, 3) @ after[:, :-1, :, None])[..., 0]
+    force_spreads = q - q**2 * np.sum(F * (later[:, :-1] @ F), axis=2)
+    turned = (back @ after[..., None])[..., 0]
+    G = filtered.gains
+    errors = error_variances * (weighed - (G.swapaxes(2, 3) @ turned[..., None])[..., 0])
+    turned_information = back @ later @ back.swapaxes(2, 3)
+    D = np.diagonal(filtered.precisions, axis1=2, axis2=3) + np.sum(G * (turned_information @ G), axis=2)
+    error_spreads = error_variances - error_variances**2 * D
+    means = filtered.means + (P @ before[..., None])[..., 0]
+    spreads = P - P @ information @ P if covariances else np.zeros((n, steps + 1, d, d))
     return Smoothed(means, spreads, forces, force_spreads, errors, error_spreads)
 
 
@@ -289,8 +280,3 @@ def student_log_density(squares: Array, variance: Array | float, nu: float) -> A
         return -0.5 * (np.log(2 * np.pi * variance) + squares / variance)
     constant = gammaln((nu + 1) / 2) - gammaln(nu / 2) - 0.5 * np.log(nu * np.pi * variance)
     return constant - (nu + 1) / 2 * np.log1p(squares / (nu * variance))
-
-
-def _inverse_factor(L: Array) -> Array:
-    """Return the inverses of lower triangular matrices."""
-    return np.asarray(np.linalg.solve(L, np.broadcast_to(np.eye(L.shape[-1]), L.shape)), dtype=np.float64)

@@ -4,9 +4,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from skat.diagnosis import SimulationDiagnosis
-from skat.diagnosis.search import name_causes
-from skat.diagnosis.statespace import linearise, state_space
+from skat.diagnosis.state_space import SimulationDiagnosis
+from skat.diagnosis.state_space.causes import find_causes
+from skat.diagnosis.state_space.statespace import linearise, state_space
 from skat.simulators import MujocoSimulator
 
 ARM = """
@@ -55,7 +55,7 @@ def simulator():
 
 
 def asked(simulator, X, y, groups):
-    return name_causes(state_space(simulator, X, y, groups, consecutive=True), simulator.effects())
+    return find_causes(state_space(simulator, X, y, groups, consecutive=True), simulator.effects())
 
 
 @pytest.mark.parametrize("force", [0.0, 0.3], ids=["no force", "a random force"])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from skat.diagnosis.velocities import is_computed
+from skat.diagnosis.state_space.velocities import is_computed
 
 DT = 0.01
 

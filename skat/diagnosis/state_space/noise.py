@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import gammaln, psi
 
-from skat.diagnosis.filtering import (
+from skat.diagnosis.state_space.filtering import (
     Array,
     Chains,
     Filtered,

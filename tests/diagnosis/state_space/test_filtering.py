@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from skat.diagnosis.filtering import Chains, filter_columns, kalman_filter, smooth, student_log_density
-from skat.diagnosis.noise import Noise, estimate_noise, normal_noise, passed
+from skat.diagnosis.state_space.filtering import (
+    Chains,
+    filter_columns,
+    kalman_filter,
+    smooth,
+    student_log_density,
+)
+from skat.diagnosis.state_space.noise import Noise, estimate_noise, normal_noise, passed
 
 
 @pytest.fixture

@@ -1,0 +1,515 @@
+"""SimulationDiagnosis: what a user meets."""
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+from sklearn.base import BaseEstimator, RegressorMixin
+from sklearn.exceptions import NotFittedError
+from sklearn.utils import check_random_state
+from sklearn.utils.validation import check_is_fitted
+
+from skat.diagnosis.state_space.causes import Found, find_causes, is_held
+from skat.diagnosis.state_space.doubts import warn_of_doubts
+from skat.diagnosis.state_space.filtering import Array
+from skat.diagnosis.state_space.findings import Alias, Cause, Gain
+from skat.diagnosis.state_space.fitting import value_at
+from skat.diagnosis.state_space.identifiability import identifiability, preflight
+from skat.diagnosis.state_space.log import Log, check_log, check_matrix, without_channels
+from skat.diagnosis.state_space.posterior import Posterior
+from skat.diagnosis.state_space.prediction import Prediction, horizon_rows, open_loop_gain, predicted
+from skat.diagnosis.state_space.remainder import find_remainder, is_unexplained
+from skat.diagnosis.state_space.statespace import StateSpace, state_space
+from skat.diagnosis.state_space.velocities import computed_velocities
+from skat.effects import Effect, unknown_name_message
+from skat.simulators import Simulator
+
+Progress = Callable[[str, int, int], None]
+VELOCITIES = ("auto", "measured", "computed")
+# A log in which the simulation diverges in a larger share of the rows is not explained by it.
+MOST_DIVERGED = 0.1
+# Readings are multiples of a step if none misses one by more than this share of it.
+ROUNDED = 0.01
+
+
+class SimulationDiagnosis(RegressorMixin, BaseEstimator):
+    """Find out what a simulation gets wrong about measured data.
+
+    Parameters
+    ----------
+    simulator : Simulator
+        A `MujocoSimulator`, a `FunctionSimulator`, or what `make_simulator` returns.
+    effects : "all" or list of str, default="all"
+        Names of the effects that may be found, of those in ``simulator.effects(also="all")``; "all" are those in
+        ``simulator.effects()``.
+    noise : "estimate" or array-like of shape (n_residuals,), default="estimate"
+        Standard deviation of the measurement noise of each channel, in the channel's unit; by default estimated.
+    alpha : float, default=0.01
+        A cause is named where the odds of the set with it are 1 / alpha times those of the set without it;
+        "unexplained" is said where the evidence of a law in what is left is as strong.
+    max_effects : int or None, default=None
+        Most causes at a time.
+    test_size : float, default=0.3
+        Share of the rows, in whole episodes, held out to measure the gain. 0: all rows are fitted and `gain_` is None.
+    hidden : sequence of str, default=()
+        State channels that were not measured, as if their columns held NaN.
+    velocities : {"auto", "measured", "computed"}, default="auto"
+        Whether velocities are measurements of their own. Those that were computed from positions are none and are left
+        out; "auto" tells them by what noise of the positions must leave in them.
+    horizon : float, optional
+        How far ahead predictions are compared, s. By default a quarter of a second or ten rows, whichever is longer.
+    tolerance : float, default=0.1
+        Share of the excess error, or of a joint's force, that may be left unexplained.
+    priors : mapping from name to float, optional
+        Typical sizes of effects, in place of `Effect.typical`: .03 for a mass that the datasheet states to 3 %.
+    n_jobs : int or None, default=None
+        Processes of joblib that share the simulations; ``joblib.parallel_config(backend="dask")`` takes them to a
+        cluster. None means one, whose own threads take all cores where the simulator is a `MujocoSimulator`.
+    random_state : int, RandomState or None, default=None
+        Which episodes are held out.
+
+    Attributes
+    ----------
+    verdict_ : {"nothing detected", "named", "ambiguous", "unexplained"}
+    causes_ : list of Cause
+        Most telling first.
+    also_seen_ : dict of str to float
+        Effects that the log shows but that matter less than what no model gets right, and their values.
+    gain_ : Gain or None
+    noise_ : ndarray of shape (n_residuals,)
+        Standard deviation of the measurement noise of each channel; NaN where it was not measured.
+    remainder_ : Remainder
+        What is left beside the causes.
+    posterior_ : Posterior
+        Sets of causes with their probabilities, and the law of their values.
+    computed_velocities_ : tuple of str
+        Velocities that were left out since they were computed from positions.
+    diverged_share_ : float
+        Share of the rows in which the simulation with its causes diverges; they tell nothing.
+    extended_simulator_ : Simulator
+        The simulation with the causes built in.
+    identifiability_ : DataFrame
+        For each effect the smallest size that these data show, and its nearest alias.
+    n_features_in_ : int
+
+    Notes
+    -----
+    A log is taken for a state space with heavy-tailed noise in the sensors and random forces on the joints; the theory
+    page derives what follows.
+    """
+
+    def __init__(
+        self,
+        simulator: Simulator,
+        *,
+        effects: Any = "all",
+        noise: Any = "estimate",
+        alpha: float = 0.01,
+        max_effects: int | None = None,
+        test_size: float = 0.3,
+        hidden: Sequence[str] = (),
+        velocities: str = "auto",
+        horizon: float | None = None,
+        tolerance: float = 0.1,
+        priors: Mapping[str, float] | None = None,
+        n_jobs: int | None = None,
+        random_state: Any = None,
+    ):
+        self.simulator = simulator
+        self.effects = effects
+        self.noise = noise
+        self.alpha = alpha
+        self.max_effects = max_effects
+        self.test_size = test_size
+        self.hidden = hidden
+        self.velocities = velocities
+        self.horizon = horizon
+        self.tolerance = tolerance
+        self.priors = priors
+        self.n_jobs = n_jobs
+        self.random_state = random_state
+
+    def fit(
+        self, X: Any, y: Any, groups: ArrayLike | None = None, *, progress: Progress | None = None
+    ) -> "SimulationDiagnosis":
+        """Diagnose the simulation with measured rows.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_rows, n_inputs)
+            In the order of ``simulator.input_names``, or a data frame with these columns: for a simulation with a
+            state, state and action. NaN in the state: not measured.
+        y : array-like of shape (n_rows, n_outputs)
+            What followed: for a simulation with a state, the next state, which is the state in the next row of X. NaN:
+            not measured.
+        groups : array-like of shape (n_rows,), optional
+            Episode of each row; an episode's rows are consecutive and in time order. None: independent rows. For a
+            simulation without a state, rows of a group may have something in common and count as one.
+        progress : callable, optional
+            ``progress(stage, done, total)`` is called as the work goes on.
+
+        Returns
+        -------
+        SimulationDiagnosis
+
+        Raises
+        ------
+        ValueError
+            If the rows do not fit the simulator, are fewer than 4, hold text or an infinite value, or are not in time
+            order; if an effect is unknown.
+        RuntimeError
+            If the simulation diverges in every row.
+        """
+        progress = progress or _silent
+        self._check_parameters()
+        effects = self._chosen_effects()
+        random_state = check_random_state(self.random_state)
+        log = without_channels(self.simulator, check_log(self.simulator, X, y, groups), self.hidden)
+        warn_of_doubts(self.simulator, log)
+        log = self._without_computed(log)
+        self.n_features_in_ = log.X.shape[1]
+        fitted, held_out = log.split(self.test_size, random_state)
+        space = self._space(fitted)
+        found = find_causes(
+            space,
+            effects,
+            alpha=self.alpha,
+            typical=self.priors,
+            floor=_rounding(space),
+            given=self._given_deviations(),
+            max_effects=self.max_effects,
+            progress=progress,
+        )
+        self._found = found
+        self._values = dict(found.values)
+        self.causes_ = _causes(found)
+        self.also_seen_ = dict(found.also)
+        self.posterior_ = Posterior.of(found)
+        self.diverged_share_ = float(np.mean(~found.fitted.linear.valid))
+        self.noise_ = np.where(
+            space.mask.any(axis=(0, 1)), np.sqrt(found.fitted.estimate.noise.error[: space.d]), np.nan
+        )
+        self.extended_simulator_ = self.simulator.extended(self._values)
+        self.identifiability_ = identifiability(
+            found.gram, found.priors, found.effects, found.values, alpha=self.alpha, value_at=value_at
+        )
+        progress("what is left", 0, 1)
+        self.remainder_ = find_remainder(
+            space, found.fitted, horizon=self._rows_ahead(), random_state=random_state
+        )
+        self._prediction: Prediction | None = None
+        self.gain_ = None
+        progress("gain", 0, 1)
+        try:
+            self._prediction = self._predicted(held_out if held_out is not None else fitted, random_state)
+        except RuntimeError as error:
+            warnings.warn(f"The gain could not be measured. {error}", stacklevel=2)
+        if held_out is not None and self._prediction is not None:
+            self.gain_ = self._prediction.gain
+        _warn_of_diverged(self.diverged_share_, len(fitted))
+        self.verdict_ = self._verdict()
+        progress("done", 1, 1)
+        return self
+
+    def evaluate(
+        self,
+        X: Any,
+        y: Any,
+        groups: ArrayLike | None = None,
+        *,
+        horizon: float | str | None = None,
+        initial_state: str = "measured",
+        outputs: Sequence[str] | None = None,
+    ) -> Gain:
+        """Measure the gain on another log.
+
+        Parameters
+        ----------
+        X, y, groups
+            As in `fit`.
+        horizon : float or "episode", optional
+            How far ahead, s (rows for a simulation without time), errors in noise units; by default the diagnosis's
+            own. Or whole episodes in open loop, root mean squared distance in the outputs' units.
+        initial_state : {"measured", "fitted"}, default="measured"
+            Where open loop starts: from the measured state of an episode's first row, or from the state that explains
+            the episode best, for the nominal and the extended model alike.
+        outputs : sequence of str, optional
+            Channels that make up the distance in open loop; by default all that were measured.
+
+        Returns
+        -------
+        Gain
+
+        Raises
+        ------
+        ValueError
+            As in `fit`; if a channel or an argument is none of those that it may be.
+        RuntimeError
+            If the simulation diverges in every row, or in open loop in an episode.
+        """
+        check_is_fitted(self, "verdict_")
+        if isinstance(horizon, str) and horizon != "episode":
+            raise ValueError(f"horizon must be seconds, None or 'episode'; it is {horizon!r}.")
+        if initial_state not in ("measured", "fitted"):
+            raise ValueError(f"initial_state must be 'measured' or 'fitted'; it is {initial_state!r}.")
+        log = check_log(self.simulator, X, y, groups, fewest_rows=1)
+        log = without_channels(self.simulator, log, (*self.hidden, *self.computed_velocities_))
+        random_state = check_random_state(self.random_state)
+        if not isinstance(horizon, str):
+            return self._predicted(log, random_state, horizon).gain
+        if not log.consecutive:
+            raise ValueError(
+                "horizon='episode' needs a simulation with a state, and groups=, the episode of each row."
+            )
+        return open_loop_gain(
+            self._space(log),
+            self._found.fitted,
+            self._values,
+            initial_state=initial_state,
+            outputs=outputs,
+            labels=log.labels,
+            random_state=random_state,
+        )
+
+    def predict(self, X: Any, groups: ArrayLike | None = None) -> Array:
+        """Return the extended simulation's outputs.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_rows, n_inputs)
+        groups : array-like of shape (n_rows,), optional
+            Episode of each row, needed where a delay was found.
+
+        Returns
+        -------
+        ndarray of shape (n_rows, n_outputs)
+        """
+        check_is_fitted(self, "verdict_")
+        return self.extended_simulator_.predict(X, groups=groups)
+
+    def score(self, X: Any, y: Any, sample_weight: ArrayLike | None = None) -> float:
+        """Return the coefficient of determination of `predict`.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_rows, n_inputs)
+        y : array-like of shape (n_rows, n_outputs)
+            Columns of a data frame are matched by name.
+        sample_weight : array-like of shape (n_rows,), optional
+
+        Returns
+        -------
+        float
+        """
+        return float(super().score(X, check_matrix(y, "y", self.simulator.output_names), sample_weight))
+
+    def preflight(self, X: Any, groups: ArrayLike | None = None) -> pd.DataFrame:
+        """Say, before measuring, what transitions like these could show.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_rows, n_inputs)
+            Planned states and actions. Needs no fit.
+        groups : array-like of shape (n_rows,), optional
+
+        Returns
+        -------
+        DataFrame
+            As `identifiability_`, with the noise taken as 1 % of each channel's spread unless `noise` gives it, and
+            for each effect the further excitation that would separate it from its nearest alias: more rows in which an
+            input is large or small; "no single input" where that does not do, and "nothing in these rows" where
+            none of those given tells the two apart.
+        """
+        self._check_parameters()
+        return preflight(
+            self.simulator,
+            X,
+            groups,
+            self._chosen_effects(),
+            noise=self._given_deviations(),
+            hidden=self.hidden,
+            alpha=self.alpha,
+            typical=self.priors,
+        )
+
+    def __repr__(self, N_CHAR_MAX: int = 700) -> str:
+        """Return the parameters, and after a fit the findings."""
+        text = super().__repr__(N_CHAR_MAX)
+        if "verdict_" not in vars(self):
+            return str(text)
+        return "\n".join([str(text), self.verdict_, *(cause.sentence for cause in self.causes_)])
+
+    def __getattr__(self, name: str) -> Any:
+        if name.endswith("_") and not name.startswith("_") and "verdict_" not in vars(self):
+            raise NotFittedError(
+                f"this {type(self).__name__} is not fitted yet, so it has no {name}; call fit(X, y, groups=...) first."
+            )
+        raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+
+    # -- parts of fit ------------------------------------------------------------------------------------------------
+
+    def _check_parameters(self) -> None:
+        if not isinstance(self.simulator, Simulator):
+            raise TypeError(
+                "simulator must be a Simulator, such as MujocoSimulator(path_of_the_model, frame_skip=...) or a "
+                f"FunctionSimulator; it is {self.simulator!r}."
+            )
+        if not 0 < self.alpha < 1:
+            raise ValueError(f"alpha must lie between 0 and 1; it is {self.alpha!r}.")
+        if not 0 <= self.test_size < 1:
+            raise ValueError(f"test_size must be at least 0 and below 1; it is {self.test_size!r}.")
+        most = self.max_effects
+        if most is not None and not (isinstance(most, int | np.integer) and most >= 1):
+            raise ValueError(f"max_effects must be None or a whole number of at least 1; it is {most!r}.")
+        if self.velocities not in VELOCITIES:
+            raise ValueError(f"velocities must be one of {', '.join(VELOCITIES)}; it is {self.velocities!r}.")
+        if not self.tolerance > 0:
+            raise ValueError(f"tolerance must be positive; it is {self.tolerance!r}.")
+        if self.horizon is not None:
+            horizon_rows(self.simulator, self.horizon)
+        if self.n_jobs is not None and (not isinstance(self.n_jobs, int | np.integer) or self.n_jobs == 0):
+            raise ValueError(
+                f"n_jobs must be a number of processes, -1 for one per core, or None; it is {self.n_jobs!r} (on the "
+                "command line --jobs)."
+            )
+        for name, size in (self.priors or {}).items():
+            if name not in {effect.name for effect in self.simulator.effects(also="all")}:
+                raise ValueError(
+                    unknown_name_message(name, {one.name: one for one in self.simulator.effects(also="all")})
+                )
+            if not 0 < size < np.inf:
+                raise ValueError(f"the typical size of {name} must be positive and finite; it is {size!r}.")
+
+    def _chosen_effects(self) -> list[Effect]:
+        known = {effect.name: effect for effect in self.simulator.effects(also="all")}
+        if isinstance(self.effects, str) and self.effects == "all":
+            return list(self.simulator.effects())
+        named = [self.effects] if isinstance(self.effects, str | Effect) else list(self.effects)
+        names = [effect.name if isinstance(effect, Effect) else effect for effect in named]
+        for name in names:
+            if name not in known:
+                raise ValueError(unknown_name_message(name, known))
+        if not names:
+            raise ValueError("effects is empty: name at least one, or pass 'all'.")
+        return [known[name] for name in dict.fromkeys(names)]
+
+    def _without_computed(self, log: Log) -> Log:
+        names = self.simulator.state_names
+        rates = [name for name in names if name.startswith("qvel.")]
+        self.computed_velocities_: tuple[str, ...] = ()
+        if self.velocities == "measured" or not rates or not log.consecutive:
+            return log
+        if self.velocities == "computed":
+            self.computed_velocities_ = tuple(rates)
+        else:
+            self.computed_velocities_ = computed_velocities(self.simulator, log.X, log.y, log.episodes)
+            if self.computed_velocities_:
+                warnings.warn(
+                    f"{', '.join(self.computed_velocities_)} were computed from the positions beside them: noise of "
+                    "the positions that no independent sensor knows of is in them. They are left out, as they measure "
+                    "nothing; pass velocities='measured' if that is wrong.",
+                    UserWarning,
+                    stacklevel=3,
+                )
+        return without_channels(self.simulator, log, self.computed_velocities_)
+
+    def _given_deviations(self) -> Array | None:
+        if isinstance(self.noise, str):
+            if self.noise != "estimate":
+                raise ValueError(
+                    f"noise must be 'estimate' or one standard deviation per channel; it is {self.noise!r}."
+                )
+            return None
+        names = self.simulator.residual_names
+        try:
+            deviations = np.asarray(self.noise, dtype=float)
+        except (TypeError, ValueError):
+            deviations = np.array(np.nan)
+        if deviations.shape != (len(names),) or not ((deviations > 0) & (deviations < np.inf)).all():
+            raise ValueError(
+                f"noise must hold a finite positive standard deviation for each of {', '.join(names)}; it is "
+                f"{self.noise!r}."
+            )
+        return deviations
+
+    def _space(self, log: Log) -> StateSpace:
+        return state_space(
+            self.simulator, log.X, log.y, log.episodes, consecutive=log.consecutive, n_jobs=self.n_jobs
+        )
+
+    def _rows_ahead(self, horizon: float | None = None) -> int:
+        return horizon_rows(self.simulator, self.horizon if horizon is None else horizon)
+
+    def _predicted(
+        self, log: Log, random_state: np.random.RandomState, horizon: float | None = None
+    ) -> Prediction:
+        rows = self._rows_ahead(horizon) if log.consecutive else 1
+        return predicted(
+            self._space(log), self._found.fitted, self._values, horizon=rows, random_state=random_state
+        )
+
+    def _verdict(self) -> str:
+        gain = None if self._prediction is None else self._prediction.gain
+        if is_unexplained(self.remainder_, gain, tolerance=self.tolerance, alpha=self.alpha):
+            return "unexplained"
+        if not self.causes_:
+            return "nothing detected" if self.diverged_share_ < MOST_DIVERGED else "unexplained"
+        return "ambiguous" if any(cause.aliases for cause in self.causes_) else "named"
+
+
+def _causes(found: Found) -> list[Cause]:
+    """Return the causes, most telling first."""
+    known = {effect.name: effect for effect in found.effects}
+    causes = []
+    for name, value in found.values.items():
+        effect = known[name]
+        low, high = found.intervals[name]
+        causes.append(
+            Cause(
+                name=name,
+                family=effect.family,
+                target=effect.target,
+                value=value,
+                interval=(float(low), float(high)),
+                unit=effect.unit,
+                probability=found.probabilities[name],
+                evidence=found.worth[name],
+                aliases=tuple(Alias(*alias) for alias in found.aliases[name]),
+                sentence=effect.describe(value),
+                at_bound=is_held(effect, value),
+            )
+        )
+    return sorted(causes, key=lambda cause: -cause.evidence)
+
+
+def _rounding(space: StateSpace) -> Array:
+    """Return the variance of rounding of each channel: a twelfth of the square of its smallest step."""
+    names = space.simulator.output_names
+    floor = np.zeros(space.d)
+    for channel, name in enumerate(space.simulator.residual_names):
+        if name not in names:
+            continue
+        read = np.unique(space.measured[..., names.index(name)][space.mask[..., channel]])
+        if len(read) > 2:
+            steps = np.diff(read)
+            step = float(steps.min())
+            whole = np.abs(steps / step - np.round(steps / step))
+            if step > 1e-9 * float(np.ptp(read)) and float(whole.max()) < ROUNDED:
+                floor[channel] = step**2 / 12
+    return floor
+
+
+def _warn_of_diverged(share: float, n_rows: int) -> None:
+    if share:
+        warnings.warn(
+            f"The simulation with its causes diverges in {round(share * n_rows)} of {n_rows} rows, which were left "
+            "out; check that they are physical.",
+            stacklevel=3,
+        )
+
+
+def _silent(stage: str, done: int, total: int) -> None:
+    """Report no progress."""
