@@ -1,0 +1,480 @@
+"""The diagnosis as a whole, on a cart with a pole: a simulation that costs next to nothing."""
+
+import copy
+import pickle
+import warnings
+
+import numpy as np
+import pytest
+from sklearn.base import clone
+
+from skat.diagnosis.state_space import SimulationDiagnosis
+from skat.effects import Effect
+from skat.simulators import FunctionSimulator
+from tests.diagnosis.cart_pole import (
+    NEUTRAL,
+    STATES,
+    cart_pole,
+    make_simulator,
+    measure,
+)
+
+
+@pytest.fixture
+def simulator():
+    return make_simulator()
+
+
+def fitted(simulator, log, **parameters):
+    return SimulationDiagnosis(simulator, **{"random_state": 0, **parameters}).fit(*log[:2], groups=log[2])
+
+
+# -- the world and the simulation agree ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "hidden", [{}, {"bob": 1.3}, {"pole": 0.8, "hinge": 0.01}, {"gain": -1.0, "drag": 0.3}]
+)
+def test_world_and_simulation_are_the_same_physics(simulator, hidden):
+    X, y, groups, _ = measure(0, noise=0, **hidden)
+    np.testing.assert_allclose(simulator.predict(X, effects=hidden, groups=groups), y, atol=2e-4)
+
+
+# -- verdicts --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("bob", 1.1),
+        ("pole", 0.9),
+        ("pole", 1.6),
+        ("gain", 0.9),
+        ("gain", -1.0),
+        ("drag", 0.2),
+        ("dry_friction", 0.2),
+        ("gravity", 1.05),
+        ("hinge", 0.01),
+        ("bias[angle]", 0.1),
+        ("scale[v]", 1.05),
+    ],
+)
+def test_hidden_effect_is_named_with_its_size(simulator, name, value):
+    family, _, channel = name.rstrip("]").partition("[")
+    X, y, groups, deviations = measure(3, **({} if channel else {name: value}))
+    if channel:
+        k = STATES.index(channel)
+        for rows in (X, y):
+            rows[:, k] = rows[:, k] + value if family == "bias" else rows[:, k] * value
+    diagnosis = fitted(simulator, (X, y, groups, deviations))
+    assert diagnosis.verdict_ in ("named", "ambiguous")
+    assert [cause.name for cause in diagnosis.causes_] == [name]
+    (cause,) = diagnosis.causes_
+    low, high = cause.interval
+    assert low <= cause.value <= high
+    # Half as wide again as the 95 % interval: a fixed seed, not luck, decides that the test passes.
+    assert abs(cause.value - value) < 0.75 * (high - low)
+    assert (cause.family, cause.target) == (family, channel or None)
+    assert cause.p_value < 0.005
+    assert diagnosis.gain_.extended < diagnosis.gain_.nominal
+
+
+@pytest.mark.parametrize("hidden", [{"bob": 1.3}, {"pole": 0.9}, {"gain": 0.9}, {"drag": 0.2}])
+def test_most_of_an_excess_well_above_the_noise_is_explained(simulator, hidden):
+    gain = fitted(simulator, measure(3, noise=0.0005, **hidden)).gain_
+    assert gain.nominal > 10
+    assert gain.explained > 0.9
+    assert gain.interval[0] > 0.8
+
+
+def test_two_hidden_effects_are_both_named(simulator):
+    diagnosis = fitted(simulator, measure(4, drag=0.2, pole=1.05))
+    assert {cause.name for cause in diagnosis.causes_} == {"drag", "pole"}
+    assert diagnosis.verdict_ == "named"
+    sizes = {cause.name: cause.interval for cause in diagnosis.causes_}
+    assert sizes["drag"][0] < 0.2 < sizes["drag"][1]
+    assert sizes["pole"][0] < 1.05 < sizes["pole"][1]
+
+
+def short_throw(X, drag=0.0):
+    """Return how far a throw goes, m; a simulation that gives up beyond 4.8 m/s."""
+    speed, angle = X.T
+    distance = speed**2 * np.sin(2 * angle) / 9.81 * (1 - drag * speed)
+    return np.where(speed > 4.8, np.nan, distance)[:, None]
+
+
+def test_rows_in_which_a_simulation_diverges_are_left_out_with_a_warning():
+    rng = np.random.default_rng(0)
+    X = np.column_stack([rng.uniform(1, 5, 200), rng.uniform(0.3, 1.2, 200)])
+    y = X[:, :1] ** 2 * np.sin(2 * X[:, 1:]) / 9.81 * (1 - 0.02 * X[:, :1]) + 0.002 * rng.normal(
+        size=(200, 1)
+    )
+    drag = Effect("drag", unit="s/m", neutral=0.0, bounds=(0.0, 0.2))
+    simulator = FunctionSimulator(
+        short_throw, input_names=("speed", "angle"), output_names=("distance",), effects=[drag]
+    )
+    with pytest.warns(
+        UserWarning, match=f"diverges in {np.sum(X[:, 0] > 4.8)} of 200 rows, which were left out"
+    ):
+        diagnosis = fitted(simulator, (X, y, None))
+    (cause,) = diagnosis.causes_
+    assert cause.interval[0] < 0.02 < cause.interval[1]
+    assert np.isfinite([diagnosis.gain_.nominal, diagnosis.gain_.extended, diagnosis.excess_p_value_]).all()
+
+
+def test_estimate_at_a_bound_is_said_to_be_one(simulator):
+    diagnosis = fitted(simulator, measure(6, drag=3.0))
+    (cause,) = (cause for cause in diagnosis.causes_ if cause.name == "drag")
+    assert (cause.value, cause.at_bound) == (2.0, True)
+    assert "at the end of the range" in diagnosis.report_.text()
+    (cause,) = (cause for cause in fitted(simulator, measure(6, drag=1.9)).causes_ if cause.name == "drag")
+    assert not cause.at_bound
+
+
+def test_effect_with_narrow_bounds_is_named():
+    narrow = Effect("gravity", unit="1", neutral=1.0, bounds=(0.95, 1.05))
+    simulator = FunctionSimulator(
+        cart_pole, input_names=(*STATES, "force"), output_names=STATES, state_names=STATES, effects=[narrow]
+    )
+    (cause,) = fitted(simulator, measure(6, gravity=1.04), effects=["gravity"]).causes_
+    assert cause.interval[0] < 1.04 < cause.interval[1]
+
+
+def test_force_that_no_effect_is_like_is_unexplained(simulator):
+    diagnosis = fitted(simulator, measure(5, magnet=4.0, n_episodes=12))
+    assert diagnosis.verdict_ == "unexplained"
+    assert diagnosis.remainder_.p_value < 0.005
+    assert diagnosis.remainder_.direction == "v"
+    assert ("v", "x") in [row[:2] for row in diagnosis.remainder_.table]
+    assert "v" in diagnosis.remainder_.sentence
+
+
+def test_cause_that_was_not_offered_is_unexplained(simulator):
+    others = [name for name in NEUTRAL if name not in ("pole", "gravity", "bob")]
+    diagnosis = fitted(simulator, measure(3, pole=1.6, n_episodes=20), effects=others)
+    assert diagnosis.verdict_ == "unexplained"
+    assert diagnosis.remainder_.p_value < 0.0025
+
+
+def test_errors_above_a_noise_that_is_known_are_unexplained(simulator):
+    log = measure(3, pole=1.6)
+    diagnosis = fitted(simulator, log, effects=["drag", "dry_friction"], noise=log[3])
+    assert diagnosis.verdict_ == "unexplained"
+    assert diagnosis.excess_p_value_ < 0.0025
+    clean = measure(3)
+    assert fitted(simulator, clean, noise=clean[3]).excess_p_value_ > 0.05
+
+
+def test_clean_logs_raise_no_more_alarms_than_alpha_allows(simulator):
+    verdicts = [fitted(simulator, measure(100 + seed)).verdict_ for seed in range(30)]
+    # With the chance of 1 % each, more than two alarms of 30 come in 0.3 % of runs.
+    assert sum(verdict != "nothing detected" for verdict in verdicts) <= 2
+
+
+def test_intervals_cover_the_truth_as_often_as_they_say(simulator):
+    covered = []
+    for seed in range(20):
+        diagnosis = fitted(simulator, measure(200 + seed, bob=1.1), effects=["bob", "drag", "gain"])
+        intervals = {cause.name: cause.interval for cause in diagnosis.causes_}
+        assert "bob" in intervals
+        covered.append(intervals["bob"][0] <= 1.1 <= intervals["bob"][1])
+    # With the chance of 95 % each, fewer than 85 % of 20 come in 1.6 % of runs.
+    assert np.mean(covered) >= 0.85
+
+
+def test_estimated_noise_is_that_of_the_measurement(simulator):
+    ratios = []
+    for seed in range(6):
+        log = measure(300 + seed, bob=1.1)
+        ratios.append(fitted(simulator, log).noise_ / log[3])
+    np.testing.assert_allclose(np.mean(ratios, axis=0), 1, atol=0.12)
+
+
+# -- parameters ------------------------------------------------------------------------------------------------------
+
+
+def findings(diagnosis):
+    return diagnosis.verdict_, [(cause.name, cause.value, cause.interval) for cause in diagnosis.causes_]
+
+
+def test_same_random_state_gives_the_same_answer(simulator):
+    log = measure(3, bob=1.1)
+    first, second = fitted(simulator, log), fitted(simulator, log)
+    assert findings(first) == findings(second)
+    assert first.gain_ == second.gain_
+    assert first.evaluate(*log[:3]) == second.evaluate(*log[:3])
+    assert fitted(simulator, log, random_state=1).gain_ != first.gain_
+
+
+def test_clone_pickle_and_deepcopy_keep_what_they_should(simulator):
+    log = measure(3, bob=1.1)
+    diagnosis = fitted(simulator, log)
+    blank = clone(diagnosis)
+    assert not hasattr(blank, "verdict_")
+    assert findings(blank.fit(*log[:2], groups=log[2])) == findings(diagnosis)
+    for twin in (pickle.loads(pickle.dumps(diagnosis)), copy.deepcopy(diagnosis)):
+        assert findings(twin) == findings(diagnosis)
+        np.testing.assert_array_equal(twin.predict(log[0]), diagnosis.predict(log[0]))
+
+
+def test_fit_leaves_the_parameters_and_the_log_alone(simulator):
+    X, y, groups, _ = measure(3, bob=1.1)
+    kept = X.copy(), y.copy(), groups.copy()
+    diagnosis = SimulationDiagnosis(simulator, random_state=0)
+    before = diagnosis.get_params()
+    diagnosis.fit(X, y, groups=groups)
+    assert diagnosis.get_params() == before
+    for now, then in zip((X, y, groups), kept):
+        np.testing.assert_array_equal(now, then)
+
+
+def test_only_the_effects_given_are_considered(simulator):
+    diagnosis = fitted(simulator, measure(3, bob=1.1), effects=["bob", "drag"])
+    assert list(diagnosis.identifiability_.index) == ["bob", "drag"]
+    assert [cause.name for cause in diagnosis.causes_] == ["bob"]
+
+
+def test_max_effects_bounds_the_number_of_causes(simulator):
+    log = measure(4, drag=0.2, pole=1.2)
+    assert len(fitted(simulator, log, max_effects=1).causes_) == 1
+
+
+def test_without_test_rows_there_is_no_gain(simulator):
+    diagnosis = fitted(simulator, measure(3, bob=1.1), test_size=0)
+    assert diagnosis.gain_ is None
+    assert diagnosis.verdict_ == "named"
+    assert "bob" in repr(diagnosis)
+
+
+def test_noise_that_is_given_is_kept(simulator):
+    log = measure(3, bob=1.1)
+    diagnosis = fitted(simulator, log, noise=log[3])
+    np.testing.assert_allclose(diagnosis.noise_, log[3], rtol=1e-12)
+    assert [cause.name for cause in diagnosis.causes_] == ["bob"]
+
+
+def test_single_episode_warns_and_is_diagnosed(simulator):
+    log = measure(6, bob=1.2, n_episodes=1, n_steps=300)
+    with pytest.warns(UserWarning, match="single episode"):
+        diagnosis = fitted(simulator, log)
+    assert "bob" in [cause.name for cause in diagnosis.causes_]
+
+
+# -- what a fitted diagnosis gives -----------------------------------------------------------------------------------
+
+
+def test_extended_simulation_predicts_and_scores_as_the_diagnosis_does(simulator):
+    X, y, groups, _ = measure(3, bob=1.3)
+    diagnosis = fitted(simulator, (X, y, groups))
+    np.testing.assert_array_equal(diagnosis.predict(X), diagnosis.extended_simulator_.predict(X))
+    values = {cause.name: cause.value for cause in diagnosis.causes_}
+    np.testing.assert_allclose(diagnosis.predict(X), simulator.predict(X, effects=values), rtol=1e-12)
+    nominal = np.sum((y - simulator.predict(X)) ** 2)
+    assert np.sum((y - diagnosis.predict(X)) ** 2) < nominal
+    assert 0.99 < diagnosis.score(X, y) <= 1
+
+
+def test_gain_on_another_log_one_step_and_open_loop(simulator):
+    diagnosis = fitted(simulator, measure(3, pole=1.6))
+    fresh = measure(7, pole=1.6)
+    one_step = diagnosis.evaluate(*fresh[:3])
+    assert (one_step.horizon, one_step.floor) == (1, 1.0)
+    assert one_step.nominal > 2
+    assert 0.6 < one_step.extended < 1.5
+    assert one_step.interval[0] <= one_step.explained <= one_step.interval[1]
+    measured = diagnosis.evaluate(*fresh[:3], horizon="episode")
+    refined = diagnosis.evaluate(*fresh[:3], horizon="episode", initial_state="fitted")
+    for gain in (measured, refined):
+        assert gain.horizon == "episode"
+        assert gain.extended < gain.nominal
+        assert set(gain.channels) == set(STATES)
+    # An initial state of its own takes an episode's noisy start away, for both models.
+    assert refined.extended < measured.extended
+    assert refined.nominal < measured.nominal
+    np.testing.assert_allclose(measured.floor, np.linalg.norm(diagnosis.noise_), rtol=1e-12)
+    # It takes up as many of the noise's squares as it has coordinates: one in each channel.
+    n_steps = np.bincount(fresh[2])[0]
+    np.testing.assert_allclose(refined.floor, measured.floor * np.sqrt(1 - 1 / n_steps), rtol=1e-12)
+    assert refined.extended < 1.5 * refined.floor
+
+
+def test_outputs_choose_the_channels_of_the_distance(simulator):
+    diagnosis = fitted(simulator, measure(3, pole=1.6))
+    fresh = measure(7, pole=1.6)
+    gain = diagnosis.evaluate(*fresh[:3], horizon="episode", outputs=["x"])
+    assert set(gain.channels) == {"x"}
+    np.testing.assert_allclose((gain.nominal, gain.extended), gain.channels["x"], rtol=1e-12)
+    with pytest.raises(ValueError, match=r"outputs names z; measured channels are x, angle, v, w"):
+        diagnosis.evaluate(*fresh[:3], horizon="episode", outputs=["z"])
+
+
+def test_evaluate_refuses_what_it_does_not_know(simulator):
+    diagnosis = fitted(simulator, measure(3, bob=1.3))
+    X, y, groups, _ = measure(7, bob=1.3)
+    with pytest.raises(ValueError, match="horizon must be 1 or 'episode'; it is 5"):
+        diagnosis.evaluate(X, y, groups, horizon=5)
+    with pytest.raises(ValueError, match="initial_state must be 'measured' or 'fitted'; it is 'guessed'"):
+        diagnosis.evaluate(X, y, groups, initial_state="guessed")
+    with pytest.raises(ValueError, match="needs a simulation with a state, and groups="):
+        diagnosis.evaluate(X, y, horizon="episode")
+
+
+def test_effect_that_no_state_depends_on_has_no_detectable_size(simulator):
+    table = fitted(simulator, measure(3)).identifiability_
+    # The track looks the same everywhere: where its origin lies cannot be seen.
+    assert np.isinf(table.loc["bias[x]", "smallest"])
+    assert table.loc["bias[x]", "nearest_alias"] == ""
+    assert np.isfinite(table.loc[["bob", "drag", "bias[angle]", "bias[v]"], "smallest"]).all()
+    assert (table["similarity"] <= 1).all()
+
+
+def test_detectable_size_falls_with_the_noise(simulator):
+    fine = fitted(simulator, measure(3, noise=0.002)).identifiability_["smallest"]
+    coarse = fitted(simulator, measure(3, noise=0.02)).identifiability_["smallest"]
+    assert fine["bob"] < coarse["bob"] / 5
+
+
+def test_preflight_needs_no_measurement_and_foresees_what_a_log_shows(simulator):
+    log = measure(3)
+    diagnosis = SimulationDiagnosis(simulator, random_state=0, noise=log[3], test_size=0)
+    table = diagnosis.preflight(log[0], groups=log[2])
+    assert not hasattr(diagnosis, "verdict_")
+    assert "separating_excitation" in table
+    assert np.isinf(table.loc["bias[x]", "smallest"])
+    seen = diagnosis.fit(*log[:2], groups=log[2]).identifiability_
+    ratio = table.loc[["bob", "drag", "pole", "gravity"], "smallest"] / seen["smallest"]
+    assert ratio.dropna().between(0.6, 1.6).all()
+
+
+def test_progress_is_told(simulator):
+    log = measure(3)
+    stages = []
+    SimulationDiagnosis(simulator, random_state=0).fit(
+        *log[:2], groups=log[2], progress=lambda stage, done, total: stages.append(stage)
+    )
+    assert stages[-1] == "done"
+    assert "select" in stages
+
+
+def test_report_of_an_earlier_fit_is_not_kept(simulator):
+    diagnosis = fitted(simulator, measure(6, drag=3.0))
+    diagnosis.fit(*measure(7)[:2], groups=measure(7)[2])
+    assert not hasattr(diagnosis.report_.diagnosis, "report_")
+
+
+# -- simulations without a state -------------------------------------------------------------------------------------
+
+
+def thrown(X, speed=1.0, drop=1.0, wind=0.0):
+    """Where a ball thrown at an angle (rad) and a speed (m/s) lands, and how long it flew."""
+    angle, v = X.T
+    time = 2 * speed * v * np.sin(angle) / (9.81 * drop)
+    return np.stack([speed * v * np.cos(angle) * time + wind * time**2, time], axis=1)
+
+
+@pytest.fixture
+def throw():
+    return FunctionSimulator(
+        thrown,
+        input_names=("angle", "v"),
+        output_names=("place", "time"),
+        effects=[
+            Effect("speed", unit="1", neutral=1.0, bounds=(0.2, 5.0)),
+            Effect("drop", unit="1", neutral=1.0, bounds=(0.2, 5.0)),
+            Effect("wind", unit="m/s^2", neutral=0.0, bounds=(-5.0, 5.0)),
+        ],
+    )
+
+
+def throws(seed, n_rows=150, **hidden):
+    rng = np.random.default_rng(seed)
+    X = np.column_stack([rng.uniform(0.3, 1.3, n_rows), rng.uniform(3, 8, n_rows)])
+    return X, thrown(X, **hidden) + rng.standard_t(5, size=(n_rows, 2)) * [0.03, 0.01]
+
+
+def test_one_shot_simulation_needs_no_episodes(throw):
+    diagnosis = SimulationDiagnosis(throw, random_state=0).fit(*throws(0, wind=0.3))
+    assert [cause.name for cause in diagnosis.causes_] == ["wind"]
+    low, high = diagnosis.causes_[0].interval
+    assert low < 0.3 < high
+    assert diagnosis.gain_.explained > 0.9
+    fresh = throws(1, wind=0.3)
+    assert diagnosis.evaluate(*fresh).extended < diagnosis.evaluate(*fresh).nominal
+    with pytest.raises(ValueError, match="needs a simulation with a state"):
+        diagnosis.evaluate(*fresh, horizon="episode")
+
+
+def test_one_shot_simulation_without_an_error_is_left_alone(throw):
+    verdicts = [SimulationDiagnosis(throw, random_state=0).fit(*throws(10 + k)).verdict_ for k in range(20)]
+    assert sum(verdict != "nothing detected" for verdict in verdicts) <= 2
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e3, 1e-6])
+def test_bias_of_a_sensor_is_named_in_any_unit(unit):
+    rng = np.random.default_rng(0)
+    X = rng.uniform(0.2, 1.0, (80, 2))
+    measured = unit * (600 * X[:, 0] ** 1.8 + 200 * X[:, 1] + 5 + 1.5 * rng.normal(size=80))
+    pipe = FunctionSimulator(
+        lambda X, rough, head: unit * (600 * rough * X[:, :1] ** 1.8 + 200 * head * X[:, 1:]),
+        input_names=("flow", "level"),
+        output_names=("dp",),
+        effects=[Effect(name, unit="1", neutral=1.0, bounds=(0.5, 3.0)) for name in ("rough", "head")],
+    )
+    diagnosis = SimulationDiagnosis(pipe, random_state=0).fit(X, measured)
+    assert [cause.name for cause in diagnosis.causes_] == ["bias[dp]"]
+    low, high = diagnosis.causes_[0].interval
+    assert low < 5 * unit < high
+
+
+def slow_drive(seed):
+    """Return six episodes at 20 Hz of a drive whose gain is 1.1, its place read to 1 mm: a step is mostly noise."""
+    rng = np.random.default_rng(seed)
+    speed = np.repeat(rng.uniform(-10, 10, (6, 6)), 20, axis=1)
+    place = np.pad(np.cumsum(0.05 * 1.1 * speed, axis=1), ((0, 0), (1, 0))) + rng.normal(size=(6, 121))
+    X = np.column_stack([place[:, :-1].ravel(), speed.ravel()])
+    return X, place[:, 1:].reshape(-1, 1), np.repeat(np.arange(6), 120)
+
+
+def test_cause_that_shows_in_sums_of_steps_alone_is_named():
+    """Seeds in which single steps, by chance, are predicted no better with the true cause."""
+    drive = FunctionSimulator(
+        lambda X, gain, drift: X[:, :1] + 0.05 * (gain * X[:, 1:] + drift),
+        input_names=("x", "u"),
+        output_names=("x",),
+        state_names=("x",),
+        effects=[
+            Effect("gain", unit="1", neutral=1.0, bounds=(0.2, 3.0)),
+            Effect("drift", unit="mm/s", neutral=0.0, bounds=(-20.0, 20.0)),
+        ],
+        dt=0.05,
+    )
+    for seed in (11, 12, 14):
+        diagnosis = fitted(drive, slow_drive(seed))
+        assert diagnosis.verdict_ == "ambiguous"
+        (cause,) = diagnosis.causes_
+        assert "gain" in (cause.name, *cause.aliases)
+
+
+def test_what_is_no_simulator_and_noise_that_is_no_list_are_refused(simulator):
+    X, y, groups, _ = measure(3)
+    with pytest.raises(
+        TypeError, match=r"simulator must be a Simulator, such as MujocoSimulator.*robot\.xml"
+    ):
+        SimulationDiagnosis("robot.xml").fit(X, y, groups=groups)
+    with pytest.raises(ValueError, match="noise must hold a finite positive standard deviation for each of"):
+        SimulationDiagnosis(simulator, noise={"x": 0.1}).fit(X, y, groups=groups)
+    with pytest.raises(ValueError, match="hidden names every channel of the state"):
+        SimulationDiagnosis(simulator, hidden=simulator.state_names).fit(X, y, groups=groups)
+
+
+def test_preflight_asks_for_groups_only_where_none_were_given(simulator):
+    forces = np.random.default_rng(0).normal(size=(2, 40, 1))
+    states = simulator.rollout(np.array([[0.0, 1.0, 0.0, 0.0], [0.0, 2.0, 0.0, 0.0]]), forces, n_steps=40)
+    X = np.concatenate([states[:, :-1], forces], axis=2).reshape(80, -1)
+    groups = np.repeat([0, 1], 40)
+    diagnosis = SimulationDiagnosis(simulator, effects=["drag", "gain"])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        diagnosis.preflight(X, groups=groups)
+    with pytest.warns(UserWarning, match="Pass groups="):
+        diagnosis.preflight(X)
