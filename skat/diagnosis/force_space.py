@@ -16,12 +16,11 @@ References
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct
-from scipy.special import erf
 
 from skat.diagnosis.filtering import Array, Mask
 from skat.diagnosis.fitting import priors_of
@@ -44,13 +43,15 @@ MOST_BLOCKS, STRETCH = 6000, 1000
 FEWEST_FOR_CURVES, DRIFT = 40, 0.02
 # Families that differentiated positions do not show, or that need what a row does not hold.
 UNSEEN = ("scale", "lag", "timestep", "backlash", "lag_torque")
-# Of the typical size of an effect: over which its column is taken.
-STEP = 0.25
+# Of the typical size of an effect: over which its column is taken. Weak dry friction saturates at once.
+STEP = 0.01
 NOISE_TURNS = 4
 # Blocks from which the strength of commands is told.
 ROWS_FOR_ANCHORS = 200
 # Searches, each about the values of the one before, where forces are not linear: a mean square, of the noise.
-TURNS, BENT = 4, 0.02
+TURNS, BENT = 2, 0.02
+# Of the missing force: smoothed motions and commands that hold for a row tell none of it better.
+INEXACT = 0.03
 # In nats, for a start; a delay is named by its evidence.
 WORTH_OF_DELAY = 5.0
 # Sets that are less likely by at most this factor cannot be told apart.
@@ -90,13 +91,6 @@ class Motion:
     duration: float
     slip: Array
     cutoff: Array
-
-    @property
-    def against(self) -> Array:
-        """Expected sign of each speed, (n_blocks, nv)."""
-        nv = len(self.slip)
-        speed = self.states[:, -nv:]
-        return np.asarray(erf(speed / (np.sqrt(2) * np.maximum(self.slip, 1e-12))))
 
 
 def smooth_motion(simulator: MujocoSimulator, X: Array, y: Array, groups: Array) -> Motion | None:
@@ -186,8 +180,10 @@ def missing_force(
     """Return the force that each candidate's model lacks for a motion, (n_candidates, n_blocks, nv)."""
     commands = simulator.acting_commands(motion.commands, candidates, groups=motion.episodes)
     commands = np.stack([one[motion.rows].mean(axis=1) for one in commands])
-    forces, friction = simulator.missing_forces(motion.states, motion.accelerations, commands, candidates)
-    return (forces + friction * motion.against) / _anchors(simulator, motion, commands, candidates)[:, None]
+    forces = simulator.missing_forces(
+        motion.states, motion.accelerations, commands, candidates, slip=motion.slip
+    )
+    return forces / _anchors(simulator, motion, commands, candidates)[:, None]
 
 
 def _anchors(
@@ -206,9 +202,9 @@ def _anchors(
     of = simulator.missing_forces
     sent = np.concatenate([commands[:1, some], commands[:, some]])
     held = np.concatenate([middle[:1], middle]) + 0 * sent
-    base = of(states, still, held, whole)[0]
-    by_command = np.sqrt(np.mean((of(states, still, sent, whole)[0] - base) ** 2, axis=1))
-    by_inertia = np.sqrt(np.mean((of(states, moved, held, whole)[0] - base) ** 2, axis=1))
+    base = of(states, still, held, whole)
+    by_command = np.sqrt(np.mean((of(states, still, sent, whole) - base) ** 2, axis=1))
+    by_inertia = np.sqrt(np.mean((of(states, moved, held, whole) - base) ** 2, axis=1))
     # What a neutral motor exerts, over what it exerts if it came late or shifted, is no matter of its strength.
     sizes = np.where(by_command[0] > 1e-9 * by_inertia[0], by_command, by_inertia)
     return np.where(sizes[0] > 0, np.maximum(sizes[1:], 1e-3 * sizes[0]) / np.maximum(sizes[0], 1e-300), 1.0)
@@ -228,12 +224,15 @@ class Rows:
         Degree of freedom of each row.
     frequency : ndarray of shape (n_rows,)
         Hz.
+    nominal : ndarray of shape (n_rows,)
+        The target of the model as it is.
     """
 
     target: Array
     columns: Array
     joint: NDArray[np.intp]
     frequency: Array
+    nominal: Array
 
     def whitened(self, deviations: Array) -> tuple[Array, Array]:
         """Return target and columns over the noise."""
@@ -260,7 +259,7 @@ def rows_at(
     simulator: MujocoSimulator, motion: Motion, values: Mapping[str, float], effects: Sequence[Effect]
 ) -> Rows:
     """Return the rows of the regression about given values."""
-    candidates, widths = [dict(values)], []
+    candidates, widths = [{}, dict(values)], []
     for effect in effects:
         now = values.get(effect.name, effect.neutral)
         step = STEP * effect.typical
@@ -269,10 +268,10 @@ def rows_at(
         candidates.append({**values, effect.name: other})
         widths.append(other - now)
     forces = missing_force(simulator, motion, candidates)
-    differences = (forces[0] - forces[1:]) / np.array(widths)[:, None, None]
-    together = np.concatenate([forces[:1], differences]).transpose(1, 2, 0)
+    differences = (forces[1] - forces[2:]) / np.array(widths)[:, None, None]
+    together = np.concatenate([forces[:2], differences]).transpose(1, 2, 0)
     coefficients, joint, frequency = transformed(motion, together)
-    return Rows(coefficients[:, 0], coefficients[:, 1:], joint, frequency)
+    return Rows(coefficients[:, 1], coefficients[:, 2:], joint, frequency, coefficients[:, 0])
 
 
 def noise_of(rows: Rows, squares: Array, *, flat: bool = False) -> Array:
@@ -293,7 +292,7 @@ def noise_of(rows: Rows, squares: Array, *, flat: bool = False) -> Array:
     times chi-squared of one degree of freedom.
     """
     deviations = np.empty(len(squares))
-    least = 1e-18 * float(np.mean(rows.target**2)) + 1e-300
+    least = 1e-18 * float(np.mean(rows.nominal**2)) + 1e-300
     for joint in np.unique(rows.joint):
         mine = rows.joint == joint
         share = rows.frequency[mine] / max(float(rows.frequency[mine].max()), 1e-12)
@@ -301,6 +300,9 @@ def noise_of(rows: Rows, squares: Array, *, flat: bool = False) -> Array:
         own = np.maximum(squares[mine], least)
         curves = curves[:, : 1 if flat or len(own) < FEWEST_FOR_CURVES else 3]
         deviations[mine] = np.exp(0.5 * curves @ _log_variance(curves, own))
+        curves = curves[:, : 1 if len(own) < FEWEST_FOR_CURVES else 3]
+        missing = np.exp(0.5 * curves @ _log_variance(curves, np.maximum(rows.nominal[mine] ** 2, least)))
+        deviations[mine] = np.maximum(deviations[mine], INEXACT * missing)
     return np.maximum(deviations, np.sqrt(least))
 
 
@@ -461,7 +463,7 @@ def first_look(
     offered = [offered[place] for place in shown]
     if not offered:
         return None
-    rows = Rows(rows.target, rows.columns[:, shown], rows.joint, rows.frequency)
+    rows = _only(rows, shown)
     nominal = rows
     priors = priors_of(offered, typical)
     neutral = np.array([effect.neutral for effect in offered])
@@ -471,11 +473,11 @@ def first_look(
     if values:
         rows, origin = rows_at(simulator, motion, values, offered), _origin(offered, values)
         deviations, dense = all_explained(rows, priors, origin)
-    families = families_of(offered)
+    families, rivals = families_of(offered), rivals_of(offered)
     needed = -np.log(alpha)
     for _ in range(TURNS):
         before = values
-        best, worth = search_sets(gram_of_rows(rows, deviations, origin), priors, families)
+        best, worth = search_sets(gram_of_rows(rows, deviations, origin), priors, families, rivals=rivals)
         best, nats = without_weak(best, worth, needed)
         found, shifts = _shifts(best, neutral, origin)
         values = {
@@ -487,12 +489,12 @@ def first_look(
             break
         rows, origin = rows_at(simulator, motion, values, offered), _origin(offered, values)
     best, worth = search_sets(
-        gram_of_rows(rows, deviations, origin), priors, families, start=best.members
+        gram_of_rows(rows, deviations, origin), priors, families, start=best.members, rivals=rivals
     )
     best, nats = without_weak(best, worth, needed)
     found, shifts = _shifts(best, neutral, origin)
     names = [offered[place].name for place in best.members]
-    errors = np.sqrt(np.diag(np.linalg.inv(best.curvature))) if names else np.zeros(0)
+    errors = np.sqrt(np.maximum(np.diag(np.linalg.inv(best.curvature)), 0.0)) if names else np.zeros(0)
     ranked = sorted(worth.seen.values(), key=lambda one: -one.evidence)
     starts = [_named(one, offered) for one in [best, *ranked[:2]]]
     everything = {effect.name: float(value + effect.neutral) for effect, value in zip(offered, dense)}
@@ -523,6 +525,18 @@ def families_of(effects: Sequence[Effect]) -> dict[str, list[int]]:
     return {family: places for family, places in found.items() if len(places) > 1}
 
 
+def rivals_of(effects: Sequence[Effect]) -> dict[int, list[int]]:
+    """Return for each effect those that are all of its family, or each of it."""
+    rivals: dict[int, list[int]] = {}
+    for every, effect in enumerate(effects):
+        if effect.target == "all":
+            for one, other in enumerate(effects):
+                if other.family == effect.family and one != every:
+                    rivals.setdefault(every, []).append(one)
+                    rivals.setdefault(one, []).append(every)
+    return rivals
+
+
 def late_commands(
     simulator: MujocoSimulator,
     motion: Motion,
@@ -544,7 +558,7 @@ def late_commands(
     some = _only(rows, others)
     gains = []
     for target in targets.T:
-        gram = gram_of_rows(Rows(target, some.columns, rows.joint, rows.frequency), deviations, np.zeros(len(others)))
+        gram = gram_of_rows(replace(some, target=target), deviations, np.zeros(len(others)))
         z = target / deviations
         values, _ = posterior_mode(
             gram.products, gram.projections, priors.scales[others], priors.low[others], priors.high[others]
@@ -555,8 +569,8 @@ def late_commands(
     return {late.name: min(float(grid[best - 1]), late.bounds[1])} if gains[best] > gains[0] + WORTH_OF_DELAY else {}
 
 
-def _only(rows: Rows, members: Sequence[int]) -> Rows:
-    return Rows(rows.target, rows.columns[:, list(members)], rows.joint, rows.frequency)
+def _only(rows: Rows, members: Sequence[int] | NDArray[np.intp]) -> Rows:
+    return replace(rows, columns=rows.columns[:, list(members)])
 
 
 def _origin(effects: Sequence[Effect], values: Mapping[str, float]) -> Array:

@@ -25,7 +25,7 @@ from skat.simulators.commands import CommandPath
 from skat.simulators.compiling import checked_model, compile_spec, lean_spec
 from skat.simulators.derived import write_down
 from skat.simulators.edits import PLAY, add_payload
-from skat.simulators.friction import NEUTRAL
+from skat.simulators.friction import NEUTRAL, braking_share, creep
 from skat.simulators.furnishing import with_base, with_motors
 from skat.simulators.source import (
     NOTES,
@@ -410,12 +410,14 @@ class MujocoSimulator(Simulator):
         accelerations: ArrayLike,
         commands: Array,
         candidates: Sequence[Mapping[str, float]],
-    ) -> tuple[Array, Array]:
+        *,
+        slip: ArrayLike = 0.0,
+    ) -> Array:
         """Return the force that a motion needs beyond what the model exerts, under each candidate set of effect values.
 
         By inverse dynamics: M a less gravity, inertial forces, springs, dampers, actuators and applied forces. Contacts,
-        limits and other constraints exert nothing here, and dry friction, whose direction a motion at rest does not
-        tell, is returned beside it.
+        limits and other constraints but dry friction exert nothing here. Dry friction is as soft as MuJoCo's: below a speed
+        it grows with it.
 
         Parameters
         ----------
@@ -425,11 +427,13 @@ class MujocoSimulator(Simulator):
         commands : ndarray of shape (n_candidates, n_rows, nu)
             What reaches the actuators, as from `acting_commands`.
         candidates : sequence of mappings from name to value
+        slip : float or array-like of shape (nv,), default=0
+            Standard deviation of the speeds: dry friction is what it is on average within it.
 
         Returns
         -------
-        forces, friction : ndarray of shape (n_candidates, n_rows, nv)
-            N or N m. A motion against friction needs ``forces + friction * sign(velocity)``.
+        ndarray of shape (n_candidates, n_rows, nv)
+            N or N m.
         """
         totals = [self._total(values) for values in candidates]
         seen = np.broadcast_to(np.asarray(states, float), (len(totals), *np.shape(states)))
@@ -440,7 +444,12 @@ class MujocoSimulator(Simulator):
             model = self._unconstrained(values)
             jobs.append(Job(index, model, 1, self._forces(values, model)))
         stepper = self._cached("stepper", Stepper)
-        return stepper.missing_forces(jobs, self._layout.normalised(inputs, "states"), np.asarray(accelerations))
+        inputs = self._layout.normalised(inputs, "states")
+        forces, friction = stepper.missing_forces(jobs, inputs, np.asarray(accelerations, float))
+        speeds = inputs[:, :, self._nominal.nq : self._nominal.nq + self._nominal.nv]
+        softness, damping = np.array([creep(job.model) for job in jobs]).transpose(1, 0, 2)[:, :, None]
+        speeds = speeds + np.asarray(accelerations, float) / damping
+        return forces + friction * braking_share(speeds, friction * softness / damping, np.asarray(slip, float))
 
     def constrained(self, states: ArrayLike) -> NDArray[np.bool_]:
         """Return in which rows a contact, a limit or another constraint pushes, under the model as it is.
