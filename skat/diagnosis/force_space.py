@@ -50,6 +50,8 @@ NOISE_TURNS = 4
 ROWS_FOR_ANCHORS = 200
 # Searches, each about the values of the one before, where forces are not linear: a mean square, of the noise.
 TURNS, BENT = 2, 0.02
+# Of factors: in units of the commands a motor that does nothing cannot be told.
+WEAKEST = 0.2
 # Of the missing force: smoothed motions and commands that hold for a row tell none of it better.
 INEXACT = 0.03
 # In nats, for a start; a delay is named by its evidence.
@@ -207,7 +209,7 @@ def _anchors(
     by_inertia = np.sqrt(np.mean((of(states, moved, held, whole) - base) ** 2, axis=1))
     # What a neutral motor exerts, over what it exerts if it came late or shifted, is no matter of its strength.
     sizes = np.where(by_command[0] > 1e-9 * by_inertia[0], by_command, by_inertia)
-    return np.where(sizes[0] > 0, np.maximum(sizes[1:], 1e-3 * sizes[0]) / np.maximum(sizes[0], 1e-300), 1.0)
+    return np.where(sizes[0] > 0, np.maximum(sizes[1:], WEAKEST * sizes[0]) / np.maximum(sizes[0], 1e-300), 1.0)
 
 
 @dataclass(frozen=True)
@@ -465,7 +467,7 @@ def first_look(
         return None
     rows = _only(rows, shown)
     nominal = rows
-    priors = priors_of(offered, typical)
+    priors = force_priors(offered, typical)
     neutral = np.array([effect.neutral for effect in offered])
     origin = np.zeros(len(offered))
     deviations, dense = all_explained(rows, priors, origin)
@@ -513,6 +515,13 @@ def first_look(
         left=_sizes(simulator, rows, left, motion),
         n_rows=len(rows.target),
     )
+
+
+def force_priors(effects: Sequence[Effect], typical: Mapping[str, float] | None = None) -> Priors:
+    """Return the priors of effects, without factors so small that a machine would not be one."""
+    priors = priors_of(effects, typical)
+    factors = np.array([effect.neutral == 1 for effect in effects])
+    return replace(priors, low=np.where(factors, np.maximum(priors.low, WEAKEST - 1), priors.low))
 
 
 def families_of(effects: Sequence[Effect]) -> dict[str, list[int]]:
