@@ -1,8 +1,8 @@
 r"""What changed between two logs of one machine, whatever its model gets wrong in both.
 
 The regression in force space of both logs is stacked: columns of what is common to them, and of what only the second has.
-Common errors, all effects at once, are a nuisance that their priors hold; with the normal laws of their posterior they are
-integrated out of the Gram matrix, and of the differences sparse sets are searched by evidence:
+Common errors, all effects at once, are a nuisance that their priors hold; with the normal laws of their posterior they
+are integrated out of the Gram matrix, and of the differences sparse sets are searched by evidence:
 
 .. math:: G = G_{dd} - G_{dc} (G_{cc} + W)^{-1} G_{cd}, \qquad b = b_d - G_{dc} (G_{cc} + W)^{-1} b_c.
 
@@ -32,7 +32,7 @@ from skat.diagnosis.force_space import (
     unbiased_squares,
     visible,
 )
-from skat.diagnosis.set_evidence import Gram, Priors, Weighed, posterior_mode
+from skat.diagnosis.set_evidence import Gram, Priors, Weighed
 from skat.diagnosis.set_search import Weigher, alternatives, search_sets, without_weak
 from skat.effects import Effect
 from skat.simulators import MujocoSimulator, Simulator
@@ -143,7 +143,10 @@ def find_changes(
         If the simulator is not one of joints, or contacts push all the time in one of the logs.
     """
     if not isinstance(simulator, MujocoSimulator):
-        raise ValueError(f"changes are searched for in the forces on joints: the simulator must be a MujocoSimulator; it is {simulator!r}")
+        raise ValueError(
+            "changes are searched for in the forces on joints: the simulator must be a MujocoSimulator; it is "
+            f"{simulator!r}"
+        )
     motions = []
     for name, log in (("before", before), ("after", after)):
         motion = smooth_motion(simulator, *log)
@@ -190,7 +193,21 @@ def find_changes(
         whole = np.concatenate([stacked.columns, columns[:, list(best.members)]], axis=1)
         step = (moved - origin)[list(best.members)]
         noise = _noise_beside(stacked, target, whole, step, noise, nuisance)
-    return _told(simulator, candidates, best, worth, nats, stacked, target, columns, origin, noise, nuisance, n_before, motions)
+    return _told(
+        simulator,
+        candidates,
+        best,
+        worth,
+        nats,
+        stacked,
+        target,
+        columns,
+        origin,
+        noise,
+        nuisance,
+        n_before,
+        motions,
+    )
 
 
 def weights_on(simulator: MujocoSimulator) -> list[_Candidate]:
@@ -233,7 +250,10 @@ def _laws(candidates: Sequence[_Candidate], offered: Sequence[Effect], priors: P
     n_places = PLACES**3
     odds = np.array([one.effect.odds / (n_places if one.place else 1) for one in candidates])
     scales = np.array(
-        [priors.scales[known[one.effect.name]] if one.effect.name in known else one.effect.typical for one in candidates]
+        [
+            priors.scales[known[one.effect.name]] if one.effect.name in known else one.effect.typical
+            for one in candidates
+        ]
     )
     high = np.array([one.effect.bounds[1] - one.effect.neutral for one in candidates])
     # What is taken off again is a change, too.
@@ -289,7 +309,9 @@ def _relinearised(
     for place in best.members:
         one = candidates[place]
         value = float(np.clip(moved[place] + one.effect.neutral, *one.effect.bounds))
-        if value - one.effect.neutral != moved[place]:  # less of something than the model has: linear as it is
+        if (
+            value - one.effect.neutral != moved[place]
+        ):  # less of something than the model has: linear as it is
             return target, columns, np.zeros(len(moved))
         values |= {**one.values, one.effect.name: value}
     steps, tried = [], []
@@ -373,14 +395,16 @@ def _told(
                 one.effect.unit,
                 float(nats[place]),
                 1 / total,
-                tuple((name, share / total) for name, share in sorted(aliases.items(), key=lambda pair: -pair[1])),
+                tuple(
+                    (name, share / total)
+                    for name, share in sorted(aliases.items(), key=lambda pair: -pair[1])
+                ),
                 one.place,
             )
         )
     changes.sort(key=lambda change: -change.worth)
     moved = np.zeros(len(candidates))
     moved[list(best.members)] = best.values
-    k = stacked.columns.shape[1]
     left = []
     for base, step in ((stacked.target, np.zeros(len(candidates))), (target, moved - origin)):
         z, C = (base - columns @ step) / noise, stacked.columns / noise[:, None]
@@ -391,14 +415,17 @@ def _told(
     names = simulator.residual_names[len(simulator.residual_names) // 2 :]
     nv, second = len(names), np.arange(len(target)) >= n_before
     size = [
-        [float(np.sqrt(np.sum(one[second & (stacked.joint % nv == joint)] ** 2) / len(motions[1].states))) for joint in range(nv)]
+        [
+            float(np.sqrt(np.sum(one[second & (stacked.joint % nv == joint)] ** 2) / len(motions[1].states)))
+            for joint in range(nv)
+        ]
         for one in left
     ]
     n_blocks = sum(len(motion.states) for motion in motions)
     lacking = [
-        float(np.sqrt(np.sum(stacked.target[stacked.joint % nv == joint] ** 2) / n_blocks)) for joint in range(nv)
+        float(np.sqrt(np.sum(stacked.target[stacked.joint % nv == joint] ** 2) / n_blocks))
+        for joint in range(nv)
     ]
-    del k
     verdict = "nothing changed" if not changes else "named"
     if any(change.aliases for change in changes):
         verdict = "ambiguous"

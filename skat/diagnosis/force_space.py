@@ -1,13 +1,14 @@
 r"""Regression in force space: a first look at what a model of joints misses, in seconds and without simulating.
 
-Positions are smoothed to speeds and accelerations; inverse dynamics then say what force each joint lacks. It is the sum
-of what effects exert, nearly linear in their values, whatever the family: columns are differences of inverse dynamics with
-an effect in the model and without.
+Positions are smoothed to speeds and accelerations; inverse dynamics then say what force each joint lacks. It is the
+sum of what effects exert, nearly linear in their values, whatever the family: columns are differences of inverse
+dynamics with an effect in the model and without.
 
-Each joint's missing force, and its columns, are cut into blocks of rows and transformed by a cosine transform, of which the
-coefficients up to the frequency at which the smoother keeps most of the motion are rows of the regression. What is left of
-them is noise whose variance changes smoothly with frequency: drift, forces that have a memory, sensor noise that
-differentiation lifts. Divided by its deviation these rows are white, and sets of causes are weighed on their Gram matrix.
+Each joint's missing force, and its columns, are cut into blocks of rows and transformed by a cosine transform, of which
+the coefficients up to the frequency at which the smoother keeps most of the motion are rows of the regression. What is
+left of them is noise whose variance changes smoothly with frequency: drift, forces that have a memory, sensor noise
+that differentiation lifts. Divided by its deviation these rows are white, and sets of causes are weighed on their Gram
+matrix.
 
 References
 ----------
@@ -112,7 +113,11 @@ def smooth_motion(simulator: MujocoSimulator, X: Array, y: Array, groups: Array)
     episodes = np.insert(np.asarray(groups), ends + 1, groups[ends])
     if n_states != 2 * nv:
         return None
-    q, v, a, slip, cutoff = instants[:, :nv].copy(), *np.empty((2, *instants[:, :nv].shape)), *np.empty((2, nv))
+    q, v, a, slip, cutoff = (
+        instants[:, :nv].copy(),
+        *np.empty((2, *instants[:, :nv].shape)),
+        *np.empty((2, nv)),
+    )
     for joint in range(nv):
         try:
             smooth = smooth_coordinate(instants[:, joint], instants[:, nv + joint], episodes, dt)
@@ -209,7 +214,9 @@ def _anchors(
     by_inertia = np.sqrt(np.mean((of(states, moved, held, whole) - base) ** 2, axis=1))
     # What a neutral motor exerts, over what it exerts if it came late or shifted, is no matter of its strength.
     sizes = np.where(by_command[0] > 1e-9 * by_inertia[0], by_command, by_inertia)
-    return np.where(sizes[0] > 0, np.maximum(sizes[1:], WEAKEST * sizes[0]) / np.maximum(sizes[0], 1e-300), 1.0)
+    return np.where(
+        sizes[0] > 0, np.maximum(sizes[1:], WEAKEST * sizes[0]) / np.maximum(sizes[0], 1e-300), 1.0
+    )
 
 
 @dataclass(frozen=True)
@@ -483,11 +490,14 @@ def first_look(
         best, nats = without_weak(best, worth, needed)
         found, shifts = _shifts(best, neutral, origin)
         values = {
-            offered[place].name: float(np.clip(found[place], *offered[place].bounds)) for place in best.members
+            offered[place].name: float(np.clip(found[place], *offered[place].bounds))
+            for place in best.members
         }
         squares = unbiased_squares(_only(rows, best.members), shifts, deviations, best.curvature, rows)
         deviations = noise_of(rows, squares)
-        if set(before) == set(values) or not _bends(simulator, motion, values, rows, shifts, best, deviations):
+        if set(before) == set(values) or not _bends(
+            simulator, motion, values, rows, shifts, best, deviations
+        ):
             break
         rows, origin = rows_at(simulator, motion, values, offered), _origin(offered, values)
     best, worth = search_sets(
@@ -562,7 +572,9 @@ def late_commands(
     grid = np.unique(np.r_[np.arange(1, steps + 1) / steps, np.arange(1.0, 6.0)]) * simulator.dt
     grid = grid[grid <= late.bounds[1] * (1 + 1e-9)]
     others = [place for place, effect in enumerate(effects) if effect.family != "delay"]
-    forces = missing_force(simulator, motion, [{}, *({late.name: min(float(one), late.bounds[1])} for one in grid)])
+    forces = missing_force(
+        simulator, motion, [{}, *({late.name: min(float(one), late.bounds[1])} for one in grid)]
+    )
     targets = transformed(motion, forces.transpose(1, 2, 0))[0]
     some = _only(rows, others)
     gains = []
@@ -575,7 +587,11 @@ def late_commands(
         gains.append(gram.projections @ values - 0.5 * values @ gram.products @ values - 0.5 * z @ z)
         gains[-1] -= float(np.log1p((values / priors.scales[others]) ** 2).sum())
     best = int(np.argmax(gains))
-    return {late.name: min(float(grid[best - 1]), late.bounds[1])} if gains[best] > gains[0] + WORTH_OF_DELAY else {}
+    return (
+        {late.name: min(float(grid[best - 1]), late.bounds[1])}
+        if gains[best] > gains[0] + WORTH_OF_DELAY
+        else {}
+    )
 
 
 def _only(rows: Rows, members: Sequence[int] | NDArray[np.intp]) -> Rows:
@@ -619,5 +635,6 @@ def _sizes(simulator: MujocoSimulator, rows: Rows, values: Array, motion: Motion
     names = simulator.residual_names[len(simulator.residual_names) // 2 :]
     n_blocks = len(motion.states)
     return {
-        name: float(np.sqrt(np.sum(values[rows.joint == joint] ** 2) / n_blocks)) for joint, name in enumerate(names)
+        name: float(np.sqrt(np.sum(values[rows.joint == joint] ** 2) / n_blocks))
+        for joint, name in enumerate(names)
     }

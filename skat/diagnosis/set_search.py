@@ -186,7 +186,9 @@ def _by_families(worth: Weigher, now: Weighed, families: Mapping[str, Sequence[i
             if not set(places) <= own
         ]
         moves += [own - set(places) for places in families.values() if set(places) <= own]
-        found = max((worth(tuple(move)) for move in moves if len(move) <= LARGEST_SET), key=_evidence, default=now)
+        found = max(
+            (worth(tuple(move)) for move in moves if len(move) <= LARGEST_SET), key=_evidence, default=now
+        )
         if found.evidence <= now.evidence + 1e-9:
             return now
         now = found
@@ -262,7 +264,11 @@ def alternatives(best: Weighed, worth: Weigher, within: float) -> dict[int, list
     found: dict[int, list[tuple[int, float]]] = {}
     for one in own:
         rest = worth([other for other in own if other != one])
-        likely = [int(other) for other in np.argsort(-worth.promises(rest))[: WEIGHED + 1] if other != one and other not in best.members]
+        likely = [
+            int(other)
+            for other in np.argsort(-worth.promises(rest))[: WEIGHED + 1]
+            if other != one and other not in best.members
+        ]
         lost = [(other, best.evidence - worth((*worth.chosen(rest), other)).evidence) for other in likely]
         found[one] = sorted([pair for pair in lost if pair[1] <= within], key=lambda pair: pair[1])
     return found

@@ -1,9 +1,9 @@
 r"""Smooth position, velocity and acceleration of one coordinate from noisy readings: pure functions of arrays.
 
-The coordinate is an integrated random walk, its jerk white noise, read with white noise of positions and, where they were
-measured, of velocities. The variances maximise the restricted likelihood; the smoothed state is the posterior mean. The
-information matrix of all states is banded, so that all of it is linear in the number of rows. In units of the row's duration
-h the states are :math:`(q, h v, h^2 a / 2)`, whose transition and covariance of a step hold no h at all:
+The coordinate is an integrated random walk, its jerk white noise, read with white noise of positions and, where they
+were measured, of velocities. The variances maximise the restricted likelihood; the smoothed state is the posterior
+mean. The information matrix of all states is banded, so that all of it is linear in the number of rows. In units of the
+row's duration h the states are :math:`(q, h v, h^2 a / 2)`, whose transition and covariance of a step hold no h at all:
 
 .. math::
 
@@ -24,7 +24,7 @@ References
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cholesky_banded, cho_solve_banded
+from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.optimize import minimize
 
 from skat.diagnosis.filtering import Array
@@ -95,7 +95,9 @@ def smooth_coordinate(positions: Array, velocities: Array, episodes: Array, dt: 
     read = np.column_stack([positions, velocities * dt])
     seen = np.isfinite(read)
     if (np.add.reduceat(seen.sum(axis=1), starts) < 3).any():
-        raise ValueError("an episode holds fewer than 3 readings of a coordinate, which has a position, a speed and a push")
+        raise ValueError(
+            "an episode holds fewer than 3 readings of a coordinate; it takes 3 to tell how it moves"
+        )
     if not seen[:, 0].any():
         # Of velocities alone only differences of positions matter.
         first = np.isin(np.arange(len(read)), starts)

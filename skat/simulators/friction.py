@@ -93,6 +93,8 @@ def braking_share(speed: Array, zone: Array, slip: Array) -> Array:
     zone, slip = np.maximum(zone, 1e-9), np.maximum(slip, 1e-9)
 
     def ramp(x: Array) -> Array:
-        return np.asarray(x * erf(x / (np.sqrt(2) * slip)) + slip * np.sqrt(2 / np.pi) * np.exp(-0.5 * (x / slip) ** 2))
+        return np.asarray(
+            x * erf(x / (np.sqrt(2) * slip)) + slip * np.sqrt(2 / np.pi) * np.exp(-0.5 * (x / slip) ** 2)
+        )
 
     return np.asarray((ramp(speed + zone) - ramp(speed - zone)) / (2 * zone))

@@ -382,9 +382,13 @@ class MujocoSimulator(Simulator):
         return self._model(values, self.frame_skip), n_substeps or self.frame_skip, self._forces(values)
 
     def acting_commands(
-        self, commands: ArrayLike, candidates: Sequence[Mapping[str, float]], *, groups: ArrayLike | None = None
+        self,
+        commands: ArrayLike,
+        candidates: Sequence[Mapping[str, float]],
+        *,
+        groups: ArrayLike | None = None,
     ) -> Array:
-        """Return what reaches the actuators in the mean of each row, under each candidate set of effect values.
+        """Return what reaches the actuators in the mean of each row, under each set of effect values.
 
         Parameters
         ----------
@@ -413,11 +417,11 @@ class MujocoSimulator(Simulator):
         *,
         slip: ArrayLike = 0.0,
     ) -> Array:
-        """Return the force that a motion needs beyond what the model exerts, under each candidate set of effect values.
+        """Return the force that a motion needs beyond what the model exerts, under each set of effect values.
 
-        By inverse dynamics: M a less gravity, inertial forces, springs, dampers, actuators and applied forces. Contacts,
-        limits and other constraints but dry friction exert nothing here. Dry friction is as soft as MuJoCo's: below a speed
-        it grows with it.
+        By inverse dynamics: M a less gravity, inertial forces, springs, dampers, actuators and applied forces.
+        Contacts, limits and other constraints but dry friction exert nothing here. Dry friction is as soft as
+        MuJoCo's: below a speed it grows with it.
 
         Parameters
         ----------
@@ -449,7 +453,9 @@ class MujocoSimulator(Simulator):
         speeds = inputs[:, :, self._nominal.nq : self._nominal.nq + self._nominal.nv]
         softness, damping = np.array([creep(job.model) for job in jobs]).transpose(1, 0, 2)[:, :, None]
         speeds = speeds + np.asarray(accelerations, float) / damping
-        return forces + friction * braking_share(speeds, friction * softness / damping, np.asarray(slip, float))
+        return forces + friction * braking_share(
+            speeds, friction * softness / damping, np.asarray(slip, float)
+        )
 
     def constrained(self, states: ArrayLike) -> NDArray[np.bool_]:
         """Return in which rows a contact, a limit or another constraint pushes, under the model as it is.
