@@ -196,27 +196,23 @@ def missing_force(
 def _anchors(
     simulator: MujocoSimulator, motion: Motion, commands: Array, candidates: Sequence[Mapping[str, float]]
 ) -> Array:
-    """Return by which factor each candidate scales what commands exert on each joint, (n_candidates, nv).
+    """Return by which factor each candidate scales what a joint's forces are measured by, (n_candidates, nv).
 
-    Commands are what is known exactly. In units of theirs a model cannot explain a log by motors that do nothing and
-    bodies that weigh nothing; on a joint without a motor, the model's inertia is the unit.
+    A model of motors that do nothing and bodies that weigh nothing lacks no force. The unit of a joint is therefore the
+    larger part of its balance in the model as it is: what the commands exert, or what its motion takes.
     """
     some = np.unique(np.linspace(0, len(motion.states) - 1, ROWS_FOR_ANCHORS).astype(int))
-    middle = commands.mean(axis=1, keepdims=True)
-    whole = [{}, *candidates]
-    states, moved = motion.states[some], motion.accelerations[some]
-    still = np.zeros_like(moved)
-    of = simulator.missing_forces
+    whole, nv = [{}, *candidates], len(motion.slip)
     sent = np.concatenate([commands[:1, some], commands[:, some]])
-    held = np.concatenate([middle[:1], middle]) + 0 * sent
-    base = of(states, still, held, whole)
-    by_command = np.sqrt(np.mean((of(states, still, sent, whole) - base) ** 2, axis=1))
-    by_inertia = np.sqrt(np.mean((of(states, moved, held, whole) - base) ** 2, axis=1))
-    # What a neutral motor exerts, over what it exerts if it came late or shifted, is no matter of its strength.
-    sizes = np.where(by_command[0] > 1e-9 * by_inertia[0], by_command, by_inertia)
-    return np.where(
-        sizes[0] > 0, np.maximum(sizes[1:], WEAKEST * sizes[0]) / np.maximum(sizes[0], 1e-300), 1.0
-    )
+    held = np.repeat(np.concatenate([commands[:1], commands]).mean(axis=1, keepdims=True), len(some), axis=1)
+    states, moved = motion.states[some].copy(), motion.accelerations[some]
+    states[:, -nv:] = 0.0
+    of = simulator.missing_forces
+    taken = of(states, moved, held, whole)
+    by_command = np.sqrt(np.mean((of(states, moved, sent, whole) - taken) ** 2, axis=1))
+    by_motion = taken.std(axis=1)
+    sizes = np.where(by_command[0] >= by_motion[0], by_command, by_motion)
+    return np.where(sizes[0] > 0, np.maximum(sizes[1:], WEAKEST * sizes[0]) / np.maximum(sizes[0], 1e-300), 1.0)
 
 
 @dataclass(frozen=True)
