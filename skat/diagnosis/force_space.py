@@ -35,6 +35,8 @@ from skat.simulators import MujocoSimulator, Simulator
 KEPT = 0.75
 # Blocks of rows for each period of that frequency: forces change within a block by little.
 BLOCKS_A_PERIOD = 4
+# Of the power of a speed, and how far beyond the frequency below which it is forces are compared.
+MOTION, BEYOND_MOTION = 0.99, 2.0
 # Fewest blocks of a stretch without contacts, and rows about a contact that a smoothed motion blurs.
 SHORTEST = 12
 BLURRED = 2
@@ -124,7 +126,8 @@ def smooth_motion(simulator: MujocoSimulator, X: Array, y: Array, groups: Array)
         except ValueError:
             return None
         q[:, joint], v[:, joint], a[:, joint] = smooth.position, smooth.velocity, smooth.acceleration
-        slip[joint], cutoff[joint] = smooth.velocity_error, smooth.cutoff(KEPT, dt)
+        slip[joint] = smooth.velocity_error
+        cutoff[joint] = min(smooth.cutoff(KEPT, dt), _busy(v[:, joint], episodes, dt))
     free = ~simulator.constrained(np.column_stack([q, v]))
     for _ in range(BLURRED):
         free = free & np.r_[True, free[:-1]] & np.r_[free[1:], True]
@@ -159,6 +162,19 @@ def smooth_motion(simulator: MujocoSimulator, X: Array, y: Array, groups: Array)
         slip,
         np.minimum(cutoff, 0.5 / duration),
     )
+
+
+def _busy(speed: Array, episodes: Array, dt: float) -> float:
+    """Return the frequency below which nearly all of a motion is; above, it is what structures ring with, Hz."""
+    frequencies, powers = [], []
+    for episode in np.unique(episodes):
+        own = speed[episodes == episode]
+        powers.append(dct(own, norm="ortho") ** 2)
+        frequencies.append(np.arange(len(own)) / (2 * len(own) * dt))
+    frequency, power = np.concatenate(frequencies), np.concatenate(powers)
+    order = np.argsort(frequency)
+    share = np.cumsum(power[order]) / max(float(power.sum()), 1e-300)
+    return float(BEYOND_MOTION * frequency[order][min(int(np.searchsorted(share, MOTION)), len(share) - 1)])
 
 
 def _fewer(rows: NDArray[np.intp], stretch: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
