@@ -1,8 +1,8 @@
 r"""What changed between two logs of one machine, whatever its model gets wrong in both.
 
-The regression in force space of both logs is stacked: columns of what is common to them, and of what only the second has.
-Common errors, all effects at once, are a nuisance that their priors hold; with the normal laws of their posterior they
-are integrated out of the Gram matrix, and of the differences sparse sets are searched by evidence:
+The regression in force space of both logs is stacked: columns of what is common to them, and of what only the second
+has. Common errors, all effects at once, are a nuisance that their priors hold; with the normal laws of their posterior
+they are integrated out of the Gram matrix, and of the differences sparse sets are searched by evidence:
 
 .. math:: G = G_{dd} - G_{dc} (G_{cc} + W)^{-1} G_{cd}, \qquad b = b_d - G_{dc} (G_{cc} + W)^{-1} b_c.
 
@@ -55,7 +55,8 @@ class Change:
     name : str
         Of the effect.
     value : float
-        By how much it is more in the second log: in the effect's unit; of factors, the ratio of the second to the first.
+        By how much it is more in the second log, in the effect's unit; of factors, the ratio of the second to the
+        first.
     interval : tuple of two floats
         95 %.
     unit : str
@@ -234,11 +235,11 @@ def _weight_columns(
 
 
 def _stacked(parts: Sequence[Rows]) -> Rows:
-    nv = int(max(part.joint.max() for part in parts)) + 1
+    # Both logs have one noise: with one each, a fit may give one of them up.
     return Rows(
         np.concatenate([part.target for part in parts]),
         np.concatenate([part.columns for part in parts]),
-        np.concatenate([part.joint + nv * place for place, part in enumerate(parts)]),
+        np.concatenate([part.joint for part in parts]),
         np.concatenate([part.frequency for part in parts]),
         np.concatenate([part.nominal for part in parts]),
     )
@@ -416,15 +417,14 @@ def _told(
     nv, second = len(names), np.arange(len(target)) >= n_before
     size = [
         [
-            float(np.sqrt(np.sum(one[second & (stacked.joint % nv == joint)] ** 2) / len(motions[1].states)))
+            float(np.sqrt(np.sum(one[second & (stacked.joint == joint)] ** 2) / len(motions[1].states)))
             for joint in range(nv)
         ]
         for one in left
     ]
     n_blocks = sum(len(motion.states) for motion in motions)
     lacking = [
-        float(np.sqrt(np.sum(stacked.target[stacked.joint % nv == joint] ** 2) / n_blocks))
-        for joint in range(nv)
+        float(np.sqrt(np.sum(stacked.target[stacked.joint == joint] ** 2) / n_blocks)) for joint in range(nv)
     ]
     verdict = "nothing changed" if not changes else "named"
     if any(change.aliases for change in changes):

@@ -12,7 +12,7 @@ matrix.
 
 References
 ----------
-.. [1] Gautier (1997). Dynamic identification of robots with power model. ICRA. Parallel filtering of forces and columns.
+.. [1] Gautier (1997). Dynamic identification of robots with power model. ICRA.
 .. [2] Whittle (1953). Estimation and information in stationary time series. Arkiv för Matematik 2.
 """
 
@@ -228,7 +228,9 @@ def _anchors(
     by_command = np.sqrt(np.mean((of(states, moved, sent, whole) - taken) ** 2, axis=1))
     by_motion = taken.std(axis=1)
     sizes = np.where(by_command[0] >= by_motion[0], by_command, by_motion)
-    return np.where(sizes[0] > 0, np.maximum(sizes[1:], WEAKEST * sizes[0]) / np.maximum(sizes[0], 1e-300), 1.0)
+    return np.where(
+        sizes[0] > 0, np.maximum(sizes[1:], WEAKEST * sizes[0]) / np.maximum(sizes[0], 1e-300), 1.0
+    )
 
 
 @dataclass(frozen=True)
@@ -417,8 +419,8 @@ class FirstLook:
     starts : tuple of dict of str to float
         The best sets, best first, the dense one of all effects last.
     missing, left : dict of str to float
-        Of each degree of freedom, by the name of its speed: rms of the force that the model lacks, and of what the causes
-        leave of it, in the frequencies that are compared; N or N m.
+        Of each degree of freedom, by the name of its speed: rms of the force that the model lacks, and of what the
+        causes leave of it, in the frequencies that are compared; N or N m.
     n_rows : int
         Of the regression.
     """
@@ -576,11 +578,11 @@ def late_commands(
     rows: Rows,
     deviations: Array,
 ) -> dict[str, float]:
-    """Return the delay, of whole rows and time steps, that explains forces best beside all other effects; {} if none."""
+    """Return the delay, of whole rows and time steps, that explains forces best beside all effects; {} if none."""
     late = next((effect for effect in effects if effect.name == "delay[action]"), None)
     if late is None:
         return {}
-    steps = int(round(simulator.dt / simulator.time_step))
+    steps = round(simulator.dt / simulator.time_step)
     grid = np.unique(np.r_[np.arange(1, steps + 1) / steps, np.arange(1.0, 6.0)]) * simulator.dt
     grid = grid[grid <= late.bounds[1] * (1 + 1e-9)]
     others = [place for place, effect in enumerate(effects) if effect.family != "delay"]

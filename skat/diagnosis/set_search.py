@@ -1,7 +1,7 @@
 """Sets of many causes, searched on a Gram matrix by whole families and by single effects.
 
-A first model of a real machine lacks a dozen things at once, and one at a time a search ends in absurd places. Here whole
-families, each member with a value of its own, are added and dropped, several after each other; then single effects are
+A first model of a real machine lacks a dozen things at once, and one at a time a search ends in absurd places. Here
+whole families, each member with a value of its own, are added and dropped, several after each other; then single effects are
 added, dropped and exchanged. Which are worth weighing is told by the gain of the likelihood that the quadratic
 approximation promises, so that few sets are weighed.
 """
@@ -51,6 +51,7 @@ class Weigher:
         self.seen: dict[tuple[int, ...], Weighed] = {}
 
     def __call__(self, members: Sequence[int]) -> Weighed:
+        """Return what a set is worth."""
         key = tuple(sorted({*members, *self.always}))
         if key not in self.seen:
             self.seen[key] = self._weighed(key)

@@ -32,7 +32,7 @@ from skat.diagnosis.filtering import Array
 TRANSITION = np.array([[1.0, 1, 1], [0, 1, 2], [0, 0, 1]])
 STEP = np.linalg.inv(np.array([[1 / 20, 1 / 8, 1 / 12], [1 / 8, 1 / 3, 1 / 4], [1 / 12, 1 / 4, 1 / 4]]))
 BANDS = 6
-# Logarithms of the variances of jerk and of velocities, over that of positions: from a straight line to no noise at all.
+# Logarithms of the variances of jerk and of velocities, over that of positions: from a straight line to no noise.
 LOG_JERK, LOG_VELOCITY = (-30.0, 12.0), (-25.0, 12.0)
 # Rows from which variances are estimated, at most.
 ROWS_FOR_VARIANCES = 4000
