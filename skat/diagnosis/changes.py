@@ -177,7 +177,7 @@ def find_changes(
     rivals = _rivals(candidates)
     nuisance = 2 / (priors.scales**2 + common**2)
     origin = np.zeros(len(candidates))
-    target = stacked.target
+    target, neutral = stacked.target, stacked
     for turn in range(TURNS):
         gram = _without_nuisance(target, stacked.columns, columns, noise, nuisance, origin)
         best, worth = search_sets(gram, laws, {}, rivals=rivals)
@@ -188,27 +188,15 @@ def find_changes(
         moved = np.zeros(len(candidates))
         moved[list(best.members)] = best.values
         if best.members:
-            target, columns, origin = _relinearised(
-                simulator, motions[1], candidates, best, moved, target, columns, n_before, stacked.target
+            stacked, columns, origin = _relinearised(
+                simulator, motions[1], candidates, offered, best, moved, stacked, columns, n_before
             )
+            target = stacked.target
         whole = np.concatenate([stacked.columns, columns[:, list(best.members)]], axis=1)
         step = (moved - origin)[list(best.members)]
         noise = _noise_beside(stacked, target, whole, step, noise, nuisance)
-    return _told(
-        simulator,
-        candidates,
-        best,
-        worth,
-        nats,
-        stacked,
-        target,
-        columns,
-        origin,
-        noise,
-        nuisance,
-        n_before,
-        motions,
-    )
+    found = candidates, best, worth, nats
+    return _told(simulator, *found, neutral, stacked, columns, origin, noise, nuisance, n_before, motions)
 
 
 def weights_on(simulator: MujocoSimulator) -> list[_Candidate]:
@@ -298,39 +286,34 @@ def _relinearised(
     simulator: MujocoSimulator,
     motion: Motion,
     candidates: Sequence[_Candidate],
+    offered: Sequence[Effect],
     best: Weighed,
     moved: Array,
-    target: Array,
+    stacked: Rows,
     columns: Array,
     n_before: int,
-    neutral_target: Array,
-) -> tuple[Array, Array, Array]:
-    """Return the rows about the changes that were found, where the effects take their values."""
+) -> tuple[Rows, Array, Array]:
+    """Return the rows of the second log about the changes that were found, and what was moved there.
+
+    What is common acts there through what changed: friction is measured in units of a motor that is stronger now. Less
+    of something than the model has stays as it is, linear.
+    """
     values: dict[str, float] = {}
+    origin = np.zeros(len(moved))
     for place in best.members:
         one = candidates[place]
-        value = float(np.clip(moved[place] + one.effect.neutral, *one.effect.bounds))
-        if (
-            value - one.effect.neutral != moved[place]
-        ):  # less of something than the model has: linear as it is
-            return target, columns, np.zeros(len(moved))
-        values |= {**one.values, one.effect.name: value}
-    steps, tried = [], []
-    for place in best.members:
-        one = candidates[place]
-        width = 0.01 * one.effect.typical
-        now = values[one.effect.name]
-        width = width if now + width <= one.effect.bounds[1] else -width
-        steps.append(width)
-        tried.append({**values, one.effect.name: now + width})
-    forces = missing_force(simulator, motion, [values, *tried])
-    differences = (forces[0] - forces[1:]) / np.array(steps)[:, None, None]
-    together = np.concatenate([forces[:1], differences]).transpose(1, 2, 0)
-    coefficients = transformed(motion, together)[0]
-    target, columns = neutral_target.copy(), columns.copy()
-    target[n_before:] = coefficients[:, 0]
-    columns[n_before:, list(best.members)] = coefficients[:, 1:]
-    return target, columns, moved
+        value = moved[place] + one.effect.neutral
+        if one.effect.bounds[0] <= value <= one.effect.bounds[1]:
+            values |= {**one.values, one.effect.name: float(value)}
+            origin[place] = moved[place]
+    rows = rows_at(simulator, motion, values, offered)
+    target, common, columns = stacked.target.copy(), stacked.columns.copy(), columns.copy()
+    target[n_before:], common[n_before:] = rows.target, rows.columns
+    known = {effect.name: place for place, effect in enumerate(offered)}
+    for place, one in enumerate(candidates):
+        if one.effect.name in known:
+            columns[n_before:, place] = rows.columns[:, known[one.effect.name]]
+    return replace(stacked, target=target, columns=common), columns, origin
 
 
 def _noise_beside(
@@ -367,8 +350,8 @@ def _told(
     best: Weighed,
     worth: Weigher,
     nats: Mapping[int, float],
+    neutral: Rows,
     stacked: Rows,
-    target: Array,
     columns: Array,
     origin: Array,
     noise: Array,
@@ -407,14 +390,15 @@ def _told(
     moved = np.zeros(len(candidates))
     moved[list(best.members)] = best.values
     left = []
-    for base, step in ((stacked.target, np.zeros(len(candidates))), (target, moved - origin)):
-        z, C = (base - columns @ step) / noise, stacked.columns / noise[:, None]
+    for rows, step in ((neutral, np.zeros(len(candidates))), (stacked, moved - origin)):
+        base = rows.target - columns @ step
+        z, C = base / noise, rows.columns / noise[:, None]
         held = C.T @ C + np.diag(weights)
         unit = 1 / np.sqrt(np.diag(held))
         common = unit * np.linalg.solve(held * unit * unit[:, None], unit * (C.T @ z))
-        left.append(base - columns @ step - stacked.columns @ common)
+        left.append(base - rows.columns @ common)
     names = simulator.residual_names[len(simulator.residual_names) // 2 :]
-    nv, second = len(names), np.arange(len(target)) >= n_before
+    nv, second = len(names), np.arange(len(stacked.target)) >= n_before
     size = [
         [
             float(np.sqrt(np.sum(one[second & (stacked.joint == joint)] ** 2) / len(motions[1].states)))
@@ -424,7 +408,7 @@ def _told(
     ]
     n_blocks = sum(len(motion.states) for motion in motions)
     lacking = [
-        float(np.sqrt(np.sum(stacked.target[stacked.joint == joint] ** 2) / n_blocks)) for joint in range(nv)
+        float(np.sqrt(np.sum(neutral.target[stacked.joint == joint] ** 2) / n_blocks)) for joint in range(nv)
     ]
     verdict = "nothing changed" if not changes else "named"
     if any(change.aliases for change in changes):

@@ -115,11 +115,8 @@ def smooth_motion(simulator: MujocoSimulator, X: Array, y: Array, groups: Array)
     episodes = np.insert(np.asarray(groups), ends + 1, groups[ends])
     if n_states != 2 * nv:
         return None
-    q, v, a, slip, cutoff = (
-        instants[:, :nv].copy(),
-        *np.empty((2, *instants[:, :nv].shape)),
-        *np.empty((2, nv)),
-    )
+    q, v, a = (np.empty((len(instants), nv)) for _ in range(3))
+    slip, cutoff = np.empty(nv), np.empty(nv)
     for joint in range(nv):
         try:
             smooth = smooth_coordinate(instants[:, joint], instants[:, nv + joint], episodes, dt)

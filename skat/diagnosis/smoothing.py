@@ -167,13 +167,13 @@ def _posterior(
     diagonal[:, 1, 1] += weights[:, 1]
     below = np.zeros((n, 3, 3))
     below[:-1] = joined[:, None, None] * (-STEP @ TRANSITION / jerk)
-    bands = np.zeros((BANDS, n, 3))
+    shaped = np.zeros((BANDS, n, 3))
     for row in range(3):
         for column in range(3):
             if row >= column:
-                bands[row - column, :, column] += diagonal[:, row, column]
-            bands[3 + row - column, :, column] += below[:, row, column]
-    bands = bands.reshape(BANDS, 3 * n)
+                shaped[row - column, :, column] += diagonal[:, row, column]
+            shaped[3 + row - column, :, column] += below[:, row, column]
+    bands = shaped.reshape(BANDS, 3 * n)
     right = np.zeros((n, 3))
     right[:, :2] = weights * values
     factor = cholesky_banded(bands, lower=True, check_finite=False)
