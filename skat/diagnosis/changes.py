@@ -295,8 +295,9 @@ def _relinearised(
 ) -> tuple[Rows, Array, Array]:
     """Return the rows of the second log about the changes that were found, and what was moved there.
 
-    What is common acts there through what changed: friction is measured in units of a motor that is stronger now. Less
-    of something than the model has stays as it is, linear.
+    What is common acts there through the factors that changed: friction is measured in units of a motor that is
+    stronger now. Its columns are otherwise those of the first log, so that both feel it alike. Less of something than
+    the model has stays as it is, linear.
     """
     values: dict[str, float] = {}
     origin = np.zeros(len(moved))
@@ -306,14 +307,20 @@ def _relinearised(
         if one.effect.bounds[0] <= value <= one.effect.bounds[1]:
             values |= {**one.values, one.effect.name: float(value)}
             origin[place] = moved[place]
-    rows = rows_at(simulator, motion, values, offered)
-    target, common, columns = stacked.target.copy(), stacked.columns.copy(), columns.copy()
-    target[n_before:], common[n_before:] = rows.target, rows.columns
+    factors = {name: value for name, value in values.items() if _neutral_value(candidates, name) == 1}
     known = {effect.name: place for place, effect in enumerate(offered)}
-    for place, one in enumerate(candidates):
-        if one.effect.name in known:
-            columns[n_before:, place] = rows.columns[:, known[one.effect.name]]
+    changed = [place for place in best.members if candidates[place].effect.name in known and origin[place]]
+    rows = rows_at(simulator, motion, values, [candidates[place].effect for place in changed])
+    target, common, columns = stacked.target.copy(), stacked.columns.copy(), columns.copy()
+    target[n_before:], columns[n_before:, changed] = rows.target, rows.columns
+    if factors:
+        common[n_before:] = rows_at(simulator, motion, factors, offered).columns
     return replace(stacked, target=target, columns=common), columns, origin
+
+
+def _neutral_value(candidates: Sequence[_Candidate], name: str) -> float:
+    """Return the neutral value of an effect; of a weight's place, none."""
+    return next((one.effect.neutral for one in candidates if one.effect.name == name), np.nan)
 
 
 def _noise_beside(

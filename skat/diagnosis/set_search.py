@@ -2,8 +2,8 @@
 
 A first model of a real machine lacks a dozen things at once, and one at a time a search ends in absurd places. Here
 whole families, each member with a value of its own, are added and dropped, several after each other; then single
-effects are added, dropped and exchanged. Which are worth weighing is told by the gain of the likelihood that the quadratic
-approximation promises, so that few sets are weighed.
+effects are added, dropped and exchanged. Which are worth weighing is told by the gain of the likelihood that the
+quadratic approximation promises, so that few sets are weighed.
 """
 
 from collections.abc import Mapping, Sequence
