@@ -14,7 +14,9 @@ References
 .. [1] Duclusaud, Passault, Padois, Ly (2025). Extended Friction Models for the Physics Simulation of Servo Actuators.
 """
 
+import mujoco
 import numpy as np
+from scipy.special import erf
 
 from skat.simulators.tables import Array
 
@@ -65,3 +67,34 @@ def budget(coefficients: Array, position: Array, velocity: Array, motor: Array, 
         np.abs(motor) > np.abs(external), motor_square * motor**2, external_square * external**2
     )
     return total + slow * np.where(motor * external < 0, square, 0.0)
+
+
+def creep(model: mujoco.MjModel) -> tuple[Array, Array]:
+    """Return how soft MuJoCo's dry friction is: R and b of each degree of freedom.
+
+    It is a soft constraint there: R force = -(acceleration + b speed), until it saturates.
+    """
+    least, most = (np.clip(model.dof_solimp[:, place], 1e-4, 1 - 1e-4) for place in (0, 1))
+    time, ratio = model.dof_solref.T
+    safe = np.maximum(time, 2 * model.opt.timestep)
+    damping = np.where(time > 0, 2 / (most * safe), -ratio / most)
+    return np.asarray((1 - least) / least * model.dof_invweight0), np.maximum(damping, 1e-9)
+
+
+def braking_share(speed: Array, zone: Array, slip: Array) -> Array:
+    """Return the mean of speed / zone, cut at -1 and 1, over a normal law of the speed.
+
+    Parameters
+    ----------
+    speed, zone : ndarray
+    slip : ndarray
+        Standard deviation of the speed.
+    """
+    zone, slip = np.maximum(zone, 1e-9), np.maximum(slip, 1e-9)
+
+    def ramp(x: Array) -> Array:
+        return np.asarray(
+            x * erf(x / (np.sqrt(2) * slip)) + slip * np.sqrt(2 / np.pi) * np.exp(-0.5 * (x / slip) ** 2)
+        )
+
+    return np.asarray((ramp(speed + zone) - ramp(speed - zone)) / (2 * zone))

@@ -1,5 +1,6 @@
 """Any MuJoCo model as a simulator: rows of [qpos, qvel, ctrl] in, rows of the next [qpos, qvel] out."""
 
+import copy
 import json
 import math
 from collections import OrderedDict
@@ -24,7 +25,7 @@ from skat.simulators.commands import CommandPath
 from skat.simulators.compiling import checked_model, compile_spec, lean_spec
 from skat.simulators.derived import write_down
 from skat.simulators.edits import PLAY, add_payload
-from skat.simulators.friction import NEUTRAL
+from skat.simulators.friction import NEUTRAL, braking_share, creep
 from skat.simulators.furnishing import with_base, with_motors
 from skat.simulators.source import (
     NOTES,
@@ -35,7 +36,7 @@ from skat.simulators.source import (
     write_xml,
 )
 from skat.simulators.stepping import Forces, Job, Play, Stepper
-from skat.simulators.tables import Array
+from skat.simulators.tables import Array, episode_starts
 from skat.simulators.urdf import DERIVED, HELD, edited_urdf
 
 CACHED_MODELS = 256
@@ -379,6 +380,117 @@ class MujocoSimulator(Simulator):
             Time steps to run; `frame_skip` by default.
         """
         return self._model(values, self.frame_skip), n_substeps or self.frame_skip, self._forces(values)
+
+    def acting_commands(
+        self,
+        commands: ArrayLike,
+        candidates: Sequence[Mapping[str, float]],
+        *,
+        groups: ArrayLike | None = None,
+    ) -> Array:
+        """Return what reaches the actuators in the mean of each row, under each set of effect values.
+
+        Parameters
+        ----------
+        commands : array-like of shape (n_rows, nu)
+        candidates : sequence of mappings from name to value
+        groups : array-like of shape (n_rows,), optional
+            As in `predict`.
+
+        Returns
+        -------
+        ndarray of shape (n_candidates, n_rows, nu)
+        """
+        sent = np.asarray(commands, dtype=float)
+        starts = episode_starts(groups, len(sent))
+        totals = [self._physical(self._total(values)) for values in candidates]
+        return np.stack(
+            [sent if one is None else one[0].mean(axis=1) for one in self._acting(sent, starts, totals)]
+        )
+
+    def missing_forces(
+        self,
+        states: ArrayLike,
+        accelerations: ArrayLike,
+        commands: Array,
+        candidates: Sequence[Mapping[str, float]],
+        *,
+        slip: ArrayLike = 0.0,
+    ) -> Array:
+        """Return the force that a motion needs beyond what the model exerts, under each set of effect values.
+
+        By inverse dynamics: M a less gravity, inertial forces, springs, dampers, actuators and applied forces.
+        Contacts, limits and other constraints but dry friction exert nothing here. Dry friction is as soft as
+        MuJoCo's: below a speed it grows with it.
+
+        Parameters
+        ----------
+        states : array-like of shape (n_rows, n_states)
+        accelerations : array-like of shape (n_rows, nv)
+            Of the degrees of freedom, in MuJoCo's order.
+        commands : ndarray of shape (n_candidates, n_rows, nu)
+            What reaches the actuators, as from `acting_commands`.
+        candidates : sequence of mappings from name to value
+        slip : float or array-like of shape (nv,), default=0
+            Standard deviation of the speeds: dry friction is what it is on average within it.
+
+        Returns
+        -------
+        ndarray of shape (n_candidates, n_rows, nv)
+            N or N m.
+        """
+        totals = [self._total(values) for values in candidates]
+        seen = np.broadcast_to(np.asarray(states, float), (len(totals), *np.shape(states)))
+        inputs = np.concatenate([self._true_inputs(seen, totals), commands], axis=2)
+        jobs = []
+        for index, total in enumerate(totals):
+            values = self._physical(total)
+            model = self._unconstrained(values)
+            jobs.append(Job(index, model, 1, self._forces(values, model)))
+        stepper = self._cached("stepper", Stepper)
+        inputs = self._layout.normalised(inputs, "states")
+        forces, friction = stepper.missing_forces(jobs, inputs, np.asarray(accelerations, float))
+        speeds = inputs[:, :, self._nominal.nq : self._nominal.nq + self._nominal.nv]
+        softness, damping = np.array([creep(job.model) for job in jobs]).transpose(1, 0, 2)[:, :, None]
+        speeds = speeds + np.asarray(accelerations, float) / damping
+        return forces + friction * braking_share(
+            speeds, friction * softness / damping, np.asarray(slip, float)
+        )
+
+    def constrained(self, states: ArrayLike) -> NDArray[np.bool_]:
+        """Return in which rows a contact, a limit or another constraint pushes, under the model as it is.
+
+        Parameters
+        ----------
+        states : array-like of shape (n_rows, n_states)
+
+        Returns
+        -------
+        ndarray of bool of shape (n_rows,)
+        """
+        states = self._layout.normalised(np.asarray(states, float), "states")
+        inputs = np.concatenate([states, np.zeros((len(states), self._nominal.nu))], axis=1)[None]
+        values = self._physical(self._built_in())
+        model = self._flagged(values, mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
+        return self._cached("stepper", Stepper).constrained(Job(0, model, 1), inputs)
+
+    def _unconstrained(self, values: Mapping[str, float]) -> mujoco.MjModel:
+        return self._flagged(values, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+
+    def _flagged(self, values: Mapping[str, float], flag: mujoco.mjtDisableBit) -> mujoco.MjModel:
+        """Return the compiled model with a part of MuJoCo's pipeline disabled."""
+        model = self._model(values, self.frame_skip)
+        kept: dict[tuple[int, int], tuple[mujoco.MjModel, mujoco.MjModel]]
+        kept = self._cached("flagged", dict)
+        # By identity, and with the original beside it, so that it stays the one.
+        key = id(model), int(flag)
+        if key not in kept or kept[key][0] is not model:
+            while len(kept) >= 2 * CACHED_MODELS:
+                kept.pop(next(iter(kept)))
+            changed = copy.copy(model)
+            changed.opt.disableflags |= int(flag)
+            kept[key] = model, changed
+        return kept[key][1]
 
     def all_effects(self) -> tuple[Effect, ...]:
         """Return every effect that is accepted, also those not listed as causes to choose from."""

@@ -191,20 +191,52 @@ class Stepper:
         n_rows, n_states = inputs.shape[1], inputs.shape[2] - jobs[0].model.nu
         states = np.empty((len(jobs), n_rows, n_states))
         hidden = [np.empty((n_rows, job.n_hidden)) for job in jobs]
-        together: dict[tuple[Any, ...], list[int]] = {}
-        for index, job in enumerate(jobs):
-            shape = _sizes(job.model), tuple((play.joint, play.play) for play in job.plays)
-            forced = (job.forces.kinds, _rigid_parts(job.model)) if job.forces.kinds else ()
-            lags = tuple(actuator for actuator, _ in job.forces.torque_lags)
-            key = (forced, lags, job.controls is not None, job.n_substeps, shape)
-            together.setdefault(key, []).append(index)
         with self._lock, _quiet():
             self._forget_batches_of_parent()
-            for members in together.values():
+            for members in _alike(jobs):
                 self._run_together([jobs[index] for index in members], members, inputs, states, hidden, rest)
         diverged = ~(np.abs(states) < HUGE).all(axis=2)
         states[diverged] = np.nan
         return states, hidden
+
+    def missing_forces(self, jobs: Sequence[Job], inputs: Array, accelerations: Array) -> tuple[Array, Array]:
+        """Return what a motion needs beyond what each job's model exerts, and the dry friction that it has.
+
+        Parameters
+        ----------
+        jobs : sequence of Job
+            Their models have no constraints, which no motion tells apart from what is missing.
+        inputs : ndarray of shape (n_candidates, n_rows, n_states + nu)
+        accelerations : ndarray of shape (n_rows, nv)
+
+        Returns
+        -------
+        forces : ndarray of shape (n_jobs, n_rows, nv)
+            M a - (what gravity, motion, springs, dampers, actuators and applied forces amount to), without dry
+            friction, N or N m.
+        friction : ndarray of shape (n_jobs, n_rows, nv)
+            Size of each degree of freedom's dry friction.
+        """
+        n_rows = inputs.shape[1]
+        forces, friction = np.empty((2, len(jobs), n_rows, jobs[0].model.nv))
+        with self._lock, _quiet():
+            self._forget_batches_of_parent()
+            for members in _alike(jobs):
+                destinations = np.array(members)
+                together = [jobs[index] for index in members]
+                for pool, which, row, _, laws in self._loaded(together, inputs, n_rows):
+                    place = destinations[which], row
+                    forces[place], friction[place] = pool.missing_forces(accelerations[row], laws)
+        return forces, friction
+
+    def constrained(self, job: Job, inputs: Array) -> NDArray[np.bool_]:
+        """Return in which rows (1, n_rows, n_states + nu) a constraint of the job's model exerts a force."""
+        found = np.zeros(inputs.shape[1], dtype=bool)
+        with self._lock, _quiet():
+            self._forget_batches_of_parent()
+            for pool, _, row, _, _ in self._loaded([job], inputs, inputs.shape[1]):
+                found[row] = pool.constrained()
+        return found
 
     def _run_together(
         self,
@@ -215,12 +247,24 @@ class Stepper:
         hidden: list[Array],
         rest: Rest | None,
     ) -> None:
-        n_rows, n_states = states.shape[1:]
-        total = len(jobs) * n_rows
+        n_rows = states.shape[1]
+        destinations = np.array(slots)
+        for pool, which, row, controls, laws in self._loaded(jobs, inputs, n_rows):
+            if rest is not None:
+                states[destinations[which], row] = pool.settle(jobs[0].n_substeps, rest, laws)
+                continue
+            pool.step(jobs[0].n_substeps, controls, laws)
+            states[destinations[which], row] = pool.states()
+            after = pool.hidden()
+            for job in np.unique(which):
+                hidden[slots[job]][row[which == job]] = after[which == job]
+
+    def _loaded(self, jobs: list[Job], inputs: Array, n_rows: int) -> Iterator[tuple[Any, ...]]:
+        """Yield a pool with the next rows in it, the job and the row of each, controls of substeps, laws."""
+        total, n_states = len(jobs) * n_rows, inputs.shape[2] - jobs[0].model.nu
         forced = jobs[0].forces.changes_within_transition
         pool = self._pool(jobs[0], min(total, CHUNK))
         candidates = np.array([job.candidate for job in jobs])
-        destinations = np.array(slots)
         winds = np.array([job.forces.wind for job in jobs])
         generalised = np.zeros((len(jobs), jobs[0].model.nv))
         laws = _Laws(jobs) if forced else None
@@ -245,22 +289,15 @@ class Stepper:
             pool.xfrc[: len(flat), jobs[0].forces.body, :3] = winds[which]
             pool.qfrc[: len(flat)] = generalised[which]
             pool.load(source[:, :n_states], first, before, jobs[0].plays, widths)
-            if rest is not None:
-                mine = None if laws is None else laws.of(which)
-                states[destinations[which], row] = pool.settle(jobs[0].n_substeps, rest, mine)
-                continue
-            pool.step(jobs[0].n_substeps, controls, None if laws is None else laws.of(which))
-            states[destinations[which], row] = pool.states()
-            after = pool.hidden()
-            for job in np.unique(which):
-                hidden[slots[job]][row[which == job]] = after[which == job]
+            yield pool, which, row, controls, None if laws is None else laws.of(which)
 
     def _pool(self, job: Job, size: int) -> "_Pool":
         """Return a cached batch of at least this size."""
         size = 1 << max(size - 1, 0).bit_length()
         forced = job.forces.changes_within_transition
         make = _ForcedPool if forced else _Pool
-        key = (make, size, _sizes(job.model), _rigid_parts(job.model) if forced else None)
+        flags = int(job.model.opt.disableflags)
+        key = (make, size, flags, _sizes(job.model), _rigid_parts(job.model) if forced else None)
         if key not in self._batches:
             self._batches[key] = make(job.model, size)
             if len(self._batches) > CACHED_BATCHES:
@@ -361,8 +398,7 @@ class _Pool:
         pressed = np.zeros((count, len(self.plays)))
         if unknown.any():
             torque = self.batch.bind("qfrc_actuator")
-            with suppress(SimulationError):
-                self.batch.forward(self.ids, stage=int(mujoco.mjtStage.mjSTAGE_ACC))
+            self._forward(mujoco.mjtStage.mjSTAGE_ACC)
             pressed = -np.sign(torque[:count][:, [play.joint_dof for play in self.plays]])
             self.warm[:count] = 0
         for index, play in enumerate(self.plays):
@@ -417,6 +453,27 @@ class _Pool:
         for substep in range(n_substeps):
             self.ctrl[: self.count] = controls[:, substep]
             self._advance(1)
+
+    def missing_forces(self, accelerations: Array, laws: _Laws | None) -> tuple[Array, Array]:
+        """Return what accelerations (n_rows, nv) need beyond what acts, and the size of the dry friction."""
+        bound = [self.batch.bind(name) for name in ("M", "qfrc_smooth")]
+        self._forward(mujoco.mjtStage.mjSTAGE_ACC)
+        entries, acting = (values[: self.count] for values in bound)
+        return _weighted(self.model, entries, accelerations) - acting, self._dry_friction()
+
+    def constrained(self) -> NDArray[np.bool_]:
+        """Return in which rows a constraint exerts a force."""
+        forces = self.batch.bind("qfrc_constraint")
+        self._forward(mujoco.mjtStage.mjSTAGE_ACC)
+        return np.asarray((forces[: self.count] != 0).any(axis=1))
+
+    def _dry_friction(self) -> Array:
+        own = np.stack([model.dof_frictionloss for model in self._models])
+        return np.asarray(own[self._which[: self.count]])
+
+    def _forward(self, stage: mujoco.mjtStage) -> None:
+        with suppress(SimulationError):
+            self.batch.forward(self.ids, stage=int(stage))
 
     def states(self) -> Array:
         """Return the rows' states; NaN where MuJoCo gave up."""
@@ -479,6 +536,34 @@ class _ForcedPool(_Pool):
         """Advance substep by substep, with the forces renewed from the state at each one's start."""
         if laws is None:
             raise AssertionError("unreachable: rows without laws run in another batch")
+        count = self.count
+        # What depends on velocities is that of a substep's start, the load on gears that of the substep before.
+        at_start = bool(laws.kinds - {"friction", "load"})
+        stage = int(mujoco.mjtStage.mjSTAGE_VEL if at_start else mujoco.mjtStage.mjSTAGE_NONE)
+        own, seen = self._prepared(laws)
+        plain = self.ctrl[:count].copy()
+        for substep in range(n_substeps):
+            self._renew(laws, plain if controls is None else controls[:, substep], own, seen)
+            self._advance(1, stage)
+        for name in own:
+            self._field(name)[:count] = own[name]
+
+    def missing_forces(self, accelerations: Array, laws: _Laws | None) -> tuple[Array, Array]:
+        """Return what accelerations (n_rows, nv) need beyond what acts, and the size of the dry friction."""
+        if laws is None:
+            raise AssertionError("unreachable: rows without laws run in another batch")
+        own, seen = self._prepared(laws)
+        self._renew(laws, self.ctrl[: self.count].copy(), own, seen)
+        found = super().missing_forces(accelerations, laws)
+        for name in own:
+            self._field(name)[: self.count] = own[name]
+        return found
+
+    def _dry_friction(self) -> Array:
+        return self._field("dof_frictionloss")[: self.count].copy()
+
+    def _prepared(self, laws: _Laws) -> tuple[dict[str, Array], dict[str, Array]]:
+        """Return fields of the rows' models that laws change, and what they depend on, as it is at the start."""
         count, kinds = self.count, laws.kinds
         changed = {
             "friction": ("dof_frictionloss",),
@@ -496,32 +581,26 @@ class _ForcedPool(_Pool):
             "torque_lags": ("actuator_length", "actuator_velocity"),
         }
         seen = {name: self.batch.bind(name) for kind in bound if kind in kinds for name in bound[kind]}
-        # What depends on velocities is that of a substep's start, the load on gears that of the substep before.
-        at_start = bool(kinds - {"friction", "load"})
-        stage = int(mujoco.mjtStage.mjSTAGE_VEL if at_start else mujoco.mjtStage.mjSTAGE_NONE)
         if seen:
-            first = mujoco.mjtStage.mjSTAGE_ACC if "load" in kinds else mujoco.mjtStage.mjSTAGE_VEL
-            with suppress(SimulationError):
-                self.batch.forward(self.ids, stage=int(first))
+            self._forward(mujoco.mjtStage.mjSTAGE_ACC if "load" in kinds else mujoco.mjtStage.mjSTAGE_VEL)
             self.warm[:count] = 0
-        plain = self.ctrl[:count].copy()
-        for substep in range(n_substeps):
-            now = plain if controls is None else controls[:, substep]
-            if "dead_zones" in kinds:
-                missing = now - seen["actuator_length"][:count]
-                now = now - np.clip(missing, -laws.dead_zones, laws.dead_zones)
-            self.ctrl[:count] = now
-            if "friction" in kinds:
-                self._brake(laws, own["dof_frictionloss"], seen)
-            if "drag" in kinds:
-                self._drag(laws, seen)
-            if "speed_slopes" in kinds:
-                self._tire(laws, own["actuator_forcerange"], seen)
-            if "torque_lags" in kinds:
-                self._lag(laws, own, seen)
-            self._advance(1, stage)
-        for name in own:
-            self._field(name)[:count] = own[name]
+        return own, seen
+
+    def _renew(self, laws: _Laws, controls: Array, own: dict[str, Array], seen: dict[str, Array]) -> None:
+        """Apply the laws at the state that is loaded."""
+        count, kinds = self.count, laws.kinds
+        if "dead_zones" in kinds:
+            missing = controls - seen["actuator_length"][:count]
+            controls = controls - np.clip(missing, -laws.dead_zones, laws.dead_zones)
+        self.ctrl[:count] = controls
+        if "friction" in kinds:
+            self._brake(laws, own["dof_frictionloss"], seen)
+        if "drag" in kinds:
+            self._drag(laws, seen)
+        if "speed_slopes" in kinds:
+            self._tire(laws, own["actuator_forcerange"], seen)
+        if "torque_lags" in kinds:
+            self._lag(laws, own, seen)
 
     def _brake(self, laws: _Laws, own: Array, seen: dict[str, Array]) -> None:
         count = self.count
@@ -570,6 +649,29 @@ class _ForcedPool(_Pool):
         bias[:, :, 0] += np.where(saturated[..., 0], now[..., 0] * wanted, 0) + self.torques * way / step
         self._field("actuator_gainprm")[:count, at], self._field("actuator_biasprm")[:count, at] = gain, bias
         self.torques = self.torques + way * (wanted - self.torques)
+
+
+def _alike(jobs: Sequence[Job]) -> list[list[int]]:
+    """Return which jobs can run in one batch."""
+    together: dict[tuple[Any, ...], list[int]] = {}
+    for index, job in enumerate(jobs):
+        shape = _sizes(job.model), tuple((play.joint, play.play) for play in job.plays)
+        forced = (job.forces.kinds, _rigid_parts(job.model)) if job.forces.kinds else ()
+        lags = tuple(actuator for actuator, _ in job.forces.torque_lags)
+        key = (forced, lags, job.controls is not None, job.n_substeps, shape)
+        together.setdefault(key, []).append(index)
+    return list(together.values())
+
+
+def _weighted(model: mujoco.MjModel, entries: Array, accelerations: Array) -> Array:
+    """Return M a of rows from the lower triangles (n_rows, nC) of their mass matrices."""
+    rows, columns = np.repeat(np.arange(model.nv), model.M_rownnz), model.M_colind
+    forces = np.zeros_like(accelerations)
+    for place, (row, column) in enumerate(zip(rows, columns)):
+        forces[:, row] += entries[:, place] * accelerations[:, column]
+        if row != column:
+            forces[:, column] += entries[:, place] * accelerations[:, row]
+    return forces
 
 
 def _forces_of(
