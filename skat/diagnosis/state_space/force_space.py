@@ -23,11 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct
 
-from skat.diagnosis.filtering import Array, Mask
-from skat.diagnosis.fitting import priors_of
-from skat.diagnosis.set_evidence import Gram, Priors, Weighed, posterior_mode
-from skat.diagnosis.set_search import alternatives, search_sets, without_weak
-from skat.diagnosis.smoothing import smooth_coordinate
+from skat.diagnosis.state_space.evidence import Gram, Priors, Weighed, posterior_mode
+from skat.diagnosis.state_space.filtering import Array, Mask
+from skat.diagnosis.state_space.fitting import priors_of
+from skat.diagnosis.state_space.set_search import alternatives, search_sets, without_weak
+from skat.diagnosis.state_space.smoothing import smooth_coordinate
 from skat.effects import Effect
 from skat.simulators import MujocoSimulator, Simulator
 

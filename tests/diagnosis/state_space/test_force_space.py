@@ -4,11 +4,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from skat.diagnosis.changes import find_changes
-from skat.diagnosis.force_space import first_look
-from skat.diagnosis.set_evidence import Gram, Priors, weigh
-from skat.diagnosis.set_search import Weigher, search_sets
-from skat.diagnosis.smoothing import smooth_coordinate
+from skat.diagnosis.state_space.changes import find_changes
+from skat.diagnosis.state_space.evidence import Gram, Priors, weigh
+from skat.diagnosis.state_space.force_space import first_look
+from skat.diagnosis.state_space.set_search import Weigher, search_sets
+from skat.diagnosis.state_space.smoothing import smooth_coordinate
 from skat.simulators import FunctionSimulator, MujocoSimulator
 
 ARM = """

@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.special import log_ndtr
 
-from skat.diagnosis.filtering import Array
-from skat.diagnosis.set_evidence import Gram, Priors, Weighed, weigh
+from skat.diagnosis.state_space.evidence import Gram, Priors, Weighed, weigh
+from skat.diagnosis.state_space.filtering import Array
 
 LARGEST_SET = 80
 # Of the sets that a step could lead to, the most promising are weighed.

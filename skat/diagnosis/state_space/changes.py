@@ -14,8 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skat.diagnosis.filtering import Array
-from skat.diagnosis.force_space import (
+from skat.diagnosis.state_space.evidence import Gram, Priors, Weighed
+from skat.diagnosis.state_space.filtering import Array
+from skat.diagnosis.state_space.force_space import (
     ALIAS_ODDS,
     WIDTH_95,
     Motion,
@@ -32,8 +33,7 @@ from skat.diagnosis.force_space import (
     unbiased_squares,
     visible,
 )
-from skat.diagnosis.set_evidence import Gram, Priors, Weighed
-from skat.diagnosis.set_search import Weigher, alternatives, search_sets, without_weak
+from skat.diagnosis.state_space.set_search import Weigher, alternatives, search_sets, without_weak
 from skat.effects import Effect
 from skat.simulators import MujocoSimulator, Simulator
 
