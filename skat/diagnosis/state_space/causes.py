@@ -26,6 +26,9 @@ from skat.effects import EVERY, Effect
 
 # Families that act on what a sensor reads, and so on nothing where it was not read.
 SENSORS = ("bias", "scale", "lag")
+# Biases have a typical size in these units; elsewhere it is a share of a channel's spread.
+KNOWN_UNITS = ("rad", "m", "rad/s", "m/s")
+BIAS_SHARE = 0.03
 # Relinearisations; a set that moves by less than this share of its standard errors stands still.
 TURNS = 8
 STANDS_STILL = 0.1
@@ -39,6 +42,10 @@ WIDTH_95 = 1.96
 ALIAS_FACTOR = 20.0
 # Effects whose slopes are taken anew with the causes in, of those that promise most.
 LIVE = 24
+# The weakest causes, so many, must bear being left out of a fit of its own, of so many turns.
+REFITTED, REFIT_TURNS = 3, 3
+# Effects whose responses make a smaller angle than this cosine may be the same: so many are fitted in a cause's place.
+ALIKE, RIVALS = 0.95, 2
 # A bound that an estimate comes this near to, as a share of the range, holds it.
 AT_BOUND = 1e-6
 
@@ -128,7 +135,7 @@ def find_causes(
     """
     floor = np.zeros(space.d) if floor is None else floor
     effects = _readable(space, effects)
-    priors = priors_of(effects, typical)
+    priors = priors_of(effects, {**_typical_biases(space, effects), **(typical or {})})
     families = _families(effects)
     needed = -float(np.log(alpha))
     power = COARSE_ROWS / (COARSE_ROWS + len(space.X))
@@ -168,10 +175,12 @@ def find_causes(
             for one, at, deviation in zip(best.members, best.values, deviations)
         )
         if stands:
-            held = {one for one in best.members if is_held(effects[one], found[priors.names[one]])}
-            if not held:
+            refused = {one for one in best.members if is_held(effects[one], found[priors.names[one]])}
+            refused |= _refused(space, fitted, effects, priors, best, worth, floor, given, needed, power)
+            if not refused:
                 break
-            banned |= held
+            banned |= refused
+            found = {name: value for name, value in found.items() if places[name] not in refused}
         values = found
         live = _live(ranked, gram, best)
     if fitted is None:
@@ -188,7 +197,10 @@ def find_causes(
         found,
         intervals,
         {priors.names[one]: nats for one, nats in worth.items()},
-        _aliases(ranked, gram, priors, best),
+        _with_refitted(
+            _aliases(ranked, gram, priors, best),
+            _rivals(space, fitted, effects, priors, gram, best, floor, given, power),
+        ),
         {name: ranked.probability(place) for place, name in enumerate(priors.names)},
         _also(gram, priors, effects, best, needed, families, banned, predictive),
         fitted,
@@ -200,10 +212,145 @@ def find_causes(
     )
 
 
+def _refused(
+    space: StateSpace,
+    fitted: Fitted,
+    effects: Sequence[Effect],
+    priors: Priors,
+    best: Weighed,
+    worth: Mapping[int, float],
+    floor: Array,
+    given: Array | None,
+    needed: float,
+    power: float,
+) -> set[int]:
+    """Return the cause without which the others, at a noise and about a path of their own, do as well; or none.
+
+    Slopes at one set say little of another that lies far away.
+    """
+    if len(best.members) < 2:
+        return set()
+    whole = _evidence(space, fitted, effects, priors, best.members, power)
+    for one in sorted(best.members, key=lambda member: worth[member])[:REFITTED]:
+        rest = [other for other in best.members if other != one]
+        start = weigh(
+            _gram_at(space, fitted, effects, priors, best.members),
+            _part(priors, best.members),
+            [best.members.index(other) for other in rest],
+        )
+        values = {effects[other].name: value_at(effects[other], at) for other, at in zip(rest, start.values)}
+        for _ in range(REFIT_TURNS):
+            alone = settled(space, values, fitted, floor, given=given)
+            gram = _gram_at(space, alone, effects, priors, rest)
+            at = weigh(gram, _part(priors, rest), range(len(rest)))
+            values = {
+                effects[other].name: value_at(effects[other], place) for other, place in zip(rest, at.values)
+            }
+        if _evidence(space, alone, effects, priors, rest, power) + needed > whole:
+            return {one}
+    return set()
+
+
+def _rivals(
+    space: StateSpace,
+    fitted: Fitted,
+    effects: Sequence[Effect],
+    priors: Priors,
+    gram: Gram,
+    best: Weighed,
+    floor: Array,
+    given: Array | None,
+    power: float,
+) -> dict[str, tuple[tuple[str, float], ...]]:
+    """Return for each cause the effects that act most like it and, at fits of their own, stand for it nearly as well.
+
+    Slopes say that two effects act alike for small values; whether they do at this one, a fit must say.
+    """
+    if not best.members:
+        return {}
+    sizes = np.sqrt(np.maximum(np.diag(gram.products), 1e-300))
+    whole = _evidence(space, fitted, effects, priors, best.members, power)
+    found = {}
+    for cause in best.members[:REFITTED]:
+        alike = np.abs(gram.products[cause]) / (sizes[cause] * sizes)
+        alike[list(best.members)] = 0.0
+        rivals = []
+        for other in np.argsort(-alike, kind="stable")[:RIVALS]:
+            if alike[other] < ALIKE:
+                break
+            members = sorted({*best.members, int(other)} - {cause})
+            moved = weigh(gram, priors, members)
+            values = {
+                effects[one].name: value_at(effects[one], at) for one, at in zip(moved.members, moved.values)
+            }
+            for _ in range(REFIT_TURNS):
+                alone = settled(space, values, fitted, floor, given=given)
+                own = weigh(
+                    _gram_at(space, alone, effects, priors, members),
+                    _part(priors, members),
+                    range(len(members)),
+                )
+                values = {
+                    effects[one].name: value_at(effects[one], at) for one, at in zip(members, own.values)
+                }
+            odds = np.exp(min(_evidence(space, alone, effects, priors, members, power) - whole, 50.0))
+            if odds > 1 / ALIAS_FACTOR:
+                rivals.append((priors.names[other], float(odds / (1 + odds))))
+        if rivals:
+            found[priors.names[cause]] = tuple(rivals)
+    return found
+
+
+def _with_refitted(
+    aliases: dict[str, tuple[tuple[str, float], ...]], refitted: dict[str, tuple[tuple[str, float], ...]]
+) -> dict[str, tuple[tuple[str, float], ...]]:
+    """Return aliases with those of fits of their own put before those of slopes."""
+    both = {}
+    for cause, names in aliases.items():
+        own = refitted.get(cause, ())
+        both[cause] = (*own, *(one for one in names if one[0] not in {name for name, _ in own}))
+    return both
+
+
+def _gram_at(
+    space: StateSpace, fitted: Fitted, effects: Sequence[Effect], priors: Priors, members: Sequence[int]
+) -> Gram:
+    chosen = [effects[one] for one in members]
+    return gram_of(space, fitted, slopes_of(space, fitted, chosen, _part(priors, members)), chosen).gram
+
+
+def _evidence(
+    space: StateSpace,
+    fitted: Fitted,
+    effects: Sequence[Effect],
+    priors: Priors,
+    members: Sequence[int],
+    power: float,
+) -> float:
+    """Return the log evidence of a set at a fit of its own, beside what all sets have in common."""
+    if not members:
+        return power * fitted.bound
+    gram = _gram_at(space, fitted, effects, priors, members)
+    one = weigh(gram, _part(priors, members), range(len(members)), power=power)
+    b, G, origin = gram.at_neutral, gram.products, gram.origin
+    there = float(b @ origin - 0.5 * origin @ G @ origin)
+    return power * (fitted.bound - there) + one.evidence
+
+
 def _readable(space: StateSpace, effects: Sequence[Effect]) -> list[Effect]:
     seen = space.mask.any(axis=(0, 1))
     unread = {name for name, there in zip(space.simulator.residual_names, np.atleast_1d(seen)) if not there}
     return [effect for effect in effects if effect.family not in SENSORS or effect.target not in unread]
+
+
+def _typical_biases(space: StateSpace, effects: Sequence[Effect]) -> dict[str, float]:
+    """Return typical biases of channels whose unit says nothing of their size: a share of what they read."""
+    spreads = dict(zip(space.simulator.residual_names, space.spread))
+    return {
+        effect.name: BIAS_SHARE * float(spreads[effect.target])
+        for effect in effects
+        if effect.family == "bias" and effect.unit not in KNOWN_UNITS and effect.target in spreads
+    }
 
 
 def _families(effects: Sequence[Effect]) -> dict[str, list[int]]:

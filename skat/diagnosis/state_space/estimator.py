@@ -20,7 +20,13 @@ from skat.diagnosis.state_space.fitting import value_at
 from skat.diagnosis.state_space.identifiability import identifiability, preflight
 from skat.diagnosis.state_space.log import Log, check_log, check_matrix, without_channels
 from skat.diagnosis.state_space.posterior import Posterior
-from skat.diagnosis.state_space.prediction import Prediction, horizon_rows, open_loop_gain, predicted
+from skat.diagnosis.state_space.prediction import (
+    Prediction,
+    horizon_rows,
+    open_loop_gain,
+    predicted,
+    variances_of,
+)
 from skat.diagnosis.state_space.remainder import find_remainder, is_unexplained
 from skat.diagnosis.state_space.statespace import StateSpace, state_space
 from skat.diagnosis.state_space.velocities import computed_velocities
@@ -189,9 +195,9 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         self.also_seen_ = dict(found.also)
         self.posterior_ = Posterior.of(found)
         self.diverged_share_ = float(np.mean(~found.fitted.linear.valid))
-        self.noise_ = np.where(
-            space.mask.any(axis=(0, 1)), np.sqrt(found.fitted.estimate.noise.error[: space.d]), np.nan
-        )
+        noise = found.fitted.estimate.noise
+        variances = variances_of(noise.error, noise.error_nu)[: space.d]
+        self.noise_ = np.where(space.mask.any(axis=(0, 1)), np.sqrt(variances), np.nan)
         self.extended_simulator_ = self.simulator.extended(self._values)
         self.identifiability_ = identifiability(
             found.gram, found.priors, found.effects, found.values, alpha=self.alpha, value_at=value_at

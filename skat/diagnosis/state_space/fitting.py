@@ -55,17 +55,37 @@ class Fitted:
         return self.estimate.bound
 
 
-def priors_of(effects: Sequence[Effect], typical: Mapping[str, float] | None = None) -> Priors:
-    """Return the priors of effects, in coordinates of the search: from neutral, factors on the logarithm."""
+def priors_of(
+    effects: Sequence[Effect], typical: Mapping[str, float] | None = None, *, logarithmic: bool = True
+) -> Priors:
+    """Return the priors of effects, in coordinates of the search: from neutral, factors on the logarithm.
+
+    Parameters
+    ----------
+    effects : sequence of Effect
+    typical : mapping from name to size, optional
+        Scales of a user's own.
+    logarithmic : bool, default=True
+        Whether factors count on the logarithm; differences from neutral otherwise.
+    """
     typical = typical or {}
     odds = np.array([effect.odds for effect in effects])
     chances = odds / (odds.sum() + 1)
+    low, high = (
+        np.array(
+            [
+                coordinate(effect, effect.bounds[end]) if logarithmic else effect.bounds[end] - effect.neutral
+                for effect in effects
+            ]
+        )
+        for end in (0, 1)
+    )
     return Priors(
         tuple(effect.name for effect in effects),
         np.array([typical.get(effect.name, effect.typical) for effect in effects]),
         np.log(chances / (1 - chances)),
-        np.array([coordinate(effect, effect.bounds[0]) for effect in effects]),
-        np.array([coordinate(effect, effect.bounds[1]) for effect in effects]),
+        low,
+        high,
     )
 
 

@@ -540,7 +540,7 @@ def first_look(
 
 def force_priors(effects: Sequence[Effect], typical: Mapping[str, float] | None = None) -> Priors:
     """Return the priors of effects, without factors so small that a machine would not be one."""
-    priors = priors_of(effects, typical)
+    priors = priors_of(effects, typical, logarithmic=False)
     factors = np.array([effect.neutral == 1 for effect in effects])
     return replace(priors, low=np.where(factors, np.maximum(priors.low, WEAKEST - 1), priors.low))
 

@@ -314,7 +314,7 @@ def variances_ahead(
         What is not known of the states at the starts; as the filter has it by default.
     """
     d, noise = space.d, seen.estimate.noise
-    error = _variances(noise.error, noise.error_nu)[:d]
+    error = variances_of(noise.error, noise.error_nu)[:d]
     if not space.simulator.state_names:
         return np.broadcast_to(error, (len(starts), horizon, d))
     M = filtered(space, seen)[1][starts] if begin is None else begin
@@ -326,7 +326,7 @@ def variances_ahead(
     A = seen.chains.transitions[space.places]
     F = seen.chains.carrier[space.places]
     bends = seen.chains.bends[space.places]
-    force = _variances(noise.force, noise.force_nu)
+    force = variances_of(noise.force, noise.force_nu)
     # Two motions that have nothing in common any more are no further apart than that.
     most = 2 * (space.spread / 3) ** 2
     out = np.empty((len(starts), horizon, d))
@@ -399,7 +399,7 @@ def open_loop_gain(
             f"{', '.join(missing)} were not measured in the first row of every episode: pass initial_state='fitted'."
         )
     noise = fitted.estimate.noise
-    deviations = np.sqrt(_variances(noise.error, noise.error_nu)[: space.d])
+    deviations = np.sqrt(variances_of(noise.error, noise.error_nu)[: space.d])
     counted = mask & chosen
     paths = []
     models: tuple[Mapping[str, float], ...] = ({}, values)
@@ -459,7 +459,7 @@ def _weighted(last: Estimate, real: Mask, mask: Mask) -> Noise:
     return Noise(noise.force, noise.error, noise.force_nu, noise.error_nu, weights[0], weights[1])
 
 
-def _variances(scale: Array, nu: Array) -> Array:
+def variances_of(scale: Array, nu: Array) -> Array:
     """Return the variances of Student's laws of squared scales."""
     heavy = np.isfinite(nu)
     return scale * np.where(heavy, nu / np.where(heavy, nu - 2, 1.0), 1.0)
@@ -467,7 +467,7 @@ def _variances(scale: Array, nu: Array) -> Array:
 
 def _steady(noise: Noise, shares: Array) -> Array:
     """Return the variance of each force with memory, at any time."""
-    force = _variances(noise.force, noise.force_nu)[-len(shares) :]
+    force = variances_of(noise.force, noise.force_nu)[-len(shares) :]
     return force / np.maximum(1 - shares**2, 1e-12)
 
 
@@ -695,7 +695,7 @@ def _open_loop_variances(
         chains = chains.with_memory(shares, _steady(noise, shares))
     seen = Seen(linear, chains, fitted.estimate, shares)
     n_all, d = chains.drive.shape[-1], space.d
-    error = _variances(noise.error, noise.error_nu)[:d]
+    error = variances_of(noise.error, noise.error_nu)[:d]
     begin = np.zeros((n_all, n_all))
     if initial_state == "measured":
         begin[:d, :d] = np.diag(error)
