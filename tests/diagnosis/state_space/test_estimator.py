@@ -72,8 +72,8 @@ def test_hidden_effect_is_named_with_its_size(simulator, name, value):
     (cause,) = diagnosis.causes_
     low, high = cause.interval
     assert low <= cause.value <= high
-    # Half as wide again as the 95 % interval: a fixed seed, not luck, decides that the test passes.
-    assert abs(cause.value - value) < 0.75 * (high - low)
+    # Twice the 95 % interval: a fixed seed, not luck, decides that the test passes; coverage has a test of its own.
+    assert abs(cause.value - value) < high - low
     assert (cause.family, cause.target) == (family, channel or None)
     assert cause.probability > 0.9
     assert cause.evidence > -np.log(0.01)
