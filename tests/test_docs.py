@@ -50,6 +50,10 @@ def run(path):
     return "".join(said)
 
 
+# A diagnosis by way of a cluster's scheduler.
+LONG = {"cluster.rst"}
+
+
 @pytest.fixture
 def arm(tmp_path, monkeypatch):
     """The folder that the tutorial and the how-to pages work in."""
@@ -61,7 +65,11 @@ def arm(tmp_path, monkeypatch):
 
 @pytest.mark.filterwarnings("ignore:The positions lag:UserWarning")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning:distributed")
-@pytest.mark.parametrize("path", WITH_EXAMPLES, ids=lambda path: str(path.relative_to(DOCS)))
+@pytest.mark.parametrize(
+    "path",
+    [pytest.param(path, marks=pytest.mark.long if path.name in LONG else ()) for path in WITH_EXAMPLES],
+    ids=lambda path: str(path.relative_to(DOCS)),
+)
 def test_commands_and_examples_of_a_page_do_what_it_says(path, request):
     if ".xml" in path.read_text("utf-8") and path in COMMANDS:
         request.getfixturevalue("arm")
