@@ -113,6 +113,11 @@ def probability_text(probability: float) -> str:
     return f"<{GAP}1{GAP}%" if percent < 0.5 else f"{percent:.0f}{GAP}%"
 
 
+def plain_unit(unit: str) -> str:
+    """Return a unit as it stands behind a number; empty where it says nothing."""
+    return "" if unit == "1" or unit.startswith("unit of ") else unit
+
+
 def alternatives_text(alternatives: Iterable[Alternative]) -> str:
     """Return other names in one line, with their probabilities as far as they are known."""
     texts = []
@@ -365,7 +370,7 @@ def _tail(tail: float) -> str:
 
 
 def _unit(unit: str) -> str:
-    return "" if unit == "1" or unit.startswith("unit of ") else unit.replace(" ", GAP)
+    return plain_unit(unit).replace(" ", GAP)
 
 
 def _text(value: object) -> str:

@@ -28,6 +28,7 @@ from skat.diagnosis.state_space.prediction import (
     variances_of,
 )
 from skat.diagnosis.state_space.remainder import find_remainder, is_unexplained
+from skat.diagnosis.state_space.report.from_diagnosis import DiagnosisReport
 from skat.diagnosis.state_space.statespace import StateSpace, state_space
 from skat.diagnosis.state_space.velocities import computed_velocities
 from skat.effects import Effect, unknown_name_message
@@ -99,6 +100,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         The simulation with the causes built in.
     identifiability_ : DataFrame
         For each effect the smallest size that these data show, and its nearest alias.
+    report_ : DiagnosisReport
     n_features_in_ : int
 
     Notes
@@ -217,6 +219,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             self.gain_ = self._prediction.gain
         _warn_of_diverged(self.diverged_share_, len(fitted))
         self.verdict_ = self._verdict()
+        self.report_ = DiagnosisReport(self, fitted, held_out)
         progress("done", 1, 1)
         return self
 
@@ -343,10 +346,17 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
 
     def __repr__(self, N_CHAR_MAX: int = 700) -> str:
         """Return the parameters, and after a fit the findings."""
-        text = super().__repr__(N_CHAR_MAX)
-        if "verdict_" not in vars(self):
-            return str(text)
-        return "\n".join([str(text), self.verdict_, *(cause.sentence for cause in self.causes_)])
+        text = str(super().__repr__(N_CHAR_MAX))
+        return f"{text}\n{self.report_.text()}" if hasattr(self, "report_") else text
+
+    def _repr_html_(self) -> str:
+        return str(self.report_.html(figures=False) if hasattr(self, "report_") else super()._repr_html_())
+
+    def _repr_mimebundle_(self, **_: Any) -> dict[str, str]:
+        """Return what Jupyter shows; scikit-learn would have it show the parameters only."""
+        if not hasattr(self, "report_"):
+            return dict(super()._repr_mimebundle_())
+        return {"text/plain": repr(self), "text/html": self._repr_html_()}
 
     def __getattr__(self, name: str) -> Any:
         if name.endswith("_") and not name.startswith("_") and "verdict_" not in vars(self):

@@ -1,0 +1,84 @@
+"""The findings of a diagnosis as data for other programs."""
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+# Grows where a field goes away or changes its meaning; fields may be added without.
+SCHEMA = 2
+
+
+def findings_as_data(diagnosis, *, gain=None, error_name="", **context):
+    """Return what a diagnosis found, as what JSON holds: dictionaries, lists, texts, numbers, True, False, None.
+
+    Parameters
+    ----------
+    diagnosis : SimulationDiagnosis
+        Fitted.
+    gain : Gain, optional
+        Measured on data that were set aside; by default the diagnosis's own.
+    error_name : str, default=""
+        What the numbers of the gain are, with their unit.
+    **context
+        Further fields, such as where the log came from.
+
+    Returns
+    -------
+    dict
+        With the fields that the user guide lists. What is not finite is None: JSON has no such numbers.
+    """
+    gain = diagnosis.gain_ if gain is None else gain
+    content = {
+        "schema": SCHEMA,
+        "skat": version("skat"),
+        "mujoco": version("mujoco"),
+        "numpy": np.__version__,
+        **context,
+        "verdict": diagnosis.verdict_,
+        "causes": diagnosis.causes_,
+        "also_seen": diagnosis.also_seen_,
+        "sets": [_set(one) for one in diagnosis.posterior_.sets],
+        "gain": None if gain is None else {**_fields(gain), "ratio": gain.ratio, "error": error_name},
+        "noise": {
+            name: one
+            for name, one in zip(diagnosis.simulator.residual_names, diagnosis.noise_)
+            if not math.isnan(one)
+        },
+        "remainder": [_left(part) for part in diagnosis.remainder_.parts],
+    }
+    return plain(content)
+
+
+def plain(value: Any) -> Any:
+    """Return a value as what JSON holds."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return plain(_fields(value))
+    if isinstance(value, Mapping):
+        return {str(name): plain(one) for name, one in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple | set | frozenset):
+        return [plain(one) for one in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if value is None or isinstance(value, bool | int | str) else str(value)
+
+
+def _fields(record):
+    return {field.name: getattr(record, field.name) for field in dataclasses.fields(record)}
+
+
+def _set(one):
+    return {"names": one.names, "probability": one.probability, "values": one.values}
+
+
+def _left(part):
+    """Return what is left in one direction, without what is only drawn."""
+    fields = {**_fields(part), "share": part.share}
+    for name in ("frequencies", "spectrum", "tried"):
+        del fields[name]
+    return fields

@@ -1,0 +1,195 @@
+"""The findings in sentences."""
+
+import numpy as np
+
+from skat.diagnosis.report.tables import GAP, is_guarded, plain_unit, probability_text
+from skat.diagnosis.state_space.comparison import ceiling_sentence, is_beaten
+from skat.diagnosis.state_space.remainder import is_unexplained
+from skat.rounding import interval_text, size_text
+from skat.simulators.base import is_sensor
+
+# An error of less than so many times the floor says little of a share of its excess.
+NEAR_FLOOR = 2.0
+MANY_CAUSES = 4
+# Beyond rounding, no cause explains more than all of an excess.
+MOST_EXPLAINED = 1.05
+
+
+def verdict_sentences(diagnosis, comparisons):
+    """Return the verdict of a diagnosis in sentences.
+
+    Parameters
+    ----------
+    diagnosis : SimulationDiagnosis
+        Fitted.
+    comparisons : list of DataFrame
+        From `compare_transports`; where a transport does better, the verdict says so.
+    """
+    unexplained = diagnosis.verdict_ == "unexplained"
+    neutral = {effect.name: effect.neutral for effect in diagnosis.simulator.effects(also="all")}
+    sentences = [cause_sentence(cause, neutral.get(cause.name, 0.0)) for cause in diagnosis.causes_]
+    for cause in diagnosis.causes_:
+        if cause.aliases:
+            others = [f"{alias.name} ({plain_percent(alias.probability)})" for alias in cause.aliases]
+            each = "each of them" if len(others) > 1 else "it"
+            sentences.append(
+                f"These data cannot tell {cause.name} from {_listed(others)}: put in its place, {each} explains the "
+                "log nearly as well."
+            )
+    sentences += cautions(diagnosis.causes_)
+    if diagnosis.verdict_ == "nothing detected":
+        sentences.append(
+            "The log shows no difference from the simulation that noise and random forces would not explain."
+        )
+    if unexplained:
+        rest = remainder_sentence(diagnosis)
+        sentences.insert(
+            0, f"Beside what is named below, {rest}." if diagnosis.causes_ else f"{capital(rest)}."
+        )
+    return sentences + [
+        ceiling_sentence(errors) for errors in comparisons if unexplained or is_beaten(errors)
+    ]
+
+
+def cautions(causes):
+    """Return the sentences of caution about causes, a list."""
+    sentences = []
+    if len(causes) >= MANY_CAUSES:
+        sentences.append("So many causes together may stand for one that is not in the list.")
+    sensors = [cause.name for cause in causes if is_sensor(cause.name)]
+    if sensors and len(sensors) < len(causes):
+        sentences.append(
+            f"{_listed(sensors)} beside another cause may stand for something that is not in the list: check what the "
+            "sensor reads where the true value is known."
+        )
+    if any(cause.family == "delay" for cause in causes):
+        sentences.append(
+            "A filter that delays the velocities measured, and motors that answer slowly, look like a delay of the "
+            "commands: rule them out."
+        )
+    return sentences
+
+
+def gain_sentence(diagnosis, gain):
+    """Return a Gain of a fitted diagnosis in a sentence."""
+    before, after = f"{gain.nominal:.3g}", f"{gain.extended:.3g}"
+    if gain.horizon == "episode":
+        text = f"the open-loop error of whole episodes goes from {before} to {after}"
+    else:
+        simulator = diagnosis.simulator
+        where = f" {horizon_text(simulator, gain.horizon)}" if simulator.state_names else ""
+        text = f"the squared error{where} goes from {before} to {after} times what a right model has"
+    return f"{text}; {share_sentence(diagnosis, gain)}"
+
+
+def horizon_text(simulator, horizon):
+    """Return in words how far ahead a Gain predicts."""
+    if horizon == "episode":
+        return "whole episodes"
+    if not simulator.state_names:
+        return "each row by itself"
+    if simulator.dt:
+        return f"{horizon:.3g} s ahead"
+    return f"{horizon:g} row{'' if horizon == 1 else 's'} ahead"
+
+
+def share_sentence(diagnosis, gain):
+    """Return in a sentence which share of the excess a Gain of a fitted diagnosis explains."""
+    share, low, high = (f"{100 * one:.0f}" for one in (gain.explained, *gain.interval))
+    pieces = "episodes" if gain.horizon == "episode" else "rows"
+    is_wide = gain.interval[1] - gain.interval[0] > 1
+    is_near = gain.nominal <= gain.floor or (is_wide and gain.nominal < NEAR_FLOOR * gain.floor)
+    # A share of more than all of it says that the floor is too high.
+    if (is_near or gain.explained > MOST_EXPLAINED) and _hides_in_the_noise(diagnosis):
+        return "the noise estimate itself contains what is unexplained, so that no share of it can be given."
+    if gain.nominal <= gain.floor:
+        return "the simulation's error was no larger than a right model's, so that there is no excess to explain."
+    if is_near:
+        return "that is too close to the noise to say which share of the excess is explained."
+    if is_wide:
+        return f"{share} % of the excess is explained, in too few {pieces} to bound the share."
+    if np.isnan(gain.interval[0]):
+        return f"{share} % of the excess is explained, in too few {pieces} for an interval."
+    return f"{share} % of the excess is explained (95 %: {low} to {high} %)."
+
+
+def remainder_sentence(diagnosis):
+    """Return in words why a verdict is "unexplained"."""
+    if not is_law_left(diagnosis):
+        return f"the simulation diverges in {100 * diagnosis.diverged_share_:.0f} % of the rows, which tell nothing"
+    largest = max(clear_parts(diagnosis), key=lambda part: (part.ahead, part.predictable / part.scale))
+    return left_sentence(largest)
+
+
+def left_sentence(part):
+    """Return in words what a `Left` of the remainder follows."""
+    unit = plain_unit(part.unit)
+    size = f"{part.predictable:.2g} {unit}".rstrip()
+    size += f" (rms), {100 * part.predictable / part.scale:.2g} % of what acts there,"
+    if part.regressor == "constant":
+        return f"at {part.name} {size} are left at all times, which no cause explains"
+    return f"what is left at {part.name} depends on {part.regressor}, which predicts {size} that no cause explains"
+
+
+def clear_parts(diagnosis):
+    """Return the parts of what is left that follow a law beyond chance."""
+    return [part for part in diagnosis.remainder_.parts if part.evidence > -np.log(diagnosis.alpha)]
+
+
+def is_law_left(diagnosis):
+    """Whether what is left follows a law that matters; else an unexplained verdict is for rows that diverge."""
+    gain = None if diagnosis._prediction is None else diagnosis._prediction.gain
+    return is_unexplained(diagnosis.remainder_, gain, tolerance=diagnosis.tolerance, alpha=diagnosis.alpha)
+
+
+def _hides_in_the_noise(diagnosis):
+    """Whether what is unexplained counted as noise, or as a random force, where that was estimated."""
+    is_estimated = isinstance(diagnosis.noise, str) or bool(diagnosis.simulator.state_names)
+    return diagnosis.verdict_ == "unexplained" and is_estimated and is_law_left(diagnosis)
+
+
+def cause_sentence(cause, neutral=0.0):
+    """Return a Cause in a sentence, with its interval; without a size where the interval says none.
+
+    Parameters
+    ----------
+    cause : Cause
+    neutral : float, default=0
+        The value at which it does nothing.
+    """
+    if is_guarded(cause.value, cause.interval, neutral):
+        unit = "" if cause.unit in ("", "1") else f" {cause.unit}"
+        ends = interval_text(cause.interval).replace(" to ", " and ")
+        return f"{cause.name} lies between {ends}{unit} (95 %), too wide to say a size."
+    sentence = cause.sentence if cause.sentence.startswith(cause.name) else capital(cause.sentence)
+    end = (
+        "; the estimate is at the end of the range allowed, so something else may be behind it"
+        if cause.at_bound
+        else ""
+    )
+    interval = f"95 %: {interval_text(cause.interval)}"
+    low, high = cause.interval
+    if low <= cause.value <= high and not low <= float(f"{cause.value:.3g}") <= high:
+        # Rounded as in the sentence, the value would lie outside its own interval.
+        interval = f"{size_text(cause.value, cause.interval)}; {interval}"
+    return f"{sentence.rstrip('.')} ({interval}){end}."
+
+
+def capital(text):
+    """Return a text that begins a sentence."""
+    return text[:1].upper() + text[1:]
+
+
+def counted(things, word):
+    """Return how many things there are, in words."""
+    return f"{len(things)} {word}{'' if len(things) == 1 else 's'}"
+
+
+def plain_percent(probability):
+    """Return a probability in percent, for a line of text."""
+    return probability_text(probability).replace(GAP, " ")
+
+
+def _listed(names):
+    *first, last = names
+    return f"{', '.join(first)} and {last}" if first else last
