@@ -36,7 +36,7 @@ class Ranked:
     def probability(self, cause: int) -> float:
         """Return the probability that an effect is a cause."""
         shares = self.probabilities
-        return float(sum(share for share, one in zip(shares, self.sets) if cause in one.members))
+        return min(1.0, float(sum(share for share, one in zip(shares, self.sets) if cause in one.members)))
 
 
 def search(
