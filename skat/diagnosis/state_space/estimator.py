@@ -198,8 +198,9 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         self.posterior_ = Posterior.of(found)
         self.diverged_share_ = float(np.mean(~found.fitted.linear.valid))
         noise = found.fitted.estimate.noise
-        variances = variances_of(noise.error, noise.error_nu)[: space.d]
-        self.noise_ = np.where(space.mask.any(axis=(0, 1)), np.sqrt(variances), np.nan)
+        given = self._given_deviations()
+        deviations = np.sqrt(variances_of(noise.error, noise.error_nu)[: space.d]) if given is None else given
+        self.noise_ = np.where(space.mask.any(axis=(0, 1)), deviations, np.nan)
         self.extended_simulator_ = self.simulator.extended(self._values)
         self.identifiability_ = identifiability(
             found.gram, found.priors, found.effects, found.values, alpha=self.alpha, value_at=value_at
