@@ -183,8 +183,21 @@ def find_causes(
             found = {name: value for name, value in found.items() if places[name] not in refused}
         values = found
         live = _live(ranked, gram, best)
+        stands = False
     if fitted is None:
         raise RuntimeError("no relinearisation was made")
+    # A search that was stopped may end at a bound, or with what was just refused.
+    kept = [
+        one
+        for one in best.members
+        if one not in banned
+        and not is_held(effects[one], value_at(effects[one], float(best.values[best.members.index(one)])))
+    ]
+    found = {priors.names[one]: found[priors.names[one]] for one in kept}
+    probabilities = {name: ranked.probability(place) for place, name in enumerate(priors.names)}
+    rivals = _rivals(space, fitted, effects, priors, gram, best, floor, given, power)
+    for name, others in rivals.items():
+        probabilities[name] = min(probabilities[name], 1 - sum(share for _, share in others))
     intervals = {
         priors.names[one]: (
             value_at(effects[one], at - WIDTH_95 * deviation),
@@ -196,12 +209,9 @@ def find_causes(
         tuple(effects),
         found,
         intervals,
-        {priors.names[one]: nats for one, nats in worth.items()},
-        _with_refitted(
-            _aliases(ranked, gram, priors, best),
-            _rivals(space, fitted, effects, priors, gram, best, floor, given, power),
-        ),
-        {name: ranked.probability(place) for place, name in enumerate(priors.names)},
+        {priors.names[one]: nats for one, nats in worth.items() if one in kept},
+        _with_refitted(_aliases(ranked, gram, priors, best), rivals),
+        probabilities,
         _also(gram, priors, effects, best, needed, families, banned, predictive),
         fitted,
         gram,
@@ -295,9 +305,10 @@ def _rivals(
                 }
             odds = np.exp(min(_evidence(space, alone, effects, priors, members, power) - whole, 50.0))
             if odds > 1 / ALIAS_FACTOR:
-                rivals.append((priors.names[other], float(odds / (1 + odds))))
+                rivals.append((priors.names[other], float(odds)))
         if rivals:
-            found[priors.names[cause]] = tuple(rivals)
+            total = 1 + sum(odds for _, odds in rivals)
+            found[priors.names[cause]] = tuple((name, odds / total) for name, odds in rivals)
     return found
 
 

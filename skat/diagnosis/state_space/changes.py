@@ -55,8 +55,8 @@ class Change:
     name : str
         Of the effect.
     value : float
-        By how much it is more in the second log, in the effect's unit; of factors, the ratio of the second to the
-        first.
+        By how much it is more in the second log, in the effect's unit; of factors, 1 and the difference in units of
+        the model's own value.
     interval : tuple of two floats
         95 %.
     unit : str
