@@ -460,3 +460,24 @@ def test_preflight_asks_for_groups_only_where_none_were_given(simulator):
         diagnosis.preflight(X, groups=groups)
     with pytest.warns(UserWarning, match="Pass groups="):
         diagnosis.preflight(X)
+
+
+def test_a_cause_with_a_twin_is_ambiguous_and_has_at_most_half_of_the_probability():
+    drive = FunctionSimulator(
+        lambda X, gain, twin: X[:, :1] + 0.05 * gain * twin * X[:, 1:],
+        input_names=("x", "u"),
+        output_names=("x",),
+        state_names=("x",),
+        effects=[Effect(name, unit="1", neutral=1.0, bounds=(0.2, 3.0)) for name in ("gain", "twin")],
+        dt=0.05,
+    )
+    rng = np.random.default_rng(0)
+    speed = np.repeat(rng.uniform(-10, 10, (6, 6)), 20, axis=1)
+    place = np.pad(np.cumsum(0.05 * 1.5 * speed, axis=1), ((0, 0), (1, 0))) + 0.02 * rng.normal(size=(6, 121))
+    X = np.column_stack([place[:, :-1].ravel(), speed.ravel()])
+    diagnosis = fitted(drive, (X, place[:, 1:].reshape(-1, 1), np.repeat(np.arange(6), 120)))
+    (cause,) = diagnosis.causes_
+    assert diagnosis.verdict_ == "ambiguous"
+    assert {cause.name, cause.aliases[0].name} == {"gain", "twin"}
+    assert cause.probability < 0.55
+    assert cause.aliases[0].probability == pytest.approx(0.5, abs=0.1)
