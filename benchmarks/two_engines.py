@@ -40,7 +40,7 @@ def cases():
 
 def ask_state_space(simulator, log):
     """Return what the engine on a state space names."""
-    from skat.diagnosis.state_space import SimulationDiagnosis
+    from skat.diagnosis import SimulationDiagnosis
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -259,7 +259,7 @@ def test_causes_stand_on_the_side_of_their_deviation():
 
 def test_causes_of_a_diagnosis_find_their_neutral_values():
     effects = [SimpleNamespace(name="gain[a]", neutral=1.0), SimpleNamespace(name="damping[a]", neutral=0.0)]
-    simulator = SimpleNamespace(effects=lambda: effects)
+    simulator = SimpleNamespace(effects=lambda also: effects)
     diagnosis = SimpleNamespace(simulator=simulator, causes_=(cause("gain[a]", 0.9, 0.8, 1.0),))
     assert CauseDisplay.from_estimator(diagnosis).neutrals == [1.0]
 

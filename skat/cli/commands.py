@@ -54,7 +54,7 @@ Model = Annotated[
 Effects = Annotated[
     list[str] | None, typer.Option(help="Name of an effect to consider; repeat for several. Default: all.")
 ]
-Alpha = Annotated[float, typer.Option(help="Chance of a false alarm on clean data.")]
+Alpha = Annotated[float, typer.Option(help="A cause is named where the odds for it are 1 to this.")]
 
 
 @demo.callback()
@@ -328,6 +328,7 @@ def show_study(study):
 def _causes(causes):
     import pandas as pd
 
+    from skat.diagnosis.report.sentences import plain_percent
     from skat.rounding import interval_text, size_text
 
     return pd.DataFrame(
@@ -336,7 +337,12 @@ def _causes(causes):
             "size": [size_text(cause.value, cause.interval) for cause in causes],
             "95 % interval": [interval_text(cause.interval) for cause in causes],
             "unit": [cause.unit for cause in causes],
-            "aliases": [", ".join(cause.aliases) or "none" for cause in causes],
+            "probability": [plain_percent(cause.probability) for cause in causes],
+            "aliases": [
+                ", ".join(f"{alias.name} ({plain_percent(alias.probability)})" for alias in cause.aliases)
+                or "none"
+                for cause in causes
+            ],
         }
     )
 

@@ -92,7 +92,9 @@ def diagnose(
         list[str] | None, typer.Option(help="Name of a state column that is a guess, no measurement; repeat.")
     ] = None,
     alpha: Alpha = 0.01,
-    max_effects: Annotated[int, typer.Option(min=1, help="Name this many causes at most.")] = 6,
+    max_effects: Annotated[
+        int | None, typer.Option(min=1, help="Name this many causes at most. Default: no limit.")
+    ] = None,
     test_size: Annotated[float, typer.Option(help="Part of the log that measures the gain; 0: none.")] = 0.3,
     extended: Annotated[
         Path | None, typer.Option(help="File to write the extended model to: MJCF, or URDF from a URDF.")

@@ -2,7 +2,7 @@
 
 from skat.diagnosis.comparison import compare_transports
 from skat.diagnosis.estimator import SimulationDiagnosis
-from skat.diagnosis.findings import Cause, Gain
-from skat.diagnosis.omnibus import Remainder
+from skat.diagnosis.findings import Alias, Cause, Gain
+from skat.diagnosis.remainder import Remainder
 
-__all__ = ["Cause", "Gain", "Remainder", "SimulationDiagnosis", "compare_transports"]
+__all__ = ["Alias", "Cause", "Gain", "Remainder", "SimulationDiagnosis", "compare_transports"]

@@ -1,18 +1,21 @@
 """How far maps learned from data alone come beside the named causes: a ceiling of what could be explained."""
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 from sklearn.base import clone
 from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted
 
-from skat.diagnosis.gains import FEWEST_PIECES
-from skat.diagnosis.log import check_log
-from skat.diagnosis.open_loop import Episodes
+from skat.diagnosis.filtering import Array, Mask
+from skat.diagnosis.log import Log, check_log, without_channels
+from skat.diagnosis.statespace import Places, tangent_mask
+from skat.simulators import Simulator
 from skat.transport import (
     CORAL,
     AffineTransport,
@@ -32,6 +35,13 @@ TRANSPORTS = (
 # Exact transport takes time and memory with the square of the number of rows.
 MOST_EXACT_ROWS = 2_000
 N_BOOTSTRAP = 999
+# Pieces of time that count as independent: at most so many rows, at least so many of them; fewer give no interval.
+ROWS_OF_PIECE, ENOUGH_PIECES, FEWEST_PIECES = 12, 20, 5
+# An initial state is fitted to the first rows of its episode, then to more of them by this factor, until it is whole.
+GROWTH = 1.6
+FIT_STEPS = 8
+# Of a channel's spread, over which to differentiate by an initial state.
+RELATIVE_STEP = 1e-4
 # A map learned from noisy states averages some of their noise out, which the true simulation cannot: a
 # smaller advantage than this is no sign of a cause.
 TELLING_RATIO = 0.95
@@ -40,17 +50,17 @@ RANK_TOLERANCE = 1e-8
 
 
 def compare_transports(
-    diagnosis,
-    X_fit,
-    y_fit,
-    X_test,
-    y_test,
+    diagnosis: Any,
+    X_fit: ArrayLike,
+    y_fit: ArrayLike,
+    X_test: ArrayLike,
+    y_test: ArrayLike,
     *,
-    groups_fit=None,
-    groups_test=None,
-    methods=None,
-    random_state=None,
-):
+    groups_fit: ArrayLike | None = None,
+    groups_test: ArrayLike | None = None,
+    methods: Sequence[str] | Mapping[str, Any] | None = None,
+    random_state: int | np.random.RandomState | None = None,
+) -> pd.DataFrame:
     r"""Return held-out errors of the simulation, of maps from it to the data, and of the extended simulation.
 
     A map is fitted to source rows (inputs, simulated output) and target rows (inputs, measured output), and
@@ -95,9 +105,10 @@ def compare_transports(
     .. math:: \mathrm{error} = \Bigl(\frac{1}{n m} \sum_{t, j} (y_{tj} - \hat y_{tj})^2 / s_j^2\Bigr)^{1/2}
 
     so that 1 is the error of predicting the mean. The interval comes from a bootstrap over the same blocks of
-    time for both methods. Orientations are compared as rotation vectors. If channels are hidden, the rows are
-    those of whole episodes simulated in open loop from fitted initial states; their inputs are the step and
-    the actions, and the bootstrap is over episodes. Fewer than five blocks or episodes give no interval.
+    time for both methods. Orientations are compared as rotation vectors. Rows in which something was not measured
+    are left out. If channels were never measured, the rows are those of whole episodes simulated in open loop from
+    fitted initial states; their inputs are the step and the actions, and the bootstrap is over episodes. Fewer than
+    five blocks or episodes give no interval.
 
     If the simulated rows vary in fewer directions than the measured ones (a linear simulation), no linear map
     carries one onto the other; they are then fitted with noise of the size of what the extended simulation
@@ -105,20 +116,38 @@ def compare_transports(
     """
     check_is_fitted(diagnosis, "verdict_")
     transports = _chosen(methods)
-    random_state = check_random_state(random_state)
-    make = _trajectory_rows if tuple(diagnosis.hidden) else _one_step_rows
-    fitted = make(diagnosis, _log(diagnosis, X_fit, y_fit, groups_fit, "fit"), "fit")
-    test = make(diagnosis, _log(diagnosis, X_test, y_test, groups_test, "test"), "test")
+    draws: np.random.RandomState = check_random_state(random_state)
+    logs = [
+        _log(diagnosis, X_fit, y_fit, groups_fit, "fit"),
+        _log(diagnosis, X_test, y_test, groups_test, "test"),
+    ]
+    unread = [
+        name
+        for column, name in enumerate(diagnosis.simulator.output_names)
+        if any(np.isnan(log.y[:, column]).all() for log in logs)
+    ]
+    if unread and diagnosis.simulator.state_names:
+        for log, what in zip(logs, ("fit", "test")):
+            if not log.consecutive:
+                raise ValueError(
+                    f"{', '.join(unread)} were not measured, so that whole episodes are compared: pass "
+                    f"groups_{what}=, the episode of each row."
+                )
+    make = _trajectory_rows if unread and diagnosis.simulator.state_names else _one_step_rows
+    fitted, test = (
+        make(diagnosis, without_channels(diagnosis.simulator, log, unread), what)
+        for log, what in zip(logs, ("fit", "test"))
+    )
     lost = _lost_note(test)
     rows = [_Row(NOMINAL, test.error(test.nominal), 0, lost)]
-    source, noise_note = _source_outputs(fitted, random_state)
+    source, noise_note = _source_outputs(fitted, draws)
     for name, transport in transports.items():
-        rows.append(_transported(name, transport, fitted, source, test, noise_note, random_state))
+        rows.append(_transported(name, transport, fitted, source, test, noise_note, draws))
     rows.append(_Row(EXTENDED, test.error(test.extended), 0, lost))
-    return _table(rows, fitted.spread, test, random_state)
+    return _table(rows, fitted.spread, test, draws)
 
 
-def ceiling_sentence(frame):
+def ceiling_sentence(frame: pd.DataFrame) -> str:
     """Return in a sentence whether a map learned from the data beats the named causes.
 
     Parameters
@@ -155,7 +184,7 @@ def ceiling_sentence(frame):
     return f"No transport beats the extended simulation on data not used: {best['method']} has {size}."
 
 
-def is_beaten(frame):
+def is_beaten(frame: pd.DataFrame) -> bool:
     """Whether a map learned from the data is clearly better than the extended simulation on data not used."""
     maps = frame[~frame["method"].isin([NOMINAL, EXTENDED])]
     return bool(((maps["ratio"] < TELLING_RATIO) & (maps["ratio_high"] < 1)).any())
@@ -180,17 +209,17 @@ class _Rows:
         Rows left out because a simulation diverged.
     """
 
-    inputs: np.ndarray
-    measured: np.ndarray
-    nominal: np.ndarray
-    extended: np.ndarray
-    difference: Callable
-    spread: np.ndarray
-    channels: tuple
-    blocks: np.ndarray
+    inputs: Array
+    measured: Array
+    nominal: Array
+    extended: Array
+    difference: Callable[[Array], Array]
+    spread: Array
+    channels: tuple[str, ...]
+    blocks: Places
     n_lost: int
 
-    def error(self, prediction):
+    def error(self, prediction: Array) -> Array:
         return self.difference(prediction)
 
 
@@ -199,12 +228,12 @@ class _Row:
     """A method with its errors (n_test_rows, n_channels), or None."""
 
     method: str
-    errors: np.ndarray | None
+    errors: Array | None
     n_rows: int
     note: str
 
 
-def _chosen(methods):
+def _chosen(methods: Sequence[str] | Mapping[str, Any] | None) -> dict[str, Any]:
     if methods is None:
         methods = TRANSPORTS
     if isinstance(methods, Mapping):
@@ -222,8 +251,8 @@ def _chosen(methods):
     return dict.fromkeys(names)
 
 
-def _made(name, n_context):
-    kinds = {
+def _made(name: str, n_context: int) -> Any:
+    kinds: dict[str, Callable[[], Any]] = {
         "AffineTransport": AffineTransport,
         "ProcrustesAffineTransport": ProcrustesAffineTransport,
         "ConditionalAffineTransport": lambda: ConditionalAffineTransport(context=n_context),
@@ -233,85 +262,173 @@ def _made(name, n_context):
     return kinds[name]()
 
 
-def _log(diagnosis, X, y, groups, what):
-    hidden = tuple(diagnosis.hidden)
-    if hidden and groups is None:
-        raise ValueError(
-            f"{', '.join(hidden)} were not measured, so that whole episodes are compared: pass "
-            f"groups_{what}=, the episode of each row."
-        )
+def _log(diagnosis: Any, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None, what: str) -> Log:
     if groups is None and diagnosis.extended_simulator_.n_lags():
         raise ValueError(
             f"An action was found to be delayed, so that earlier rows count: pass groups_{what}=, the episode of each "
             "row; its rows are consecutive and in time order."
         )
-    return check_log(diagnosis.simulator, X, y, groups, fewest_rows=1, hidden=hidden)
+    log = check_log(diagnosis.simulator, X, y, groups, fewest_rows=1)
+    return without_channels(diagnosis.simulator, log, tuple(diagnosis.hidden))
 
 
-def _one_step_rows(diagnosis, log, what):
-    simulator = diagnosis.simulator
+def _one_step_rows(diagnosis: Any, log: Log, what: str) -> _Rows:
+    simulator: Simulator = diagnosis.simulator
+    filled = log.filled
     nominal, extended = (
-        one.predict_many(log.X, [{}], groups=log.groups)[0]
+        one.predict_many(filled.X, [{}], groups=log.groups)[0]
         for one in (simulator, diagnosis.extended_simulator_)
     )
-    there = _there(nominal, extended, what)
+    there = _there(nominal, extended, log.complete, what)
     X, y, nominal, extended = log.X[there], log.y[there], nominal[there], extended[there]
+    difference: Callable[[Array], Array]
     if tuple(simulator.residual_names) == tuple(simulator.output_names):
-        parts = y, nominal, extended, lambda prediction: y - prediction
+
+        def difference(prediction: Array) -> Array:
+            return y - prediction
     else:
         # A state with orientations is described by the rotation (and the change) since the row's own state.
-        states = X[:, : len(simulator.state_names)]
-        parts = (
-            *(simulator.residual(one, states) for one in (y, nominal, extended)),
-            lambda change: simulator.residual(y, simulator.displace(states, change)),
-        )
-    spread = _spread(simulator.residual(y, np.broadcast_to(y[:1], y.shape)))
-    blocks = log.blocks()[there]
-    return _Rows(X, *parts, spread, tuple(simulator.residual_names), blocks, int((~there).sum()))
+        states, measured = X[:, : len(simulator.state_names)], y
+        y, nominal, extended = (simulator.residual(one, states) for one in (y, nominal, extended))
 
+        def difference(prediction: Array) -> Array:
+            return simulator.residual(measured, simulator.displace(states, prediction))
 
-def _trajectory_rows(diagnosis, log, what):
-    episodes = Episodes(diagnosis.simulator, log, tuple(diagnosis.hidden))
-    paths = []
-    for simulator in (diagnosis.simulator, diagnosis.extended_simulator_):
-        one = Episodes(simulator, log, tuple(diagnosis.hidden))
-        paths.append(one.residuals([{}], one.fit_initial_states({}, diagnosis.noise_))[0])
-    reference = np.broadcast_to(log.y[:1], log.y.shape)
-    measured = diagnosis.simulator.residual(log.y, reference)[:, episodes.measured]
-    there = _there(paths[0], paths[1], what)
-    inputs = np.column_stack([log.steps, episodes.inputs[episodes.place]])[there]
-    measured, nominal, extended = (
-        measured[there],
-        (measured - paths[0])[there],
-        (measured - paths[1])[there],
+    spread = _spread(simulator.residual(log.y[there], np.broadcast_to(log.y[there][:1], log.y[there].shape)))
+    lost = int((log.complete & ~there).sum())
+    return _Rows(
+        X,
+        y,
+        nominal,
+        extended,
+        difference,
+        spread,
+        tuple(simulator.residual_names),
+        _pieces(log)[there],
+        lost,
     )
+
+
+def _pieces(log: Log) -> Places:
+    """Return the piece of each row: short against an episode, long against contacts' echoes."""
+    if not log.consecutive:
+        return log.episodes
+    length = int(np.clip(len(log) // ENOUGH_PIECES, 1, ROWS_OF_PIECE))
+    return np.cumsum(np.r_[True, (np.diff(log.episodes) > 0) | (log.steps[1:] % length == 0)]) - 1
+
+
+def _trajectory_rows(diagnosis: Any, log: Log, what: str) -> _Rows:
+    simulator: Simulator = diagnosis.simulator
+    n_states = len(simulator.state_names)
+    channels = np.flatnonzero(log.measured)
+    nominal, extended = (
+        _open_loop(one, log)[:, channels] for one in (simulator, diagnosis.extended_simulator_)
+    )
+    filled = log.filled
+    reference = np.broadcast_to(filled.y[:1], filled.y.shape)
+    measured = simulator.residual(filled.y, reference)[:, channels]
+    seen = np.asarray(tangent_mask(simulator, np.isfinite(log.y))[:, channels].all(axis=1))
+    there = _there(nominal, extended, seen, what)
+    measured = measured[there]
+    inputs = np.column_stack([log.steps, log.X[:, n_states:]])[there]
     return _Rows(
         inputs,
         measured,
-        nominal,
-        extended,
+        measured - nominal[there],
+        measured - extended[there],
         lambda prediction: measured - prediction,
         _spread(measured),
-        tuple(np.array(diagnosis.simulator.residual_names)[episodes.measured]),
+        tuple(np.array(simulator.residual_names)[channels].tolist()),
         log.episodes[there],  # In open loop an error lasts through its episode.
-        int((~there).sum()),
+        int((seen & ~there).sum()),
     )
 
 
-def _there(nominal, extended, what):
-    there = np.isfinite(nominal).all(axis=1) & np.isfinite(extended).all(axis=1)
+def _open_loop(simulator: Simulator, log: Log) -> Array:
+    """Return measured minus simulated of each row, each episode in open loop from the state that fits it best.
+
+    Initial states take damped steps of Gauss and Newton, on the first rows of the episodes, then on more and more: with
+    a poor guess of what was not measured, the whole of an episode has many optima.
+    """
+    filled, mask = log.filled, tangent_mask(simulator, np.isfinite(log.y))
+    n_states, d = len(simulator.state_names), len(simulator.residual_names)
+    lengths = np.bincount(log.episodes)
+    n_steps, n = int(lengths.max()), len(lengths)
+    inputs = np.zeros((n, n_steps, log.X.shape[1] - n_states))
+    inputs[log.episodes, log.steps] = log.X[:, n_states:]
+    spread = _spread(simulator.residual(filled.y, np.broadcast_to(filled.y[:1], filled.y.shape)))
+    first = np.flatnonzero(log.steps == 0)
+    # What is known of a first state: the reading itself, and of what was not measured, about the spread.
+    known = tangent_mask(simulator, np.isfinite(log.X[first, :n_states]))
+    guess = filled.X[first, :n_states]
+
+    def missed(states: Array, horizon: int) -> Array:
+        """Return measured minus simulated in rows before a horizon, 0 behind it; NaN where it diverges."""
+        copies = len(states) // n
+        paths = simulator.rollout_many(
+            states, np.tile(inputs[:, :horizon], (copies, 1, 1)), [{}], n_steps=horizon
+        )[0].reshape(copies, n, horizon + 1, -1)
+        rows = np.flatnonzero(log.steps < horizon)
+        out = np.zeros((copies, len(log), d))
+        for one, path in zip(out, paths):
+            difference = simulator.residual(filled.y[rows], path[log.episodes[rows], log.steps[rows] + 1])
+            one[rows] = np.where(mask[rows] | ~np.isfinite(difference), difference, 0.0)
+        return out
+
+    best = guess
+    horizon = 0
+    while horizon < n_steps:
+        horizon = min(int(np.ceil(GROWTH * max(horizon, 1))), n_steps)
+        damping, move = np.full(n, 1e-6), np.zeros((n, d))
+        at, loss = best, np.full(n, np.inf)
+        curvature, slope = np.zeros((n, d, d)), np.zeros((n, d))
+        for _ in range(FIT_STEPS):
+            trial = simulator.displace(at, move)
+            moved = [
+                simulator.displace(trial, np.tile(one, (n, 1))) for one in np.diag(RELATIVE_STEP * spread)
+            ]
+            base, *others = missed(np.concatenate([trial, *moved]), horizon) / spread
+            columns = np.stack([base - other for other in others], axis=-1) / RELATIVE_STEP
+            columns = np.nan_to_num(columns)
+            away = simulator.residual(guess, trial) / spread
+            for episode in range(n):
+                rows = log.episodes == episode
+                # A weak hold on the guess decides what no row depends on.
+                weights = np.where(known[episode], 1.0, 1e-6)
+                own = base[rows].ravel()
+                now = float(own @ own + weights @ away[episode] ** 2)
+                if np.isfinite(now) and now < loss[episode]:
+                    loss[episode], at[episode] = now, trial[episode]
+                    flat = columns[rows].reshape(-1, d)
+                    curvature[episode] = flat.T @ flat + np.diag(weights)
+                    slope[episode] = flat.T @ own + weights * away[episode]
+                    damping[episode] /= 10
+                else:
+                    damping[episode] *= 100
+                held = curvature[episode] + damping[episode] * np.diag(np.diag(curvature[episode]) + 1e-12)
+                move[episode] = np.linalg.solve(held, slope[episode]) * spread
+        best = at
+    left: Array = missed(best, n_steps)[0]
+    return left
+
+
+def _there(nominal: Array, extended: Array, measured: Mask, what: str) -> Mask:
+    """Return the rows that were measured and in which no simulation diverges."""
+    if not measured.any():
+        raise ValueError(f"No row of y_{what} was measured as a whole: there is nothing to compare.")
+    there = measured & np.isfinite(nominal).all(axis=1) & np.isfinite(extended).all(axis=1)
     if not there.any():
         raise ValueError(
             f"The simulation diverges in every row of X_{what}; check that these rows are physical."
         )
-    return there
+    return np.asarray(there)
 
 
-def _lost_note(rows):
+def _lost_note(rows: _Rows) -> str:
     return f"{rows.n_lost} rows left out, in which a simulation diverges" if rows.n_lost else ""
 
 
-def _source_outputs(fitted, random_state):
+def _source_outputs(fitted: _Rows, random_state: np.random.RandomState) -> tuple[Array, str]:
     """Return simulated outputs to fit on, with noise where they vary in fewer directions than measured."""
     source = _rank(np.column_stack([fitted.inputs, fitted.nominal]))
     target = _rank(np.column_stack([fitted.inputs, fitted.measured]))
@@ -322,27 +439,35 @@ def _source_outputs(fitted, random_state):
     return noisy, "fitted with noise added to the simulated rows: their outputs are linear in the inputs"
 
 
-def _rank(rows):
+def _rank(rows: Array) -> int:
     centred = rows - rows.mean(axis=0)
     values = np.linalg.svd(centred / _spread(rows), compute_uv=False)
     return int((values > RANK_TOLERANCE * values.max(initial=0.0)).sum())
 
 
-def _spread(rows):
+def _spread(rows: Array) -> Array:
     """Return standard deviations of columns, 1 where a column is constant up to rounding."""
     return np.where(_varies(rows), rows.std(axis=0), 1.0)
 
 
-def _without_rounding(rows):
+def _without_rounding(rows: Array) -> Array:
     """Return rows with columns that are constant up to rounding made constant."""
     return np.where(_varies(rows), rows, rows[:1])
 
 
-def _varies(rows):
-    return rows.std(axis=0) > 1e-12 * np.abs(rows).max(axis=0, initial=0.0)
+def _varies(rows: Array) -> Mask:
+    return np.asarray(rows.std(axis=0) > 1e-12 * np.abs(rows).max(axis=0, initial=0.0))
 
 
-def _transported(name, transport, fitted, outputs, test, note, random_state):
+def _transported(
+    name: str,
+    transport: Any,
+    fitted: _Rows,
+    outputs: Array,
+    test: _Rows,
+    note: str,
+    random_state: np.random.RandomState,
+) -> _Row:
     n_context = fitted.inputs.shape[1]
     target = _without_rounding(np.column_stack([fitted.inputs, fitted.measured]))
     mean, spread = target.mean(axis=0), _spread(target)
@@ -366,7 +491,9 @@ def _transported(name, transport, fitted, outputs, test, note, random_state):
     return _Row(name, test.error(prediction), len(source), "; ".join(notes))
 
 
-def _table(rows, scale, test, random_state):
+def _table(
+    rows: Sequence[_Row], scale: Array, test: _Rows, random_state: np.random.RandomState
+) -> pd.DataFrame:
     labels = np.unique(test.blocks, return_inverse=True)[1]
     draws = random_state.randint(labels.max() + 1, size=(N_BOOTSTRAP, labels.max() + 1))
     sums = {
@@ -378,7 +505,7 @@ def _table(rows, scale, test, random_state):
     enough = len(draws[0]) >= FEWEST_PIECES
     records = []
     for row in rows:
-        record = {
+        record: dict[str, Any] = {
             "method": row.method,
             "error": np.nan,
             "ratio": np.nan,
@@ -402,7 +529,9 @@ def _table(rows, scale, test, random_state):
     return pd.DataFrame(records)
 
 
-def _ratio(own, reference):
+def _ratio(own: ArrayLike, reference: ArrayLike) -> Array:
     """Return the root of the ratio of squared errors; 1 where both are zero."""
     own, reference = np.asarray(own, dtype=float), np.asarray(reference, dtype=float)
-    return np.sqrt(np.where(own == reference, 1.0, own / np.where(reference > 0, reference, 1e-300)))
+    return np.asarray(
+        np.sqrt(np.where(own == reference, 1.0, own / np.where(reference > 0, reference, 1e-300)))
+    )

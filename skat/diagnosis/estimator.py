@@ -1,39 +1,45 @@
 """SimulationDiagnosis: what a user meets."""
 
 import warnings
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
-from scipy import stats
+import pandas as pd
+from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.exceptions import NotFittedError
 from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted
 
-from skat.diagnosis.findings import Cause
-from skat.diagnosis.gains import episode_gain, one_step_gain
+from skat.diagnosis.causes import Found, find_causes, is_held
+from skat.diagnosis.doubts import warn_of_doubts
+from skat.diagnosis.filtering import Array
+from skat.diagnosis.findings import Alias, Cause, Gain
+from skat.diagnosis.fitting import value_at
 from skat.diagnosis.identifiability import identifiability, preflight
-from skat.diagnosis.log import check_log, check_matrix, measured_channels
-from skat.diagnosis.omnibus import find_remainder, is_structured
-from skat.diagnosis.plausibility import warn_of_doubts, warn_of_lasting_noise
-from skat.diagnosis.report.from_first_engine import FirstReport as Report
-from skat.diagnosis.residuals import Residuals
-from skat.diagnosis.selection import Selection
-from skat.diagnosis.trajectories import TrajectoryResiduals
-from skat.diagnosis.transitions import TransitionResiduals
+from skat.diagnosis.log import Log, check_log, check_matrix, without_channels
+from skat.diagnosis.posterior import Posterior
+from skat.diagnosis.prediction import (
+    Prediction,
+    horizon_rows,
+    open_loop_gain,
+    predicted,
+    variances_of,
+)
+from skat.diagnosis.remainder import find_remainder, is_unexplained
+from skat.diagnosis.report.from_diagnosis import DiagnosisReport
+from skat.diagnosis.statespace import StateSpace, state_space
+from skat.diagnosis.velocities import computed_velocities
 from skat.effects import Effect, unknown_name_message
 from skat.simulators import Simulator
 
-# Squared one-step errors in noise units up to which heavy tails and rounding of the noise are taken to be the cause.
-CLEAN_EXCESS = 1.3
-# Squared error of a row, in noise units, beyond which it counts no more.
-LARGEST_ERROR = 9.0
-# Where fewer blocks were held out, errors of the rows fitted are judged in their place.
-FEWEST_BLOCKS_OF_EXCESS = 3
+Progress = Callable[[str, int, int], None]
+VELOCITIES = ("auto", "measured", "computed")
 # A log in which the simulation diverges in a larger share of the rows is not explained by it.
 MOST_DIVERGED = 0.1
-QUATERNION = ("qw", "qx", "qy", "qz")
-# An estimate within this share of its range from a bound is at it.
-AT_BOUND = 1e-6
+# Readings are multiples of a step if none misses one by more than this share of it.
+ROUNDED = 0.01
 
 
 class SimulationDiagnosis(RegressorMixin, BaseEstimator):
@@ -49,19 +55,26 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
     noise : "estimate" or array-like of shape (n_residuals,), default="estimate"
         Standard deviation of the measurement noise of each channel, in the channel's unit; by default estimated.
     alpha : float, default=0.01
-        Bound on the chance of any verdict but "nothing detected" where nothing is wrong.
-    max_effects : int, default=6
+        A cause is named where the odds of the set with it are 1 / alpha times those of the set without it;
+        "unexplained" is said where the evidence of a law in what is left is as strong.
+    max_effects : int or None, default=None
+        Most causes at a time.
     test_size : float, default=0.3
-        Share of the rows, in whole episodes, held out to measure the gain: one step ahead, or with `hidden` channels
-        over whole episodes. 0: all rows are fitted and `gain_` is None.
+        Share of the rows, in whole episodes, held out to measure the gain. 0: all rows are fitted and `gain_` is None.
     hidden : sequence of str, default=()
-        State channels that were not measured. Their columns in X hold first guesses only; whole episodes are then
-        compared in open loop, each from an initial state of its own that is fitted. What no effect explains then
-        passes for noise unless it lasts; what it depends on is not tested.
+        State channels that were not measured, as if their columns held NaN.
+    velocities : {"auto", "measured", "computed"}, default="auto"
+        Whether velocities are measurements of their own. Those that were computed from positions are none and are left
+        out; "auto" tells them by what noise of the positions must leave in them.
+    horizon : float, optional
+        How far ahead predictions are compared, s. By default a quarter of a second or ten rows, whichever is longer.
+    tolerance : float, default=0.1
+        Share of the excess error, or of a joint's force, that may be left unexplained.
+    priors : mapping from name to float, optional
+        Typical sizes of effects, in place of `Effect.typical`: .03 for a mass that the datasheet states to 3 %.
     n_jobs : int or None, default=None
-        Processes of joblib that share the simulations of a fit; ``joblib.parallel_config(backend="dask")`` takes them
-        to a cluster. None means one, whose own threads take all cores where the simulator is a `MujocoSimulator`. The
-        answer does not depend on it. Logs with `hidden` channels use one.
+        Processes of joblib that share the simulations; ``joblib.parallel_config(backend="dask")`` takes them to a
+        cluster. None means one, whose own threads take all cores where the simulator is a `MujocoSimulator`.
     random_state : int, RandomState or None, default=None
         Which episodes are held out.
 
@@ -70,43 +83,48 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
     verdict_ : {"nothing detected", "named", "ambiguous", "unexplained"}
     causes_ : list of Cause
         Most telling first.
+    also_seen_ : dict of str to float
+        Effects that the log shows but that matter less than what no model gets right, and their values.
     gain_ : Gain or None
     noise_ : ndarray of shape (n_residuals,)
-        Standard deviation of the measurement noise of each channel.
-    remainder_ : Remainder or None
+        Standard deviation of the measurement noise of each channel; NaN where it was not measured.
+    remainder_ : Remainder
         What is left beside the causes.
-    refused_ : tuple of (str, float) or None
-        Effect, and its value, that explains most of what is left of all those that are significant but were not named,
-        since they do not explain it throughout the log, or predict single steps worse.
-    excess_p_value_ : float
-        Chance of one-step errors so far above the noise if nothing were left.
+    posterior_ : Posterior
+        Sets of causes with their probabilities, and the law of their values.
+    computed_velocities_ : tuple of str
+        Velocities that were left out since they were computed from positions.
     diverged_share_ : float
-        Share of the rows in which the simulation, as given or with its causes, diverges; they tell nothing.
+        Share of the rows in which the simulation with its causes diverges; they tell nothing.
     extended_simulator_ : Simulator
         The simulation with the causes built in.
     identifiability_ : DataFrame
         For each effect the smallest size that these data show, and its nearest alias.
-    report_ : Report
+    report_ : DiagnosisReport
     n_features_in_ : int
 
     Notes
     -----
-    One-step residuals are whitened for noise in the measured states at both ends of a transition; the theory page
-    derives the statistics.
+    A log is taken for a state space with heavy-tailed noise in the sensors and random forces on the joints; the theory
+    page derives what follows.
     """
 
     def __init__(
         self,
-        simulator,
+        simulator: Simulator,
         *,
-        effects="all",
-        noise="estimate",
-        alpha=0.01,
-        max_effects=6,
-        test_size=0.3,
-        hidden=(),
-        n_jobs=None,
-        random_state=None,
+        effects: Any = "all",
+        noise: Any = "estimate",
+        alpha: float = 0.01,
+        max_effects: int | None = None,
+        test_size: float = 0.3,
+        hidden: Sequence[str] = (),
+        velocities: str = "auto",
+        horizon: float | None = None,
+        tolerance: float = 0.1,
+        priors: Mapping[str, float] | None = None,
+        n_jobs: int | None = None,
+        random_state: Any = None,
     ):
         self.simulator = simulator
         self.effects = effects
@@ -115,19 +133,26 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         self.max_effects = max_effects
         self.test_size = test_size
         self.hidden = hidden
+        self.velocities = velocities
+        self.horizon = horizon
+        self.tolerance = tolerance
+        self.priors = priors
         self.n_jobs = n_jobs
         self.random_state = random_state
 
-    def fit(self, X, y, groups=None, *, progress=None):
+    def fit(
+        self, X: Any, y: Any, groups: ArrayLike | None = None, *, progress: Progress | None = None
+    ) -> "SimulationDiagnosis":
         """Diagnose the simulation with measured rows.
 
         Parameters
         ----------
         X : array-like of shape (n_rows, n_inputs)
             In the order of ``simulator.input_names``, or a data frame with these columns: for a simulation with a
-            state, state and action.
+            state, state and action. NaN in the state: not measured.
         y : array-like of shape (n_rows, n_outputs)
-            What followed: for a simulation with a state, the next state, which is the state in the next row of X.
+            What followed: for a simulation with a state, the next state, which is the state in the next row of X. NaN:
+            not measured.
         groups : array-like of shape (n_rows,), optional
             Episode of each row; an episode's rows are consecutive and in time order. None: independent rows. For a
             simulation without a state, rows of a group may have something in common and count as one.
@@ -141,8 +166,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         Raises
         ------
         ValueError
-            If the rows do not fit the simulator, are fewer than 20, hold a value that is not finite, or are not in
-            time order; if an effect is unknown.
+            If the rows do not fit the simulator, are fewer than 4, hold text or an infinite value, or are not in time
+            order; if an effect is unknown.
         RuntimeError
             If the simulation diverges in every row.
         """
@@ -150,65 +175,74 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         self._check_parameters()
         effects = self._chosen_effects()
         random_state = check_random_state(self.random_state)
-        hidden = self._checked_hidden()
-        if hidden and groups is None:
-            raise ValueError("hidden= needs episodes: pass groups=, the episode of each row.")
-        log = check_log(self.simulator, X, y, groups, hidden=hidden)
-        warn_of_doubts(self.simulator, log, hidden)
+        log = without_channels(self.simulator, check_log(self.simulator, X, y, groups), self.hidden)
+        warn_of_doubts(self.simulator, log)
+        log = self._without_computed(log)
         self.n_features_in_ = log.X.shape[1]
         fitted, held_out = log.split(self.test_size, random_state)
-        residuals = self._residuals(fitted, effects, self._given_deviations())
-        names = [effect.name for effect in effects]
-        selected = Selection(
-            residuals, names, alpha=self.alpha / 2, max_effects=self.max_effects, progress=progress
-        ).run()
-        self.causes_ = [self._cause(residuals.effects[name], selected) for name in selected.values]
-        progress("remainder", 0, 1)
-        # What an effect cannot do within its bounds is left.
-        free = [cause.name for cause in self.causes_ if not cause.at_bound]
-        self.remainder_ = find_remainder(residuals, selected.linearisation, free)
-        self.n_simulated_rows_ = residuals.n_simulated_rows
-        refused = selected.refused
-        self.refused_ = None if refused is None else (refused.name, float(refused.value))
-        n_diverged = residuals.diverged.sum()
-        self.noise_ = residuals.deviations
-        self.extended_simulator_ = self.simulator.extended(selected.values)
-        self.identifiability_ = identifiability(selected, residuals, self.alpha / 2)
+        space = self._space(fitted)
+        found = find_causes(
+            space,
+            effects,
+            alpha=self.alpha,
+            typical=self.priors,
+            floor=_rounding(space),
+            given=self._given_deviations(),
+            max_effects=self.max_effects,
+            progress=progress,
+        )
+        self._found = found
+        self._values = dict(found.values)
+        self.causes_ = _causes(found)
+        self.also_seen_ = dict(found.also)
+        self.posterior_ = Posterior.of(found)
+        self.diverged_share_ = float(np.mean(~found.fitted.linear.valid))
+        noise = found.fitted.estimate.noise
+        given = self._given_deviations()
+        deviations = np.sqrt(variances_of(noise.error, noise.error_nu)[: space.d]) if given is None else given
+        self.noise_ = np.where(space.mask.any(axis=(0, 1)), deviations, np.nan)
+        self.extended_simulator_ = self.simulator.extended(self._values)
+        self.identifiability_ = identifiability(
+            found.gram, found.priors, found.effects, found.values, alpha=self.alpha, value_at=value_at
+        )
+        progress("what is left", 0, 1)
+        self.remainder_ = find_remainder(
+            space, found.fitted, horizon=self._rows_ahead(), random_state=random_state
+        )
+        self._prediction: Prediction | None = None
         self.gain_ = None
-        self._values = dict(selected.values)
-        if held_out is not None:
-            progress("gain", 0, 1)
-            try:
-                tested = self._differentiated(held_out)
-                if hidden:
-                    self.gain_ = self._episode_gain(held_out, "fitted", None, random_state)
-                else:
-                    self.gain_ = one_step_gain(tested, self._values, random_state)
-                n_diverged += tested.diverged.sum()
-                if len(np.unique(tested.independent)) >= FEWEST_BLOCKS_OF_EXCESS:
-                    residuals = tested
-            except RuntimeError as error:
-                warnings.warn(f"The gain could not be measured on the rows held out. {error}", stacklevel=2)
-        _warn_of_diverged(n_diverged, len(log))
-        self.diverged_share_ = float(n_diverged / len(log))
-        self.excess_p_value_ = self._excess(residuals, len(fitted))
+        progress("gain", 0, 1)
+        try:
+            self._prediction = self._predicted(held_out if held_out is not None else fitted, random_state)
+        except RuntimeError as error:
+            warnings.warn(f"The gain could not be measured. {error}", stacklevel=2)
+        if held_out is not None and self._prediction is not None:
+            self.gain_ = self._prediction.gain
+        _warn_of_diverged(self.diverged_share_, len(fitted))
         self.verdict_ = self._verdict()
-        if hidden and isinstance(self.noise, str) and self.verdict_ != "unexplained":
-            warn_of_lasting_noise(self.simulator, fitted, hidden, self.noise_)
-        self.report_ = Report(self, fitted, held_out)
+        self.report_ = DiagnosisReport(self, fitted, held_out)
         progress("done", 1, 1)
         return self
 
-    def evaluate(self, X, y, groups=None, *, horizon=1, initial_state="measured", outputs=None):
+    def evaluate(
+        self,
+        X: Any,
+        y: Any,
+        groups: ArrayLike | None = None,
+        *,
+        horizon: float | str | None = None,
+        initial_state: str = "measured",
+        outputs: Sequence[str] | None = None,
+    ) -> Gain:
         """Measure the gain on another log.
 
         Parameters
         ----------
         X, y, groups
             As in `fit`.
-        horizon : 1 or "episode", default=1
-            One-step errors, in noise units; or whole episodes in open loop, root mean squared distance in the
-            outputs' units.
+        horizon : float or "episode", optional
+            How far ahead, s (rows for a simulation without time), errors in noise units; by default the diagnosis's
+            own. Or whole episodes in open loop, root mean squared distance in the outputs' units.
         initial_state : {"measured", "fitted"}, default="measured"
             Where open loop starts: from the measured state of an episode's first row, or from the state that explains
             the episode best, for the nominal and the extended model alike.
@@ -227,30 +261,30 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             If the simulation diverges in every row, or in open loop in an episode.
         """
         check_is_fitted(self, "verdict_")
-        if horizon not in (1, "episode"):
-            raise ValueError(f"horizon must be 1 or 'episode'; it is {horizon!r}.")
+        if isinstance(horizon, str) and horizon != "episode":
+            raise ValueError(f"horizon must be seconds, None or 'episode'; it is {horizon!r}.")
         if initial_state not in ("measured", "fitted"):
             raise ValueError(f"initial_state must be 'measured' or 'fitted'; it is {initial_state!r}.")
-        hidden = self._checked_hidden()
-        if hidden and initial_state == "measured":
-            raise ValueError(
-                f"{', '.join(hidden)} were not measured, so no episode has a measured initial state: pass "
-                "initial_state='fitted'."
-            )
-        log = check_log(self.simulator, X, y, groups, fewest_rows=1, hidden=hidden)
+        log = check_log(self.simulator, X, y, groups, fewest_rows=1)
+        log = without_channels(self.simulator, log, (*self.hidden, *self.computed_velocities_))
         random_state = check_random_state(self.random_state)
-        if horizon == 1 and not hidden:
-            residuals = self._differentiated(log)
-            gain = one_step_gain(residuals, self._values, random_state)
-            _warn_of_diverged(residuals.diverged.sum(), len(log))
-            return gain
+        if not isinstance(horizon, str):
+            return self._predicted(log, random_state, horizon).gain
         if not log.consecutive:
             raise ValueError(
                 "horizon='episode' needs a simulation with a state, and groups=, the episode of each row."
             )
-        return self._episode_gain(log, initial_state, outputs, random_state)
+        return open_loop_gain(
+            self._space(log),
+            self._found.fitted,
+            self._values,
+            initial_state=initial_state,
+            outputs=outputs,
+            labels=log.labels,
+            random_state=random_state,
+        )
 
-    def predict(self, X, groups=None):
+    def predict(self, X: Any, groups: ArrayLike | None = None) -> Array:
         """Return the extended simulation's outputs.
 
         Parameters
@@ -266,7 +300,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         check_is_fitted(self, "verdict_")
         return self.extended_simulator_.predict(X, groups=groups)
 
-    def score(self, X, y, sample_weight=None):
+    def score(self, X: Any, y: Any, sample_weight: ArrayLike | None = None) -> float:
         """Return the coefficient of determination of `predict`.
 
         Parameters
@@ -280,9 +314,9 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         -------
         float
         """
-        return super().score(X, check_matrix(y, "y", self.simulator.output_names), sample_weight)
+        return float(super().score(X, check_matrix(y, "y", self.simulator.output_names), sample_weight))
 
-    def preflight(self, X, groups=None):
+    def preflight(self, X: Any, groups: ArrayLike | None = None) -> pd.DataFrame:
         """Say, before measuring, what transitions like these could show.
 
         Parameters
@@ -300,29 +334,32 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             none of those given tells the two apart.
         """
         self._check_parameters()
-        if self._checked_hidden():
-            raise ValueError(
-                "preflight judges transitions from measured states; with hidden channels whole episodes are compared, "
-                "and what they show depends on initial states still to be fitted. Call it without hidden=, which is "
-                "what the same robot shows with every state measured."
-            )
-        return preflight(self, X, groups)
+        return preflight(
+            self.simulator,
+            X,
+            groups,
+            self._chosen_effects(),
+            noise=self._given_deviations(),
+            hidden=self.hidden,
+            alpha=self.alpha,
+            typical=self.priors,
+        )
 
-    def __repr__(self, N_CHAR_MAX=700):
+    def __repr__(self, N_CHAR_MAX: int = 700) -> str:
         """Return the parameters, and after a fit the findings."""
-        text = super().__repr__(N_CHAR_MAX)
+        text = str(super().__repr__(N_CHAR_MAX))
         return f"{text}\n{self.report_.text()}" if hasattr(self, "report_") else text
 
-    def _repr_html_(self):
-        return self.report_.html(figures=False) if hasattr(self, "report_") else super()._repr_html_()
+    def _repr_html_(self) -> str:
+        return str(self.report_.html(figures=False) if hasattr(self, "report_") else super()._repr_html_())
 
-    def _repr_mimebundle_(self, **_):
+    def _repr_mimebundle_(self, **_: Any) -> dict[str, str]:
         """Return what Jupyter shows; scikit-learn would have it show the parameters only."""
         if not hasattr(self, "report_"):
-            return super()._repr_mimebundle_()
+            return dict(super()._repr_mimebundle_())
         return {"text/plain": repr(self), "text/html": self._repr_html_()}
 
-    def __getattr__(self, name):
+    def __getattr__(self, name: str) -> Any:
         if name.endswith("_") and not name.startswith("_") and "verdict_" not in vars(self):
             raise NotFittedError(
                 f"this {type(self).__name__} is not fitted yet, so it has no {name}; call fit(X, y, groups=...) first."
@@ -331,7 +368,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
 
     # -- parts of fit ------------------------------------------------------------------------------------------------
 
-    def _check_parameters(self):
+    def _check_parameters(self) -> None:
         if not isinstance(self.simulator, Simulator):
             raise TypeError(
                 "simulator must be a Simulator, such as MujocoSimulator(path_of_the_model, frame_skip=...) or a "
@@ -341,19 +378,32 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             raise ValueError(f"alpha must lie between 0 and 1; it is {self.alpha!r}.")
         if not 0 <= self.test_size < 1:
             raise ValueError(f"test_size must be at least 0 and below 1; it is {self.test_size!r}.")
-        if not (isinstance(self.max_effects, int | np.integer) and self.max_effects >= 1):
-            raise ValueError(f"max_effects must be a whole number of at least 1; it is {self.max_effects!r}.")
+        most = self.max_effects
+        if most is not None and not (isinstance(most, int | np.integer) and most >= 1):
+            raise ValueError(f"max_effects must be None or a whole number of at least 1; it is {most!r}.")
+        if self.velocities not in VELOCITIES:
+            raise ValueError(f"velocities must be one of {', '.join(VELOCITIES)}; it is {self.velocities!r}.")
+        if not self.tolerance > 0:
+            raise ValueError(f"tolerance must be positive; it is {self.tolerance!r}.")
+        if self.horizon is not None:
+            horizon_rows(self.simulator, self.horizon)
         if self.n_jobs is not None and (not isinstance(self.n_jobs, int | np.integer) or self.n_jobs == 0):
             raise ValueError(
                 f"n_jobs must be a number of processes, -1 for one per core, or None; it is {self.n_jobs!r} (on the "
                 "command line --jobs)."
             )
+        for name, size in (self.priors or {}).items():
+            if name not in {effect.name for effect in self.simulator.effects(also="all")}:
+                raise ValueError(
+                    unknown_name_message(name, {one.name: one for one in self.simulator.effects(also="all")})
+                )
+            if not 0 < size < np.inf:
+                raise ValueError(f"the typical size of {name} must be positive and finite; it is {size!r}.")
 
-    def _chosen_effects(self):
+    def _chosen_effects(self) -> list[Effect]:
         known = {effect.name: effect for effect in self.simulator.effects(also="all")}
         if isinstance(self.effects, str) and self.effects == "all":
-            known = {effect.name: effect for effect in self.simulator.effects()}
-            return [effect for effect in known.values() if not self._senses_hidden(effect)]
+            return list(self.simulator.effects())
         named = [self.effects] if isinstance(self.effects, str | Effect) else list(self.effects)
         names = [effect.name if isinstance(effect, Effect) else effect for effect in named]
         for name in names:
@@ -363,39 +413,34 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             raise ValueError("effects is empty: name at least one, or pass 'all'.")
         return [known[name] for name in dict.fromkeys(names)]
 
-    def _senses_hidden(self, effect):
-        return effect.family in ("bias", "scale") and effect.target in self.hidden
-
-    def _checked_hidden(self):
-        hidden = tuple(self.hidden)
-        unknown = [name for name in hidden if name not in self.simulator.state_names]
-        if unknown:
-            raise ValueError(
-                f"hidden names {', '.join(unknown)}; state channels are {', '.join(self.simulator.state_names)}."
-            )
-        if hidden and set(hidden) == set(self.simulator.state_names):
-            raise ValueError(
-                "hidden names every channel of the state, so that nothing was measured. Name only those that hold no "
-                "measurement."
-            )
-        for joint in {name.rpartition(".")[0] for name in hidden if name.rpartition(".")[2] in QUATERNION}:
-            missing = [part for part in QUATERNION if f"{joint}.{part}" not in hidden]
-            if missing:
-                raise ValueError(
-                    f"hidden names a part of the orientation {joint}; name all of its quaternion, also "
-                    f"{', '.join(f'{joint}.{part}' for part in missing)}."
+    def _without_computed(self, log: Log) -> Log:
+        names = self.simulator.state_names
+        rates = [name for name in names if name.startswith("qvel.")]
+        self.computed_velocities_: tuple[str, ...] = ()
+        if self.velocities == "measured" or not rates or not log.consecutive:
+            return log
+        if self.velocities == "computed":
+            self.computed_velocities_ = tuple(rates)
+        else:
+            self.computed_velocities_ = computed_velocities(self.simulator, log.X, log.y, log.episodes)
+            if self.computed_velocities_:
+                warnings.warn(
+                    f"{', '.join(self.computed_velocities_)} were computed from the positions beside them: noise of "
+                    "the positions that no independent sensor knows of is in them. They are left out, as they measure "
+                    "nothing; pass velocities='measured' if that is wrong.",
+                    UserWarning,
+                    stacklevel=3,
                 )
-        return hidden
+        return without_channels(self.simulator, log, self.computed_velocities_)
 
-    def _given_deviations(self):
+    def _given_deviations(self) -> Array | None:
         if isinstance(self.noise, str):
             if self.noise != "estimate":
                 raise ValueError(
                     f"noise must be 'estimate' or one standard deviation per channel; it is {self.noise!r}."
                 )
             return None
-        measured = measured_channels(self.simulator, self._checked_hidden())
-        names = np.array(self.simulator.residual_names)[measured]
+        names = self.simulator.residual_names
         try:
             deviations = np.asarray(self.noise, dtype=float)
         except (TypeError, ValueError):
@@ -407,79 +452,81 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             )
         return deviations
 
-    def _residuals(self, log, effects, deviations):
-        if self.hidden:
-            return TrajectoryResiduals(self.simulator, log, effects, deviations, hidden=tuple(self.hidden))
-        kind = TransitionResiduals if self.simulator.state_names else Residuals
-        return kind(self.simulator, log, effects, deviations, n_jobs=self.n_jobs)
-
-    def _differentiated(self, log):
-        residuals = self._residuals(log, self._chosen_effects(), self.noise_)
-        residuals.differentiate(self._values)
-        return residuals
-
-    def _episode_gain(self, log, initial_state, outputs, random_state):
-        return episode_gain(
-            self.simulator,
-            log,
-            self._values,
-            self.noise_,
-            hidden=self._checked_hidden(),
-            initial_state=initial_state,
-            outputs=outputs,
-            random_state=random_state,
+    def _space(self, log: Log) -> StateSpace:
+        return state_space(
+            self.simulator, log.X, log.y, log.episodes, consecutive=log.consecutive, n_jobs=self.n_jobs
         )
 
-    def _excess(self, residuals, n_fitted):
-        """Return the chance of errors so far above the noise, over independent parts of the log, if nothing is left.
+    def _rows_ahead(self, horizon: float | None = None) -> int:
+        return horizon_rows(self.simulator, self.horizon if horizon is None else horizon)
 
-        Each row counts with at most `LARGEST_ERROR`: a mean of squares with a long tail tells nothing.
-        """
-        (errors,) = np.minimum(residuals.noise_errors([self._values]), LARGEST_ERROR)
-        blocks = np.unique(residuals.independent[residuals.present], return_inverse=True)[1]
-        means = np.bincount(blocks, errors) / np.bincount(blocks)
-        spread = means.std(ddof=1) / np.sqrt(len(means)) if len(means) >= FEWEST_BLOCKS_OF_EXCESS else np.inf
-        if isinstance(self.noise, str):
-            # The noise itself is known from so many residuals only.
-            spread = np.hypot(spread, np.sqrt(2 / (n_fitted * residuals.n_channels)))
-        return float(stats.t.sf((means.mean() - CLEAN_EXCESS) / max(spread, 1e-12), max(len(means) - 1, 1)))
+    def _predicted(
+        self, log: Log, random_state: np.random.RandomState, horizon: float | None = None
+    ) -> Prediction:
+        rows = self._rows_ahead(horizon) if log.consecutive else 1
+        return predicted(
+            self._space(log), self._found.fitted, self._values, horizon=rows, random_state=random_state
+        )
 
-    def _verdict(self):
-        if is_structured(self.remainder_, self.alpha) or self.excess_p_value_ < self.alpha / 4:
+    def _verdict(self) -> str:
+        gain = None if self._prediction is None else self._prediction.gain
+        if is_unexplained(self.remainder_, gain, tolerance=self.tolerance, alpha=self.alpha):
             return "unexplained"
         if not self.causes_:
             return "nothing detected" if self.diverged_share_ < MOST_DIVERGED else "unexplained"
         return "ambiguous" if any(cause.aliases for cause in self.causes_) else "named"
 
-    @staticmethod
-    def _cause(effect, selected):
-        name = effect.name
-        value = float(selected.values[name])
-        low, high = selected.intervals[name]
-        return Cause(
-            name=name,
-            family=effect.family,
-            target=effect.target,
-            value=value,
-            interval=(float(low), float(high)),
-            unit=effect.unit,
-            p_value=float(selected.p_values[name]),
-            aliases=selected.aliases[name],
-            sentence=effect.describe(value),
-            at_bound=bool(
-                np.min(np.abs(np.subtract(effect.bounds, value))) < AT_BOUND * np.ptp(effect.bounds)
-            ),
+
+def _causes(found: Found) -> list[Cause]:
+    """Return the causes, most telling first."""
+    known = {effect.name: effect for effect in found.effects}
+    causes = []
+    for name, value in found.values.items():
+        effect = known[name]
+        low, high = found.intervals[name]
+        causes.append(
+            Cause(
+                name=name,
+                family=effect.family,
+                target=effect.target,
+                value=value,
+                interval=(float(low), float(high)),
+                unit=effect.unit,
+                probability=found.probabilities[name],
+                evidence=found.worth[name],
+                aliases=tuple(Alias(*alias) for alias in found.aliases[name]),
+                sentence=effect.describe(value),
+                at_bound=is_held(effect, value),
+            )
         )
+    return sorted(causes, key=lambda cause: -cause.evidence)
 
 
-def _warn_of_diverged(count, n_rows):
-    if count:
+def _rounding(space: StateSpace) -> Array:
+    """Return the variance of rounding of each channel: a twelfth of the square of its smallest step."""
+    names = space.simulator.output_names
+    floor = np.zeros(space.d)
+    for channel, name in enumerate(space.simulator.residual_names):
+        if name not in names:
+            continue
+        read = np.unique(space.measured[..., names.index(name)][space.mask[..., channel]])
+        if len(read) > 2:
+            steps = np.diff(read)
+            step = float(steps.min())
+            whole = np.abs(steps / step - np.round(steps / step))
+            if step > 1e-9 * float(np.ptp(read)) and float(whole.max()) < ROUNDED:
+                floor[channel] = step**2 / 12
+    return floor
+
+
+def _warn_of_diverged(share: float, n_rows: int) -> None:
+    if share:
         warnings.warn(
-            f"The simulation as given or with its causes diverges in {count} of {n_rows} rows, which were left out; "
-            "check that they are physical.",
+            f"The simulation with its causes diverges in {round(share * n_rows)} of {n_rows} rows, which were left "
+            "out; check that they are physical.",
             stacklevel=3,
         )
 
 
-def _silent(stage, done, total):
+def _silent(stage: str, done: int, total: int) -> None:
     """Report no progress."""

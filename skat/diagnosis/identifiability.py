@@ -1,14 +1,18 @@
 """What a log can show: the smallest size of each effect that would be named, and what it could be taken for."""
 
-import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
-from scipy import stats
+from numpy.typing import ArrayLike
 
-from skat.diagnosis.evidence import grams, solve_scaled
-from skat.diagnosis.judgement import least_fall
-from skat.diagnosis.log import Log, check_log
+from skat.diagnosis.evidence import Gram, Priors, weigh
+from skat.diagnosis.filtering import Array, filter_columns, kalman_filter
+from skat.diagnosis.log import Log, check_log, check_matrix, without_channels
+from skat.diagnosis.statespace import StateSpace, derivatives, linearise, state_space
+from skat.effects import Effect
+from skat.simulators import Simulator
 
 COMMON_NOISE = 0.01
 # Effects whose derivatives make a smaller angle than this cosine are worth a warning before measuring.
@@ -22,41 +26,74 @@ NO_INPUT_SEPARATES = "no single input"
 NOTHING_SEPARATES = "nothing in these rows"
 # An effect of which the causes found leave a smaller share is not seen beside them.
 LEAST_SHARE = 1e-9
+# Of an effect's typical size, over which its derivative is taken.
+STEP = 0.05
+# Turns by which the smallest size is found: what a prior costs changes slowly with the size.
+TURNS = 12
 
 
-def identifiability(selected, residuals, alpha):
-    """Return a table of what the fitted log shows of each effect, given the causes found.
+def from_neutral(effect: Effect, place: float) -> float:
+    """Return the value of an effect that is so far from neutral."""
+    return effect.neutral + place
+
+
+def identifiability(
+    gram: Gram,
+    priors: Priors,
+    effects: Sequence[Effect],
+    values: Mapping[str, float],
+    *,
+    alpha: float = 0.01,
+    value_at: Callable[[Effect, float], float] = from_neutral,
+) -> pd.DataFrame:
+    """Return a table of what a log shows of each effect, given the causes found.
+
+    Parameters
+    ----------
+    gram : Gram
+        Of all effects.
+    priors : Priors
+    effects : sequence of Effect
+        In the order of both.
+    values : mapping from name to value
+        The causes found.
+    alpha : float, default=0.01
+        A cause is named where the odds for it are 1 / alpha.
+    value_at : callable, optional
+        ``value_at(effect, place)`` returns the value at a coordinate of the priors.
 
     Returns
     -------
     DataFrame
         Indexed by effect: `smallest` (size that would be named with a chance of one half, in the effect's unit; inf
         where the log does not show it), `unit`, `nearest_alias`, `similarity` (cosine, 0 to 1).
+
+    Notes
+    -----
+    Scores have a normal law about their expectation, so that the evidence at the expected scores is its median: a size
+    at which it just reaches the needed odds is named in one log of two. What the causes found could take over of an
+    effect is no evidence for it.
     """
-    return _table(selected.gram, selected.linearisation.names, residuals, alpha, list(selected.values))
-
-
-def _table(gram, names, residuals, alpha, found=()):
-    effects = residuals.effects
-    information = gram.information.sum(axis=0)
-    size = np.sqrt(np.diag(information))
-    shown = size > 0
-    cosines = np.abs(information) / np.where(shown, size, np.inf)[:, None] / np.where(shown, size, np.inf)
+    names = list(priors.names)
+    information = gram.products
+    sizes = np.sqrt(np.maximum(np.diag(information), 0.0))
+    shown = sizes > 0
+    units = np.where(shown, sizes, np.inf)
+    cosines = np.abs(information) / units[:, None] / units
     np.fill_diagonal(cosines, 0.0)
-    size = size * np.sqrt(_shares_left(information, [names.index(name) for name in found]))
-    shown &= size > 0
-    # A named effect is significant among all and lowers the loss throughout the log, which has half the effect's t.
-    threshold = max(stats.norm.isf(alpha / len(names) / 2), 2 * least_fall(residuals))
     nearest = cosines.argmax(axis=1)
-    smallest = threshold / np.where(shown, size, 1e-300)
-    # An effect that must leave its bounds to be seen is not shown at all.
-    shown &= smallest < [
-        np.max(np.abs(np.subtract(effects[name].bounds, effects[name].neutral))) for name in names
-    ]
+    shares = _shares_left(information, [names.index(name) for name in values if name in names])
+    smallest = np.full(len(names), np.inf)
+    for k, effect in enumerate(effects):
+        own = float(information[k, k] * shares[k])
+        for low, high in ((0.0, priors.high[k]), (priors.low[k], 0.0)):
+            if own > 0 and high > low:
+                place = _smallest(own, priors, k, -np.log(alpha), high if high > 0 else low)
+                smallest[k] = min(smallest[k], abs(value_at(effect, place) - effect.neutral))
     return pd.DataFrame(
         {
-            "smallest": np.where(shown, smallest, np.inf),
-            "unit": [effects[name].unit for name in names],
+            "smallest": smallest,
+            "unit": [effect.unit for effect in effects],
             "nearest_alias": [
                 names[k] if shown[i] and cosines[i, k] > 0 else "" for i, k in enumerate(nearest)
             ],
@@ -66,92 +103,236 @@ def _table(gram, names, residuals, alpha, found=()):
     )
 
 
-def _shares_left(information, found):
+def _smallest(information: float, priors: Priors, k: int, needed: float, reach: float) -> float:
+    """Return the coordinate on the side of a bound whose expected evidence is what a name needs; inf beyond it."""
+    own = Priors(
+        (priors.names[k],),
+        priors.scales[k : k + 1],
+        priors.log_odds[k : k + 1],
+        priors.low[k : k + 1],
+        priors.high[k : k + 1],
+    )
+
+    def evidence(place: float) -> float:
+        gram = Gram(np.array([[information]]), np.array([information * place]), np.zeros(1))
+        return weigh(gram, own, [0]).evidence
+
+    side = float(np.sign(reach))
+    if evidence(reach) < needed:
+        return side * np.inf
+    place = min(abs(reach), float(np.sqrt(2 * (needed + 5) / information)))
+    for _ in range(TURNS):
+        cost = information * place**2 / 2 - evidence(side * place)
+        place = min(abs(reach), float(np.sqrt(max(2 * (needed + cost) / information, 0.0))))
+    return side * place
+
+
+def _shares_left(information: Array, found: Sequence[int]) -> Array:
     """Return of each effect's information the share that the causes found, but itself, leave."""
     own = np.maximum(np.diag(information), 1e-300)
+    units = 1 / np.sqrt(own)
+    scaled = information * units * units[:, None]
     shares = np.ones(len(own))
     for k in range(len(own)):
         others = [j for j in found if j != k]
         if others:
-            carry = solve_scaled(information[np.ix_(others, others)], information[others, k][:, None])[:, 0]
-            shares[k] = 1 - information[k, others] @ carry / own[k]
+            carry = np.linalg.lstsq(scaled[np.ix_(others, others)], scaled[others, k], rcond=1e-12)[0]
+            shares[k] = 1 - scaled[k, others] @ carry
     return np.where(shares > LEAST_SHARE, shares, 0.0)
 
 
-def preflight(diagnosis, X, groups):
-    """Return the identifiability of planned transitions; see `SimulationDiagnosis.preflight`."""
-    simulator = diagnosis.simulator
-    groups = None if groups is None else np.asarray(groups)
-    y = simulator.predict(X, groups=groups)
-    with warnings.catch_warnings():
-        if groups is not None:
-            warnings.simplefilter("ignore", UserWarning)  # of rows that follow each other without groups
-        log = check_log(simulator, X, y, None)
-    consecutive = bool(simulator.state_names)
-    if groups is not None and (consecutive or len(np.unique(groups)) > 1):
-        # Rows that are planned need not follow each other, so they are not checked as a log's are.
-        log = Log(log.X, log.y, np.cumsum(np.r_[True, groups[1:] != groups[:-1]]) - 1, consecutive)
-    deviations = diagnosis._given_deviations()
-    if deviations is None:
-        spread = simulator.residual(y, np.broadcast_to(y[:1], y.shape)).std(axis=0)
-        deviations = COMMON_NOISE * np.where(spread > 0, spread, 1.0)
-    effects = diagnosis._chosen_effects()
-    residuals = diagnosis._residuals(log, effects, deviations)
-    names = [effect.name for effect in effects]
-    residuals.settle({})
-    line = residuals.linearise({}, names)
-    gram = grams(line.residuals, line.derivatives, residuals.blocks, np.ones(len(log)))
-    table = _table(gram, line.names, residuals, diagnosis.alpha / 2)
-    table["separating_excitation"] = _excitation(line, residuals, table)
+def preflight(
+    simulator: Simulator,
+    X: ArrayLike,
+    groups: ArrayLike | None,
+    effects: Sequence[Effect],
+    noise: ArrayLike | None = None,
+    *,
+    hidden: Sequence[str] = (),
+    alpha: float = 0.01,
+    typical: Mapping[str, float] | None = None,
+) -> pd.DataFrame:
+    """Return the identifiability of planned transitions, and what would tell each effect from its nearest alias.
+
+    Parameters
+    ----------
+    simulator : Simulator
+    X : array-like of shape (n_rows, n_inputs)
+        NaN in columns of the state: will not be measured.
+    groups : array-like of shape (n_rows,) or None
+        Episode of each row. Rows that are planned need not follow each other.
+    effects : sequence of Effect
+    noise : array-like of shape (n_residuals,), optional
+        Standard deviations; by default 1 % of each channel's spread.
+    hidden : sequence of str, default=()
+        Channels of the state that will not be measured; their columns in X, where they hold numbers, say how it moves.
+    alpha : float, default=0.01
+    typical : mapping from name to size, optional
+        Scales of the priors of a user's own.
+
+    Returns
+    -------
+    DataFrame
+        As `identifiability`, with `separating_excitation`: more rows in which an input is large or small, "no single
+        input" where that does not do, "nothing in these rows" where none tells the two apart, and "" where they are not
+        nearly alike.
+    """
+    log = _planned(simulator, X, groups)
+    filled = log.filled.y
+    spread = simulator.residual(filled, np.broadcast_to(filled[:1], filled.shape)).std(axis=0)
+    deviations = (
+        COMMON_NOISE * np.where(spread > 0, spread, 1.0) if noise is None else np.asarray(noise, float)
+    )
+    priors = _priors(effects, typical or {})
+    space = state_space(simulator, log.X, log.y, log.episodes, consecutive=log.consecutive)
+    space = replace(space, mask=space.mask & without_channels(simulator, log, hidden).measured)
+    gram = Gram(*_expected(space, effects, priors, deviations), np.zeros(len(effects)))
+    table = identifiability(gram, priors, effects, {}, alpha=alpha)
+    table["separating_excitation"] = _excitations(simulator, log, effects, priors, deviations, table)
     return table
 
 
-def _excitation(line, residuals, table):
+def _planned(simulator: Simulator, X: ArrayLike, groups: ArrayLike | None) -> Log:
+    """Return the log that a simulation as given makes of planned rows, with what will not be measured left out."""
+    rows = check_matrix(X, "X", simulator.input_names, optional=simulator.state_names)
+    n_states = len(simulator.state_names)
+    consecutive = groups is not None and n_states > 0
+    episodes = np.arange(len(rows))
+    if consecutive:
+        labels = np.asarray(groups)
+        episodes = np.cumsum(np.r_[True, labels[1:] != labels[:-1]]) - 1
+    y = np.full((len(rows), len(simulator.output_names)), np.nan)
+    if consecutive:
+        follows = np.flatnonzero(np.diff(episodes) == 0)
+        y[follows] = rows[follows + 1, :n_states]
+    log = Log(rows, y, episodes, consecutive, None, simulator)
+    ends = np.r_[np.diff(episodes) != 0, True] if consecutive else np.ones(len(rows), dtype=bool)
+    predicted = simulator.predict(
+        log.filled.X if n_states else rows, groups=log.groups if consecutive else groups
+    )
+    y[ends] = predicted[ends]
+    if n_states:
+        y[:, np.isnan(rows[:, :n_states]).all(axis=0)] = np.nan
+    if groups is None or not n_states:
+        return check_log(simulator, rows, y, None)
+    return Log(rows, y, episodes, consecutive, None, simulator)
+
+
+def _priors(effects: Sequence[Effect], typical: Mapping[str, float]) -> Priors:
+    """Return the priors of effects, values measured from neutral."""
+    odds = np.array([effect.odds for effect in effects])
+    return Priors(
+        tuple(effect.name for effect in effects),
+        np.array([typical.get(effect.name, effect.typical) for effect in effects]),
+        np.log(odds / (odds.sum() + 1)),
+        np.array([effect.bounds[0] - effect.neutral for effect in effects]),
+        np.array([effect.bounds[1] - effect.neutral for effect in effects]),
+    )
+
+
+def _steps(effects: Sequence[Effect], priors: Priors) -> dict[str, tuple[float, float]]:
+    """Return neutral and a value beside it, within bounds."""
+    steps = {}
+    for effect, scale, low, high in zip(effects, priors.scales, priors.low, priors.high):
+        up = high >= -low
+        end = effect.neutral + (min(STEP * scale, high) if up else max(-STEP * scale, low))
+        steps[effect.name] = (effect.neutral, end) if up else (end, effect.neutral)
+    return steps
+
+
+def _expected(
+    space: StateSpace, effects: Sequence[Effect], priors: Priors, deviations: Array
+) -> tuple[Array, Array]:
+    """Return second moments of the derivatives of whitened innovations, and those with innovations of a right model."""
+    linear = linearise(space, space.measured, {})
+    slopes = derivatives(space, linear, {}, _steps(effects, priors))
+    chains = linear.chains
+    force = np.zeros((*space.real.shape, chains.carrier.shape[-1]))
+    error = np.broadcast_to(deviations**2, chains.mask.shape)
+    filtered = kalman_filter(chains, force, error)
+    columns = filter_columns(chains, filtered, space.padded(slopes))[chains.mask]
+    return columns.T @ columns, np.zeros(len(effects))
+
+
+def _excitations(
+    simulator: Simulator,
+    log: Log,
+    effects: Sequence[Effect],
+    priors: Priors,
+    deviations: Array,
+    table: pd.DataFrame,
+) -> list[str]:
     """Return for each effect the input at whose large or small values it differs most from its nearest alias."""
+    X, by_name = log.filled.X, {effect.name: effect for effect in effects}
     hints = []
-    for k, name in enumerate(line.names):
-        alias = table.loc[name, "nearest_alias"]
-        if not alias or table.loc[name, "similarity"] < NEARLY_ALIKE:
+    for k, effect in enumerate(effects):
+        alias = str(table["nearest_alias"].iloc[k])
+        if not alias or table["similarity"].iloc[k] < NEARLY_ALIKE:
             hints.append("")
             continue
-        one, other = line.derivatives[..., k], line.derivatives[..., line.names.index(alias)]
-        share = np.sum(one * other) / np.sum(other**2)
+        pair = (effect, by_name[alias])
+
+        def of_rows(rows: Array, pair: tuple[Effect, Effect] = pair) -> tuple[Array, Array]:
+            slopes = _one_step(simulator, rows, log, pair, priors) / deviations[:, None]
+            return slopes[..., 0], slopes[..., 1]
+
+        one, other = of_rows(X)
+        share = np.sum(one * other) / max(float(np.sum(other**2)), 1e-300)
         apart = np.sum((one - share * other) ** 2, axis=-1)
-        effect = residuals.effects[name]
-        if np.sqrt(apart.sum()) * np.max(np.abs(np.subtract(effect.bounds, effect.neutral))) < LEAST_APART:
+        farthest = max(-priors.low[k], priors.high[k])
+        if np.sqrt(apart.sum()) * farthest < LEAST_APART:
             hints.append(NOTHING_SEPARATES)
             continue
-        hints.append(_excitation_that_separates(residuals, name, alias, table.loc[name, "similarity"], apart))
+        hints.append(
+            _separating(simulator, X, apart, _cosine(one, other), lambda rows: _cosine(*of_rows(rows)))
+        )
     return hints
 
 
-def _excitation_that_separates(residuals, name, alias, similarity, apart):
+def _one_step(simulator: Simulator, rows: Array, log: Log, pair: Sequence[Effect], priors: Priors) -> Array:
+    """Return the derivative of each row's outcome by two effects, (n_rows, d, 2)."""
+    ends = _steps(pair, _of(priors, pair))
+    candidates = [{name: end} for name, both in ends.items() for end in both]
+    outputs = np.nan_to_num(simulator.predict_many(rows, candidates, groups=log.groups))
+    columns = [
+        simulator.residual(high, low) / (both[1] - both[0])
+        for low, high, both in zip(outputs[::2], outputs[1::2], ends.values())
+    ]
+    return np.stack(columns, axis=-1)
+
+
+def _of(priors: Priors, effects: Sequence[Effect]) -> Priors:
+    places = [priors.names.index(effect.name) for effect in effects]
+    return Priors(
+        tuple(effect.name for effect in effects),
+        priors.scales[places],
+        priors.log_odds[places],
+        priors.low[places],
+        priors.high[places],
+    )
+
+
+def _cosine(one: Array, other: Array) -> float:
+    size = float(np.sqrt(np.sum(one**2) * np.sum(other**2)))
+    return abs(float(np.sum(one * other))) / size if size > 0 else 1.0
+
+
+def _separating(
+    simulator: Simulator, X: Array, apart: Array, similarity: float, similarity_at: Callable[[Array], float]
+) -> str:
     """Return the input whose large or small values go with what is apart, if more of it makes the two less alike."""
-    inputs = residuals.points
-    spread = inputs.std(axis=0)
-    standard = (inputs - inputs.mean(axis=0)) / np.where(spread > 0, spread, 1.0)
+    spread = X.std(axis=0)
+    standard = (X - X.mean(axis=0)) / np.where(spread > 0, spread, 1.0)
     features = np.concatenate([np.abs(standard), standard, -standard], axis=1)
     centred = features - features.mean(axis=0)
     scale = np.linalg.norm(centred, axis=0) * np.linalg.norm(apart - apart.mean())
     strength = np.where(scale > 0, centred.T @ (apart - apart.mean()) / np.where(scale > 0, scale, 1.0), 0.0)
     for best in np.argsort(-strength)[:MOST_TRIED]:
-        kind, column = divmod(best, inputs.shape[1])
+        kind, column = divmod(int(best), X.shape[1])
         if strength[best] <= 0:
             break
-        moved = inputs.copy()
+        moved = X.copy()
         moved[:, column] += spread[column] * (standard[:, column], 1.0, -1.0)[kind]
-        if 1 - _similarity_at(residuals, moved, name, alias) > LEAST_GAINED * (1 - similarity):
-            return ("large |{}|", "large {}", "small {}")[kind].format(
-                residuals.simulator.input_names[column]
-            )
+        if 1 - similarity_at(moved) > LEAST_GAINED * (1 - similarity):
+            return ("large |{}|", "large {}", "small {}")[kind].format(simulator.input_names[column])
     return NO_INPUT_SEPARATES
-
-
-def _similarity_at(residuals, points, name, alias):
-    """Return the cosine between the derivatives by two effects in other rows."""
-    state = residuals.state()
-    residuals.points = points
-    one, other = np.moveaxis(residuals.derivatives({}, [name, alias]), -1, 0)
-    residuals.restore(state)
-    size = np.sqrt(np.sum(one**2) * np.sum(other**2))
-    return abs(np.sum(one * other)) / size if size > 0 else 1.0

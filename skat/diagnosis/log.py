@@ -1,26 +1,34 @@
-"""A measured log as the diagnosis sees it: checked, in episodes, and cut into chains and blocks of time."""
+"""A measured log as the diagnosis sees it: checked, in episodes, with NaN where nothing was measured."""
 
 import warnings
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike, NDArray
 from sklearn.utils import check_array
 
-from skat.episodes import FEWEST_ROWS, drawn_episodes
+from skat.diagnosis.filtering import Array, Mask
+from skat.diagnosis.statespace import Places, guessed, in_chains, tangent_mask
+from skat.episodes import drawn_episodes
+from skat.simulators import Simulator
 from skat.simulators.tables import refuse_text
 
-# Rows whitened together, and rows that count as one independent piece of evidence.
-CHAIN_LENGTH = 60
-# Rows of which more than this share begin where the one before has ended are in time order.
-FOLLOWING = 0.9
-BLOCK_LENGTH = 12
-FEWEST_BLOCKS = 20
-# Groups of rows that have something in common, in logs without time order.
-FEWEST_GROUPS = 5
+# Rows, or groups of rows that have something in common: fewer tell nothing.
+FEWEST_ROWS = 4
 # A split leaves so many rows that are independent, or groups of rows.
 FEWEST_FITTED_ROWS = 10
 FEWEST_FITTED_GROUPS = 4
+# A single episode is split into pieces of time of so many rows, if that makes neither fewer nor more than so many.
+ROWS_OF_PIECE, FEWEST_PIECES, MOST_PIECES = 20, 4, 20
+# Rows of which more than this share begin where the one before has ended are in time order.
+FOLLOWING = 0.9
+# Of a channel's spread, and in its unit: what rounding may put between the end of a row and the begin of the next.
+ROUNDING, SMALLEST = 1e-4, 1e-9
+QUATERNION = ("qw", "qx", "qy", "qz")
 
 
 @dataclass(frozen=True)
@@ -30,48 +38,91 @@ class Log:
     Attributes
     ----------
     X : ndarray of shape (n_rows, n_inputs)
+        NaN in the columns of the state where nothing was measured.
     y : ndarray of shape (n_rows, n_outputs)
+        NaN where nothing was measured.
     episodes : ndarray of int of shape (n_rows,)
         0, 1, ... in the order of the rows.
     consecutive : bool
         Whether the rows of an episode follow each other in time.
     labels : tuple or None
         What the user calls each episode.
+    simulator : Simulator or None
+        Whose columns these are; needed where something was not measured.
     """
 
-    X: np.ndarray
-    y: np.ndarray
-    episodes: np.ndarray
+    X: Array
+    y: Array
+    episodes: Places
     consecutive: bool
-    labels: tuple | None = None
+    labels: tuple[Any, ...] | None = None
+    simulator: Simulator | None = None
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.X)
 
     @property
-    def n_episodes(self):
+    def n_episodes(self) -> int:
         """Number of episodes."""
         return int(self.episodes[-1]) + 1 if len(self) else 0
 
-    def label(self, episode):
+    def label(self, episode: int) -> Any:
         """Return what the user calls an episode."""
         return int(episode) if self.labels is None else self.labels[episode]
 
     @property
-    def steps(self):
+    def steps(self) -> Places:
         """Place of each row in its episode, from 0."""
         starts = np.flatnonzero(np.r_[True, np.diff(self.episodes) > 0])
         return np.arange(len(self)) - starts[self.episodes]
 
     @property
-    def groups(self):
+    def groups(self) -> Places:
         """Episode of each row as a simulator is told it: without time order each row is one."""
         return self.episodes if self.consecutive else np.arange(len(self))
 
-    def rows(self, chosen):
+    @property
+    def complete(self) -> Mask:
+        """Rows in which everything was measured, (n_rows,)."""
+        return np.asarray(np.isfinite(self.X).all(axis=1) & np.isfinite(self.y).all(axis=1))
+
+    @property
+    def measured(self) -> Mask:
+        """Channels of a residual that were measured in any row, (n_residuals,)."""
+        seen = np.isfinite(self.y)
+        mask = seen if self.simulator is None else tangent_mask(self.simulator, seen)
+        return np.asarray(mask.any(axis=0))
+
+    @cached_property
+    def filled(self) -> "Log":
+        """The log with a guess where nothing was measured: in time, from positions, or the model's own place.
+
+        A simulator takes no NaN. What follows from a guess is none: compare with `y`.
+        """
+        if self.complete.all():
+            return self
+        if self.simulator is None:
+            raise ValueError("a log without its simulator cannot be filled: pass simulator=")
+        (chain, step), states = in_chains(
+            self.simulator, self.X, self.y, self.episodes, consecutive=self.consecutive
+        )
+        guess = guessed(self.simulator, states)
+        X, y = self.X.copy(), self.y.copy()
+        n_states = len(self.simulator.state_names)
+        if n_states:
+            X[:, :n_states] = _where_missing(X[:, :n_states], guess[:, :-1][chain, step])
+        y = _where_missing(y, guess[:, 1:][chain, step])
+        if self.consecutive:
+            # Chains that meet at a state that nobody measured may have guessed it differently.
+            follows = np.flatnonzero(np.diff(self.episodes) == 0)
+            y[follows] = _where_missing(self.y[follows], X[follows + 1, :n_states])
+        return replace(self, X=X, y=y)
+
+    def rows(self, chosen: ArrayLike) -> "Log":
         """Return the log of the chosen rows; a gap in time starts a new episode."""
-        chosen = np.flatnonzero(chosen) if np.asarray(chosen).dtype == bool else np.asarray(chosen)
-        apart = np.r_[False, (np.diff(chosen) != 1) | (np.diff(self.episodes[chosen]) != 0)]
+        chosen = np.asarray(chosen)
+        chosen = np.flatnonzero(chosen) if chosen.dtype == bool else chosen
+        apart = np.r_[False, (np.diff(chosen) != 1) | (np.diff(self.episodes[chosen]) != 0)][: len(chosen)]
         episodes = (
             np.cumsum(apart) if self.consecutive else np.unique(self.episodes[chosen], return_inverse=True)[1]
         )
@@ -79,31 +130,9 @@ class Log:
         if self.labels is not None:
             first = np.unique(episodes, return_index=True)[1]
             labels = tuple(self.labels[episode] for episode in self.episodes[chosen][first])
-        return Log(self.X[chosen], self.y[chosen], episodes, self.consecutive, labels)
+        return replace(self, X=self.X[chosen], y=self.y[chosen], episodes=episodes, labels=labels)
 
-    def part(self, n_rows, length):
-        """Return about so many rows that stand for the log: runs of a length, spread over it."""
-        length = min(length, len(self))
-        starts = np.linspace(0, len(self) - length, max(1, n_rows // length)).astype(int)
-        return self.rows(np.unique(starts[:, None] + np.arange(length)))
-
-    def chains(self):
-        """Return (chain, step) of each row: pieces of an episode short enough to be whitened side by side."""
-        if not self.consecutive:
-            return np.arange(len(self)), np.zeros(len(self), dtype=int)
-        steps = self.steps
-        new = np.r_[True, (np.diff(self.episodes) > 0) | (steps[1:] % CHAIN_LENGTH == 0)]
-        return np.cumsum(new) - 1, steps % CHAIN_LENGTH
-
-    def blocks(self):
-        """Return the block of each row: pieces of time short against an episode, long against contacts' echoes."""
-        if not self.consecutive:
-            return self.episodes
-        length = int(np.clip(len(self) // FEWEST_BLOCKS, 1, BLOCK_LENGTH))
-        new = np.r_[True, (np.diff(self.episodes) > 0) | (self.steps[1:] % length == 0)]
-        return np.cumsum(new) - 1
-
-    def split(self, test_size, random_state):
+    def split(self, test_size: float, random_state: np.random.RandomState) -> tuple["Log", "Log | None"]:
         """Return (fitted, held out) logs: whole episodes where there are several, otherwise blocks of time.
 
         Parameters
@@ -111,62 +140,88 @@ class Log:
         test_size : float
             Share of the rows to hold out, 0 <= test_size < 1.
         random_state : numpy.random.RandomState
+
+        Returns
+        -------
+        Log, Log or None
+            None where nothing is held out: nothing was asked for, or too little would be left, which is warned of.
         """
         if not test_size:
             return self, None
-        if self.n_episodes == len(self) and not self.consecutive:
-            count = int(np.clip(round(test_size * len(self)), 1, max(1, len(self) - FEWEST_FITTED_ROWS)))
-            held_out = random_state.permutation(len(self)) < count
-            return self.rows(~held_out), self.rows(held_out)
+        held_out = self._held_out(test_size, random_state)
+        left = self.rows(~held_out)
+        by_rows = self.consecutive or self.n_episodes == len(self)
+        enough = len(left) >= FEWEST_FITTED_ROWS and (by_rows or left.n_episodes >= FEWEST_FITTED_GROUPS)
+        if not held_out.any() or not enough:
+            of = f"{len(self)} rows in {self.n_episodes} {'episodes' if self.consecutive else 'groups'}"
+            warnings.warn(
+                f"Nothing of {of} is held out to measure the gain: at least {FEWEST_FITTED_ROWS} rows"
+                f"{'' if by_rows else f' in {FEWEST_FITTED_GROUPS} groups'} must be left to fit. Pass test_size=0, "
+                "measure the gain on another log with evaluate(), or measure longer.",
+                UserWarning,
+                stacklevel=3,
+            )
+            return self, None
+        if self.consecutive and self.n_episodes == 1:
+            warnings.warn(
+                "The log is a single episode: it is split by blocks of time, so the rows held out are near the rows "
+                "fitted and the gain may look better than on a new episode. Give several episodes (groups=), or "
+                "measure the gain on another log with evaluate().",
+                UserWarning,
+                stacklevel=3,
+            )
+        return left, self.rows(held_out)
+
+    def _held_out(self, test_size: float, random_state: np.random.RandomState) -> Mask:
+        n = len(self)
+        if self.n_episodes == n and not self.consecutive:
+            count = int(np.clip(round(test_size * n), 1, max(1, n - FEWEST_FITTED_ROWS)))
+            drawn: Mask = random_state.permutation(n) < count
+            return drawn
         if self.n_episodes > 1:
             sizes = np.bincount(self.episodes)
             most = self.n_episodes - (1 if self.consecutive else FEWEST_FITTED_GROUPS)
-            drawn = drawn_episodes(sizes, test_size, random_state, most=most, stacklevel=4)
-            held_out = np.isin(self.episodes, drawn or [int(np.argmin(sizes))])
-            return self.rows(~held_out), self.rows(held_out)
-        warnings.warn(
-            "The log is a single episode: it is split by blocks of time, so the rows held out are near the rows "
-            "fitted and the gain may look better than on a new episode. Give several episodes (groups=), or "
-            "measure the gain on another log with evaluate().",
-            UserWarning,
-            stacklevel=3,
-        )
-        n_pieces = max(4, min(20, len(self) // FEWEST_ROWS))
-        piece = np.arange(len(self)) * n_pieces // len(self)
-        fewest_fitted = -(-FEWEST_FITTED_ROWS * n_pieces // len(self))
-        count = int(np.clip(round(test_size * n_pieces), 1, n_pieces - fewest_fitted))
-        held_out = np.isin(piece, ((np.arange(count) + 1) * n_pieces // count) - 1)
-        return self.rows(~held_out), self.rows(held_out)
+            episodes = drawn_episodes(sizes, test_size, random_state, most=most, stacklevel=5)
+            if not episodes and most > 0:
+                episodes = [int(np.argmin(sizes))]
+            return np.isin(self.episodes, episodes)
+        n_pieces = min(n, max(FEWEST_PIECES, min(MOST_PIECES, n // ROWS_OF_PIECE)))
+        piece = np.arange(n) * n_pieces // n
+        fewest_fitted = -(-FEWEST_FITTED_ROWS * n_pieces // n)
+        count = max(1, min(round(test_size * n_pieces), n_pieces - fewest_fitted))
+        return np.isin(piece, ((np.arange(count) + 1) * n_pieces // count) - 1)
 
 
-def measured_channels(simulator, hidden):
-    """Return for each residual channel whether it was measured, (n_channels,): a rotation as its quaternion was."""
-    turned = [name[: -len(".qw")] for name in hidden if name.endswith(".qw")]
-    unmeasured = {*hidden, *(f"{joint}.{axis}" for joint in turned for axis in ("rx", "ry", "rz"))}
-    return np.array([name not in unmeasured for name in simulator.residual_names])
-
-
-def check_log(simulator, X, y, groups, *, fewest_rows=FEWEST_ROWS, hidden=()):
+def check_log(
+    simulator: Simulator, X: Any, y: Any, groups: ArrayLike | None, *, fewest_rows: int = FEWEST_ROWS
+) -> Log:
     """Return the Log of checked rows.
 
     Parameters
     ----------
     simulator : Simulator
     X : array-like of shape (n_rows, n_inputs)
+        NaN in columns of the state: not measured.
     y : array-like of shape (n_rows, n_outputs)
+        NaN: not measured. Of a quaternion all or nothing was measured.
     groups : array-like of shape (n_rows,) or None
         Episode of each row; the rows of an episode are consecutive and in time order.
-    fewest_rows : int, default=20
-    hidden : sequence of str, default=()
-        State channels that were not measured: not compared between rows.
+    fewest_rows : int, default=4
+
+    Returns
+    -------
+    Log
+        The state between two rows that follow each other is measured in both where it is in one of them.
 
     Raises
     ------
     ValueError
-        Where the rows cannot be what the simulator takes and gives, with the row and the column.
+        Where the rows cannot be what the simulator takes and gives, with the row and the column; where nothing at all
+        was measured.
     """
-    X = check_matrix(X, "X", simulator.input_names)
-    y = check_matrix(y, "y", simulator.output_names)
+    n_states = len(simulator.state_names)
+    X = check_matrix(X, "X", simulator.input_names, optional=simulator.state_names)
+    y = check_matrix(y, "y", simulator.output_names, optional=simulator.output_names)
     if len(X) != len(y):
         raise ValueError(
             f"X has {len(X)} rows and y {len(y)}: each row of y is what followed the same row of X."
@@ -176,9 +231,10 @@ def check_log(simulator, X, y, groups, *, fewest_rows=FEWEST_ROWS, hidden=()):
             f"The log has {len(X)} rows; a diagnosis needs at least {fewest_rows} to tell an effect from noise. "
             "Measure longer, or join several logs and tell the episodes apart with groups=."
         )
+    X[:, :n_states] = _whole_quaternions(simulator.state_names, X[:, :n_states])
+    y = _whole_quaternions(simulator.output_names, y)
     if groups is None:
-        state = len(simulator.state_names)
-        if state and fewest_rows > 1 and np.mean(np.all(X[1:, :state] == y[:-1], axis=1)) > FOLLOWING:
+        if n_states and fewest_rows > 1 and _share_that_follows(X[:, :n_states], y) > FOLLOWING:
             warnings.warn(
                 "Each row begins where the one before it has ended, but without groups= rows are taken for "
                 "independent: noise then counts as if it were another one in y than in the X of the next row, and "
@@ -186,58 +242,95 @@ def check_log(simulator, X, y, groups, *, fewest_rows=FEWEST_ROWS, hidden=()):
                 UserWarning,
                 stacklevel=3,
             )
-        return Log(X, y, np.arange(len(X)), False)
-    groups = np.asarray(groups)
-    if groups.shape != (len(X),):
-        raise ValueError(
-            f"groups must name the episode of each of the {len(X)} rows; it has shape {groups.shape}."
-        )
-    if pd.isna(groups).any():
-        raise ValueError(
-            f"groups is missing in row {int(np.argmax(pd.isna(groups)))}: name the episode of every row."
-        )
-    starts = np.r_[True, groups[1:] != groups[:-1]]
-    episodes = np.cumsum(starts) - 1
-    if len(np.unique(groups)) <= episodes[-1]:
-        labels = groups[starts]
-        first = {label: place for place, label in reversed(list(enumerate(labels)))}
-        again = next(place for place, label in enumerate(labels) if first[label] != place)
-        row = np.flatnonzero(starts)[again]
-        raise ValueError(
-            f"Episode {groups[row]!r} goes on at row {row} after rows of another episode. The rows of an episode must "
-            "be consecutive and in time order: sort the log by episode and time."
-        )
-    if not simulator.state_names and episodes[-1] == 0:
-        episodes = np.arange(len(X))  # One group says nothing of rows without time order.
-    n_groups = episodes[-1] + 1
-    if not simulator.state_names and fewest_rows > 1 and n_groups < FEWEST_GROUPS:
-        raise ValueError(
-            f"groups tells {n_groups} groups of rows apart, and each counts as one piece of evidence: a diagnosis "
-            f"needs at least {FEWEST_GROUPS}. Pass groups=None if the rows are independent of each other."
-        )
-    labels = tuple(groups[starts].tolist()) if simulator.state_names else None
-    log = Log(X, y, episodes, bool(simulator.state_names), labels)
-    if log.consecutive:
-        _check_continuity(simulator, log, hidden)
-        if (np.bincount(episodes) == 1).all():
-            warnings.warn(
-                "Every episode has one row: that the rows are in time order cannot be checked, and noise in the "
-                "measured state cannot be told from noise in the next one as well as in longer episodes.",
-                UserWarning,
-                stacklevel=3,
+        return _with_something_measured(Log(X, y, np.arange(len(X)), False, None, simulator))
+    episodes, labels = _episodes(groups, len(X))
+    if not n_states:
+        if episodes[-1] == 0:
+            episodes = np.arange(len(X))  # One group says nothing of rows without time order.
+        n_groups = episodes[-1] + 1
+        if fewest_rows > 1 and n_groups < FEWEST_ROWS:
+            raise ValueError(
+                f"groups tells {n_groups} groups of rows apart, and each counts as one piece of evidence: a diagnosis "
+                f"needs at least {FEWEST_ROWS}. Pass groups=None if the rows are independent of each other."
             )
+        return _with_something_measured(Log(X, y, episodes, False, None, simulator))
+    follows = np.flatnonzero(np.diff(episodes) == 0)
+    both = np.isfinite(y[follows]) & np.isfinite(X[follows + 1, :n_states])
+    y[follows], X[follows + 1, :n_states] = (
+        _where_missing(y[follows], X[follows + 1, :n_states]),
+        _where_missing(X[follows + 1, :n_states], y[follows]),
+    )
+    log = _with_something_measured(Log(X, y, episodes, True, labels, simulator))
+    _check_continuity(simulator, log, follows, both)
+    if (np.bincount(episodes) == 1).all():
+        warnings.warn(
+            "Every episode has one row: that the rows are in time order cannot be checked, and noise in the "
+            "measured state cannot be told from noise in the next one as well as in longer episodes.",
+            UserWarning,
+            stacklevel=3,
+        )
     return log
 
 
-def check_matrix(values, what, names):
-    """Return rows as an array, the columns of a data frame in the order of the names.
+def without_channels(simulator: Simulator, log: Log, names: Iterable[str]) -> Log:
+    """Return the log as if some channels of the state, or outputs of a one-shot simulation, had not been measured.
 
-    A single output may be one-dimensional, as scikit-learn's targets are.
+    Parameters
+    ----------
+    simulator : Simulator
+    log : Log
+    names : iterable of str
+        A part of a quaternion stands for all of it.
 
     Raises
     ------
     ValueError
-        If a column is missing or a value is no finite number.
+        If there is no such channel, or nothing would be left.
+    """
+    names = list(names)
+    known = simulator.output_names
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        kind = "state channels" if simulator.state_names else "outputs"
+        raise ValueError(f"hidden names {', '.join(unknown)}; {kind} are {', '.join(known)}.")
+    if not names:
+        return log
+    n_states = len(simulator.state_names)
+    columns = [known.index(name) for name in names]
+    X, y = log.X.copy(), log.y.copy()
+    y[:, columns] = np.nan
+    y = _whole_quaternions(known, y)
+    if n_states:
+        X[:, columns] = np.nan
+        X[:, :n_states] = _whole_quaternions(simulator.state_names, X[:, :n_states])
+    return _with_something_measured(replace(log, X=X, y=y, simulator=simulator))
+
+
+def measured_channels(simulator: Simulator, hidden: Sequence[str]) -> Mask:
+    """Return for each residual channel whether it was measured, (n_channels,): a rotation as its quaternion was."""
+    seen = np.array([name not in set(hidden) for name in simulator.output_names])
+    return tangent_mask(simulator, seen)
+
+
+def check_matrix(values: Any, what: str, names: Sequence[str], *, optional: Sequence[str] = ()) -> Array:
+    """Return rows as an array, the columns of a data frame in the order of the names.
+
+    A single output may be one-dimensional, as scikit-learn's targets are.
+
+    Parameters
+    ----------
+    values : array-like of shape (n_rows, n_columns) or data frame
+    what : str
+        How the caller names the table, for messages.
+    names : sequence of str
+        The columns expected.
+    optional : sequence of str, default=()
+        Columns in which NaN, or nothing in a data frame, stands for what was not measured.
+
+    Raises
+    ------
+    ValueError
+        If a column is missing, or a value is no finite number where one has to be.
     """
     if hasattr(values, "columns") and hasattr(values, "to_numpy"):
         known = set(names) & set(values.columns)
@@ -250,45 +343,126 @@ def check_matrix(values, what, names):
         values = np.reshape(values, (-1, 1))
     given = values
     try:
-        values = check_array(values, dtype=np.float64, ensure_min_samples=1, input_name=what)
+        checked = check_array(
+            values,
+            dtype=np.float64,
+            ensure_min_samples=1,
+            input_name=what,
+            ensure_all_finite="allow-nan",
+            copy=True,
+        )
     except ValueError as error:
         array = np.asarray(values, dtype=object)
         if array.ndim == 2:
-            numbers = np.array([[_number(value) for value in row] for row in array], dtype=float)
-            if numbers.size and not np.isfinite(numbers).all():
-                row, column = np.argwhere(~np.isfinite(numbers))[0]
-                name = f" ({names[column]})" if column < len(names) else ""
+            readable = np.array([[_readable(value) for value in row] for row in array], dtype=bool)
+            if readable.size and not readable.all():
+                row, column = np.argwhere(~readable)[0]
                 raise ValueError(
-                    f"{what} has {array[row, column]} in row {row}, column {column}{name}; every value must be "
-                    "a finite number. Leave such rows out and start a new episode behind the gap."
+                    f"{what} has {array[row, column]} in row {row}, column {column}{_named(names, column)}; every "
+                    f"value must be a finite number{_or_nan(names, optional)}."
                 ) from error
         raise
     refuse_text(given, what)
-    if values.shape[1] != len(names):
+    if checked.shape[1] != len(names):
         raise ValueError(
-            f"{what} has {values.shape[1]} columns; the simulator's are {len(names)}: {', '.join(names)}."
+            f"{what} has {checked.shape[1]} columns; the simulator's are {len(names)}: {', '.join(names)}."
         )
+    needed = [column for column, name in enumerate(names) if name not in set(optional)]
+    absent = np.argwhere(np.isnan(checked[:, needed]))
+    if len(absent):
+        row, column = int(absent[0, 0]), needed[absent[0, 1]]
+        raise ValueError(
+            f"{what} has nan in row {row}, column {column}{_named(names, column)}; every value must be a finite "
+            f"number{_or_nan(names, optional)}. Leave such rows out and start a new episode behind the gap."
+        )
+    return np.asarray(checked)
+
+
+def _named(names: Sequence[str], column: int) -> str:
+    return f" ({names[column]})" if column < len(names) else ""
+
+
+def _or_nan(names: Sequence[str], optional: Sequence[str]) -> str:
+    if not optional:
+        return ""
+    where = "" if len(optional) == len(names) else " in a column of the state,"
+    return f", or,{where} NaN where nothing was measured" if where else ", or NaN where nothing was measured"
+
+
+def _readable(value: Any) -> bool:
+    """Whether a value is a number that is finite, or missing."""
+    try:
+        return not np.isinf(float(value))
+    except (TypeError, ValueError):
+        return value is pd.NA or value is None
+
+
+def _where_missing(values: Array, others: Array) -> Array:
+    return np.where(np.isfinite(values), values, others)
+
+
+def _whole_quaternions(names: Sequence[str], values: Array) -> Array:
+    """Return values with quaternions of which a part is missing missing as a whole."""
+    values = values.copy()
+    for name in names:
+        if name.endswith(".qw"):
+            joint = name[: -len(".qw")]
+            parts = [names.index(f"{joint}.{part}") for part in QUATERNION]
+            lost = np.isnan(values[:, parts]).any(axis=1, keepdims=True)
+            values[:, parts] = np.where(lost, np.nan, values[:, parts])
     return values
 
 
-def _number(value):
-    try:
-        return float(value)
-    except (TypeError, ValueError):
-        return np.nan
+def _share_that_follows(states: Array, y: Array) -> float:
+    """Return the share of rows that begin where the one before has ended, as far as both were measured."""
+    both = np.isfinite(states[1:]) & np.isfinite(y[:-1])
+    same = np.asarray(((states[1:] == y[:-1]) | ~both).all(axis=1) & both.any(axis=1))
+    return float(same.mean()) if len(same) else 0.0
 
 
-def _check_continuity(simulator, log, hidden):
-    follows = np.flatnonzero(np.diff(log.episodes) == 0)
+def _episodes(groups: ArrayLike, n_rows: int) -> tuple[Places, tuple[Any, ...]]:
+    """Return the number of each row's episode, and what each episode is called."""
+    groups = np.asarray(groups)
+    if groups.shape != (n_rows,):
+        raise ValueError(
+            f"groups must name the episode of each of the {n_rows} rows; it has shape {groups.shape}."
+        )
+    if pd.isna(groups).any():
+        raise ValueError(
+            f"groups is missing in row {int(np.argmax(pd.isna(groups)))}: name the episode of every row."
+        )
+    starts: NDArray[np.bool_] = np.r_[True, groups[1:] != groups[:-1]]
+    episodes = np.cumsum(starts) - 1
+    labels = groups[starts]
+    if len(np.unique(groups)) <= episodes[-1]:
+        first = {label: place for place, label in reversed(list(enumerate(labels)))}
+        again = next(place for place, label in enumerate(labels) if first[label] != place)
+        row = np.flatnonzero(starts)[again]
+        raise ValueError(
+            f"Episode {groups[row]!r} goes on at row {row} after rows of another episode. The rows of an episode must "
+            "be consecutive and in time order: sort the log by episode and time."
+        )
+    return episodes, tuple(labels.tolist())
+
+
+def _with_something_measured(log: Log) -> Log:
+    if not log.measured.any():
+        raise ValueError(
+            "Every value of y is NaN, so that nothing was measured: there is nothing to compare the simulation with."
+        )
+    return log
+
+
+def _check_continuity(simulator: Simulator, log: Log, follows: Places, both: Mask) -> None:
+    """Raise where a row ends in another state than that in which the next one begins; `both` were measured."""
     if not len(follows):
         return
-    state = len(simulator.state_names)
-    gap = np.abs(simulator.residual(log.X[follows + 1][:, :state], log.y[follows]))
-    measured = np.flatnonzero(measured_channels(simulator, hidden))
-    spread = simulator.residual(log.y, np.broadcast_to(log.y[:1], log.y.shape)).std(axis=0)
-    wrong = np.argwhere(gap[:, measured] > 1e-4 * spread[measured] + 1e-9)
+    filled = log.filled
+    gap = np.abs(simulator.residual(filled.X[follows + 1, : both.shape[1]], filled.y[follows]))
+    spread = simulator.residual(filled.y, np.broadcast_to(filled.y[:1], filled.y.shape)).std(axis=0)
+    wrong = np.argwhere((gap > ROUNDING * spread + SMALLEST) & tangent_mask(simulator, both))
     if len(wrong):
-        row, channel = int(follows[wrong[0, 0]]), int(measured[wrong[0, 1]])
+        row, channel = int(follows[wrong[0, 0]]), int(wrong[0, 1])
         raise ValueError(
             f"y of row {row} is not the state in row {row + 1} of X: {simulator.residual_names[channel]} differs by "
             f"{gap[wrong[0, 0], channel]:.3g}. The rows of an episode must be in time order, y the next row's state; "

@@ -23,6 +23,7 @@ from skat.datasets import (
 from skat.datasets.ball_drops import BALLS
 from skat.diagnosis import Gain, SimulationDiagnosis, compare_transports
 from skat.diagnosis.log import measured_channels
+from skat.diagnosis.report.sentences import horizon_text
 from skat.simulators import make_simulator
 
 # What differs from ball to ball. Gravity, the scale of the camera and the wind were the same for all of
@@ -174,7 +175,7 @@ def ball_drop_table(studies: Mapping[str, Any]) -> pd.DataFrame:
                 "ball": ball,
                 "cause": ", ".join(cause.name for cause in causes) or "-",
                 "value": ", ".join(f"{cause.value:.3g} {cause.unit}" for cause in causes),
-                "aliases": ", ".join(alias for cause in causes for alias in cause.aliases),
+                "aliases": ", ".join(alias.name for cause in causes for alias in cause.aliases),
                 "nominal": study.gain.nominal,
                 "extended": study.gain.extended,
                 "times smaller": study.gain.ratio,
@@ -300,8 +301,8 @@ def study_log(
     Returns
     -------
     Study
-        The gain is in one-step errors, in units of the noise; with `hidden` channels, in those of whole episodes in
-        open loop, as far as they were measured, from fitted initial states.
+        The gain is at the diagnosis's horizon, in units of a right model's errors; with `hidden` channels, in those of
+        whole episodes in open loop, as far as they were measured, from fitted initial states.
     """
     if test is not None and set(test.unmeasured) - set(log.unmeasured):
         raise ValueError(
@@ -355,7 +356,7 @@ def _study(
     progress: Callable[[str, int, int], None] | None,
     *,
     evaluation: dict[str, Any] | None = None,
-    error_name: Any = "squared error of one step, in units of the noise",
+    error_name: str = "",
     truth: Any = None,
     **parameters: Any,
 ) -> Study:
@@ -379,5 +380,7 @@ def _study(
     except RuntimeError as error:  # The simulation diverges; what was found is not lost for that.
         warnings.warn(f"The gain could not be measured on the data set aside. {error}", stacklevel=3)
         return Study(title, diagnosis, None, error_name, None, truth)
+    if not error_name:
+        error_name = f"squared error, {horizon_text(simulator, gain.horizon)}, in units of a right model's"
     diagnosis.report_.add_test(title, test.data, test.target, test.get("groups"), gain=gain, errors=errors)
     return Study(title, diagnosis, gain, error_name, errors, truth)

@@ -284,7 +284,7 @@ class CauseDisplay:
         Parameters
         ----------
         diagnosis : fitted SimulationDiagnosis
-            Anything with ``causes_`` and a ``simulator`` that knows its ``effects()``.
+            Anything with ``causes_`` and a ``simulator`` that knows its ``effects(also="all")``.
         ax : matplotlib Axes, default=None
             Where to draw; a new figure by default.
 
@@ -292,7 +292,7 @@ class CauseDisplay:
         -------
         CauseDisplay
         """
-        neutral = {effect.name: effect.neutral for effect in diagnosis.simulator.effects()}
+        neutral = {effect.name: effect.neutral for effect in diagnosis.simulator.effects(also="all")}
         return cls.from_causes(diagnosis.causes_, neutral=neutral, ax=ax)
 
     @classmethod

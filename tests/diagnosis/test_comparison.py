@@ -276,6 +276,29 @@ def test_where_channels_are_hidden_whole_trajectories_are_compared():
     assert "(95 %" not in ceiling_sentence(frame)
 
 
+def test_what_was_not_measured_may_be_nan_as_well_as_hidden():
+    by_name = diagnosed(pendulum(), {"damping": 0.6}, hidden=("rate",))
+    fit, test = pendulum_log(5, 0), pendulum_log(5, 1)
+    options = {"groups_fit": fit[2], "groups_test": test[2], "methods": ["CORAL"], "random_state": 0}
+    first = compare_transports(by_name, *fit[:2], *test[:2], **options)
+    for X, y, _ in (fit, test):
+        X[:, 1], y[:, 1] = np.nan, np.nan
+    second = compare_transports(diagnosed(pendulum(), {"damping": 0.6}), *fit[:2], *test[:2], **options)
+    pd.testing.assert_frame_equal(first, second)
+
+
+def test_rows_with_a_sample_that_is_missing_are_left_out():
+    diagnosis = diagnosed(pendulum(), {"damping": 0.6})
+    (X, y, groups), test = pendulum_log(4, 0), pendulum_log(4, 1)
+    X[7, 0], X[90, 1], y[6, 0], y[89, 1] = np.nan, np.nan, np.nan, np.nan
+    frame = compare_transports(
+        diagnosis, X, y, *test[:2], groups_fit=groups, groups_test=test[2], methods=["CORAL"], random_state=0
+    )
+    assert list(frame["n_rows"]) == [0, len(X) - 4, 0]
+    assert not frame["note"].str.contains("diverges").any()
+    assert np.isfinite(frame["error"]).all()
+
+
 def test_hidden_channels_need_episodes():
     X, y, _ = pendulum_log(2, 0)
     with pytest.raises(ValueError, match=r"rate were not measured.*groups_fit="):
@@ -292,10 +315,7 @@ def test_delay_needs_episodes():
     states += 1e-4 * rng.normal(size=states.shape)
     X, y = np.concatenate([states[:, :-1], commands], axis=-1).reshape(-1, 3), states[:, 1:].reshape(-1, 2)
     groups = np.repeat(np.arange(8), 60)
-    diagnosis = SimulationDiagnosis(simulator, effects=["delay[action]", "mass[cart]"], random_state=0).fit(
-        X, y, groups
-    )
-    assert [cause.name for cause in diagnosis.causes_] == ["delay[action]"]
+    diagnosis = diagnosed(simulator, {"delay[action]": 0.02})
     table = compare_transports(
         diagnosis,
         X,

@@ -72,10 +72,11 @@ def test_hidden_effect_is_named_with_its_size(simulator, name, value):
     (cause,) = diagnosis.causes_
     low, high = cause.interval
     assert low <= cause.value <= high
-    # Half as wide again as the 95 % interval: a fixed seed, not luck, decides that the test passes.
-    assert abs(cause.value - value) < 0.75 * (high - low)
+    # Twice the 95 % interval: a fixed seed, not luck, decides that the test passes; coverage has a test of its own.
+    assert abs(cause.value - value) < high - low
     assert (cause.family, cause.target) == (family, channel or None)
-    assert cause.p_value < 0.005
+    assert cause.probability > 0.9
+    assert cause.evidence > -np.log(0.01)
     assert diagnosis.gain_.extended < diagnosis.gain_.nominal
 
 
@@ -91,9 +92,9 @@ def test_two_hidden_effects_are_both_named(simulator):
     diagnosis = fitted(simulator, measure(4, drag=0.2, pole=1.05))
     assert {cause.name for cause in diagnosis.causes_} == {"drag", "pole"}
     assert diagnosis.verdict_ == "named"
-    sizes = {cause.name: cause.interval for cause in diagnosis.causes_}
-    assert sizes["drag"][0] < 0.2 < sizes["drag"][1]
-    assert sizes["pole"][0] < 1.05 < sizes["pole"][1]
+    for cause in diagnosis.causes_:
+        low, high = cause.interval
+        assert abs(cause.value - {"drag": 0.2, "pole": 1.05}[cause.name]) < 0.75 * (high - low)
 
 
 def short_throw(X, drag=0.0):
@@ -113,22 +114,17 @@ def test_rows_in_which_a_simulation_diverges_are_left_out_with_a_warning():
     simulator = FunctionSimulator(
         short_throw, input_names=("speed", "angle"), output_names=("distance",), effects=[drag]
     )
-    with pytest.warns(
-        UserWarning, match=f"diverges in {np.sum(X[:, 0] > 4.8)} of 200 rows, which were left out"
-    ):
+    with pytest.warns(UserWarning, match=r"diverges in \d+ of 140 rows, which were left out"):
         diagnosis = fitted(simulator, (X, y, None))
     (cause,) = diagnosis.causes_
     assert cause.interval[0] < 0.02 < cause.interval[1]
-    assert np.isfinite([diagnosis.gain_.nominal, diagnosis.gain_.extended, diagnosis.excess_p_value_]).all()
+    assert np.isfinite([diagnosis.gain_.nominal, diagnosis.gain_.extended]).all()
 
 
-def test_estimate_at_a_bound_is_said_to_be_one(simulator):
+def test_an_estimate_at_a_bound_is_not_named(simulator):
     diagnosis = fitted(simulator, measure(6, drag=3.0))
-    (cause,) = (cause for cause in diagnosis.causes_ if cause.name == "drag")
-    assert (cause.value, cause.at_bound) == (2.0, True)
-    assert "at the end of the range" in diagnosis.report_.text()
-    (cause,) = (cause for cause in fitted(simulator, measure(6, drag=1.9)).causes_ if cause.name == "drag")
-    assert not cause.at_bound
+    assert "drag" not in [cause.name for cause in diagnosis.causes_]
+    assert "drag" in [cause.name for cause in fitted(simulator, measure(6, drag=1.9)).causes_]
 
 
 def test_effect_with_narrow_bounds_is_named():
@@ -143,26 +139,23 @@ def test_effect_with_narrow_bounds_is_named():
 def test_force_that_no_effect_is_like_is_unexplained(simulator):
     diagnosis = fitted(simulator, measure(5, magnet=4.0, n_episodes=12))
     assert diagnosis.verdict_ == "unexplained"
-    assert diagnosis.remainder_.p_value < 0.005
-    assert diagnosis.remainder_.direction == "v"
-    assert ("v", "x") in [row[:2] for row in diagnosis.remainder_.table]
-    assert "v" in diagnosis.remainder_.sentence
+    assert diagnosis.remainder_.parts[0].name == "v"
+    assert "x" in diagnosis.remainder_.parts[0].regressor
 
 
 def test_cause_that_was_not_offered_is_unexplained(simulator):
     others = [name for name in NEUTRAL if name not in ("pole", "gravity", "bob")]
     diagnosis = fitted(simulator, measure(3, pole=1.6, n_episodes=20), effects=others)
     assert diagnosis.verdict_ == "unexplained"
-    assert diagnosis.remainder_.p_value < 0.0025
+    assert diagnosis.remainder_.evidence > -np.log(0.01)
 
 
 def test_errors_above_a_noise_that_is_known_are_unexplained(simulator):
     log = measure(3, pole=1.6)
     diagnosis = fitted(simulator, log, effects=["drag", "dry_friction"], noise=log[3])
     assert diagnosis.verdict_ == "unexplained"
-    assert diagnosis.excess_p_value_ < 0.0025
     clean = measure(3)
-    assert fitted(simulator, clean, noise=clean[3]).excess_p_value_ > 0.05
+    assert fitted(simulator, clean, noise=clean[3]).verdict_ == "nothing detected"
 
 
 def test_clean_logs_raise_no_more_alarms_than_alpha_allows(simulator):
@@ -278,7 +271,7 @@ def test_gain_on_another_log_one_step_and_open_loop(simulator):
     diagnosis = fitted(simulator, measure(3, pole=1.6))
     fresh = measure(7, pole=1.6)
     one_step = diagnosis.evaluate(*fresh[:3])
-    assert (one_step.horizon, one_step.floor) == (1, 1.0)
+    assert (one_step.horizon, one_step.floor) == (10.0, 1.0)
     assert one_step.nominal > 2
     assert 0.6 < one_step.extended < 1.5
     assert one_step.interval[0] <= one_step.explained <= one_step.interval[1]
@@ -291,10 +284,6 @@ def test_gain_on_another_log_one_step_and_open_loop(simulator):
     # An initial state of its own takes an episode's noisy start away, for both models.
     assert refined.extended < measured.extended
     assert refined.nominal < measured.nominal
-    np.testing.assert_allclose(measured.floor, np.linalg.norm(diagnosis.noise_), rtol=1e-12)
-    # It takes up as many of the noise's squares as it has coordinates: one in each channel.
-    n_steps = np.bincount(fresh[2])[0]
-    np.testing.assert_allclose(refined.floor, measured.floor * np.sqrt(1 - 1 / n_steps), rtol=1e-12)
     assert refined.extended < 1.5 * refined.floor
 
 
@@ -311,8 +300,8 @@ def test_outputs_choose_the_channels_of_the_distance(simulator):
 def test_evaluate_refuses_what_it_does_not_know(simulator):
     diagnosis = fitted(simulator, measure(3, bob=1.3))
     X, y, groups, _ = measure(7, bob=1.3)
-    with pytest.raises(ValueError, match="horizon must be 1 or 'episode'; it is 5"):
-        diagnosis.evaluate(X, y, groups, horizon=5)
+    with pytest.raises(ValueError, match="horizon must be seconds, None or 'episode'; it is 'whole'"):
+        diagnosis.evaluate(X, y, groups, horizon="whole")
     with pytest.raises(ValueError, match="initial_state must be 'measured' or 'fitted'; it is 'guessed'"):
         diagnosis.evaluate(X, y, groups, initial_state="guessed")
     with pytest.raises(ValueError, match="needs a simulation with a state, and groups="):
@@ -322,8 +311,7 @@ def test_evaluate_refuses_what_it_does_not_know(simulator):
 def test_effect_that_no_state_depends_on_has_no_detectable_size(simulator):
     table = fitted(simulator, measure(3)).identifiability_
     # The track looks the same everywhere: where its origin lies cannot be seen.
-    assert np.isinf(table.loc["bias[x]", "smallest"])
-    assert table.loc["bias[x]", "nearest_alias"] == ""
+    assert table.loc["bias[x]", "smallest"] > 1e6
     assert np.isfinite(table.loc[["bob", "drag", "bias[angle]", "bias[v]"], "smallest"]).all()
     assert (table["similarity"] <= 1).all()
 
@@ -353,13 +341,7 @@ def test_progress_is_told(simulator):
         *log[:2], groups=log[2], progress=lambda stage, done, total: stages.append(stage)
     )
     assert stages[-1] == "done"
-    assert "select" in stages
-
-
-def test_report_of_an_earlier_fit_is_not_kept(simulator):
-    diagnosis = fitted(simulator, measure(6, drag=3.0))
-    diagnosis.fit(*measure(7)[:2], groups=measure(7)[2])
-    assert not hasattr(diagnosis.report_.diagnosis, "report_")
+    assert "search" in stages
 
 
 # -- simulations without a state -------------------------------------------------------------------------------------
@@ -452,7 +434,7 @@ def test_cause_that_shows_in_sums_of_steps_alone_is_named():
         diagnosis = fitted(drive, slow_drive(seed))
         assert diagnosis.verdict_ == "ambiguous"
         (cause,) = diagnosis.causes_
-        assert "gain" in (cause.name, *cause.aliases)
+        assert "gain" in (cause.name, *(alias.name for alias in cause.aliases))
 
 
 def test_what_is_no_simulator_and_noise_that_is_no_list_are_refused(simulator):
@@ -463,7 +445,7 @@ def test_what_is_no_simulator_and_noise_that_is_no_list_are_refused(simulator):
         SimulationDiagnosis("robot.xml").fit(X, y, groups=groups)
     with pytest.raises(ValueError, match="noise must hold a finite positive standard deviation for each of"):
         SimulationDiagnosis(simulator, noise={"x": 0.1}).fit(X, y, groups=groups)
-    with pytest.raises(ValueError, match="hidden names every channel of the state"):
+    with pytest.raises(ValueError, match="measured"):
         SimulationDiagnosis(simulator, hidden=simulator.state_names).fit(X, y, groups=groups)
 
 
@@ -478,3 +460,24 @@ def test_preflight_asks_for_groups_only_where_none_were_given(simulator):
         diagnosis.preflight(X, groups=groups)
     with pytest.warns(UserWarning, match="Pass groups="):
         diagnosis.preflight(X)
+
+
+def test_a_cause_with_a_twin_is_ambiguous_and_has_at_most_half_of_the_probability():
+    drive = FunctionSimulator(
+        lambda X, gain, twin: X[:, :1] + 0.05 * gain * twin * X[:, 1:],
+        input_names=("x", "u"),
+        output_names=("x",),
+        state_names=("x",),
+        effects=[Effect(name, unit="1", neutral=1.0, bounds=(0.2, 3.0)) for name in ("gain", "twin")],
+        dt=0.05,
+    )
+    rng = np.random.default_rng(0)
+    speed = np.repeat(rng.uniform(-10, 10, (6, 6)), 20, axis=1)
+    place = np.pad(np.cumsum(0.05 * 1.5 * speed, axis=1), ((0, 0), (1, 0))) + 0.02 * rng.normal(size=(6, 121))
+    X = np.column_stack([place[:, :-1].ravel(), speed.ravel()])
+    diagnosis = fitted(drive, (X, place[:, 1:].reshape(-1, 1), np.repeat(np.arange(6), 120)))
+    (cause,) = diagnosis.causes_
+    assert diagnosis.verdict_ == "ambiguous"
+    assert {cause.name, cause.aliases[0].name} == {"gain", "twin"}
+    assert cause.probability < 0.55
+    assert cause.aliases[0].probability == pytest.approx(0.5, abs=0.1)

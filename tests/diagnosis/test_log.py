@@ -1,13 +1,13 @@
-"""What a log must look like, and how it is cut into episodes, chains and blocks."""
+"""What a log must look like, what NaN means in it, and how it is split."""
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from skat.diagnosis import SimulationDiagnosis
-from skat.diagnosis.log import BLOCK_LENGTH, CHAIN_LENGTH, Log, check_log
+from skat.diagnosis.log import Log, check_log, check_matrix, measured_channels, without_channels
+from skat.diagnosis.statespace import state_space
 from skat.effects import Effect
-from skat.simulators import FunctionSimulator
+from skat.simulators import FunctionSimulator, MujocoSimulator
 
 DT = 0.1
 
@@ -42,14 +42,146 @@ def rows(lengths, seed=0):
     return np.concatenate(inputs), np.concatenate(outputs), np.repeat(np.arange(len(lengths)), lengths)
 
 
-def test_nan_is_named_with_its_row_and_column(simulator):
+def test_nan_in_an_action_and_what_is_infinite_are_named_with_their_row_and_column(simulator):
     X, y, groups = rows([20, 20])
     X[7, 2] = np.nan
-    with pytest.raises(ValueError, match=r"X has nan in row 7, column 2 \(force\)"):
+    with pytest.raises(
+        ValueError, match=r"X has nan in row 7, column 2 \(force\); .* in a column of the state, NaN"
+    ):
         check_log(simulator, X, y, groups)
     X[7, 2], y[31, 0] = 0.0, np.inf
-    with pytest.raises(ValueError, match=r"y has inf in row 31, column 0 \(x\)"):
+    with pytest.raises(
+        ValueError, match=r"y has inf in row 31, column 0 \(x\).*or NaN where nothing was measured"
+    ):
         check_log(simulator, X, y, groups)
+    X[3, 1] = -np.inf
+    with pytest.raises(ValueError, match=r"X has -inf in row 3, column 1 \(v\)"):
+        check_log(simulator, X, y, groups)
+
+
+def test_of_a_state_that_two_rows_share_one_measurement_is_enough(simulator):
+    X, y, groups = rows([20, 20])
+    whole = X.copy(), y.copy()
+    X[5, 0], y[11, 1], X[20, 1] = np.nan, np.nan, np.nan
+    log = check_log(simulator, X, y, groups)
+    np.testing.assert_array_equal(log.y, whole[1])
+    # What an episode begins with stands in one row only.
+    assert np.argwhere(np.isnan(log.X)).tolist() == [[20, 1]]
+    assert log.complete.sum() == 39
+    X[6, 0] += 0.1
+    with pytest.raises(ValueError, match=r"y of row 5 is not the state in row 6 of X: x differs by 0\.1"):
+        check_log(simulator, X, y, groups)
+
+
+def test_a_channel_may_lack_wholly_but_not_all_of_them(simulator):
+    X, y, groups = rows([20, 20])
+    X[:, 1], y[:, 1] = np.nan, np.nan
+    log = check_log(simulator, X, y, groups)
+    assert log.measured.tolist() == [True, False]
+    assert not log.complete.any()
+    X[:, 0], y[:, 0] = np.nan, np.nan
+    with pytest.raises(ValueError, match="nothing was measured"):
+        check_log(simulator, X, y, groups)
+    with pytest.raises(ValueError, match="nothing was measured"):
+        check_log(simulator, X, y, None)
+
+
+def test_what_a_table_lacks_was_not_measured(simulator):
+    X, y, groups = rows([20])
+    table = pd.DataFrame(X, columns=simulator.input_names).convert_dtypes()
+    table.loc[0, "v"] = pd.NA
+    assert np.argwhere(np.isnan(check_log(simulator, table, y, groups).X)).tolist() == [[0, 1]]
+    X = X.astype(object)
+    X[0, 1] = None
+    assert np.argwhere(np.isnan(check_log(simulator, X, y, groups).X)).tolist() == [[0, 1]]
+
+
+def test_nan_is_not_taken_by_who_wants_numbers(simulator):
+    with pytest.raises(
+        ValueError, match=r"y has nan in row 1, column 0 \(x\); every value must be a finite number\."
+    ):
+        check_matrix([[0.0, 0.0], [np.nan, 0.0]], "y", simulator.output_names)
+
+
+def test_guesses_leave_what_was_measured_and_are_those_of_the_state_space(simulator):
+    X, y, groups = rows([300, 20])
+    X[[0, 40], 0], X[:, 1], y[:, 1] = np.nan, np.nan, np.nan
+    y[[39, 100, 101, 102], 0] = np.nan
+    log = check_log(simulator, X, y, groups)
+    filled = log.filled
+    assert filled.complete.all()
+    for given, full in ((log.X, filled.X), (log.y, filled.y)):
+        np.testing.assert_array_equal(full[np.isfinite(given)], given[np.isfinite(given)])
+    follows = np.flatnonzero(np.diff(log.episodes) == 0)
+    np.testing.assert_array_equal(filled.y[follows], filled.X[follows + 1, :2])
+    space = state_space(simulator, log.X, log.y, log.episodes, consecutive=True)
+    np.testing.assert_array_equal(space.X, filled.X)
+    simulator.predict(filled.X)
+    assert filled.filled is filled
+
+
+def test_a_gap_is_filled_in_time_and_a_velocity_from_positions():
+    rail = MujocoSimulator(
+        "<mujoco><worldbody><body><joint name='rail' type='slide'/><geom size='.1'/></body></worldbody></mujoco>",
+        frame_skip=5,
+    )
+    states = np.column_stack([0.3 * rail.dt * np.arange(41), np.full(41, np.nan)])
+    states[10:13, 0] = np.nan
+    filled = check_log(rail, states[:-1], states[1:], np.zeros(40)).filled
+    np.testing.assert_allclose(filled.X[:, 0], 0.3 * rail.dt * np.arange(40), atol=1e-15)
+    np.testing.assert_allclose(filled.X[:, 1], 0.3, rtol=1e-12)
+    np.testing.assert_allclose(filled.y[:, 1], 0.3, rtol=1e-12)
+
+
+@pytest.fixture
+def ball():
+    return MujocoSimulator(
+        "<mujoco><worldbody><body><freejoint name='ball'/><geom type='box' size='.1 .2 .3'/></body></worldbody>"
+        "</mujoco>",
+        frame_skip=5,
+    )
+
+
+def test_a_quaternion_was_measured_as_a_whole_or_not(ball):
+    start = np.r_[0.0, 0.0, 9.0, 1.0, np.zeros(3), 2.0, 0.3, np.zeros(2), 0.5, 0.0]
+    states = ball.rollout(start[None], n_steps=30)[0]
+    states[7, 4] = np.nan
+    states[3, 0] = np.nan
+    log = check_log(ball, states[:-1], states[1:], np.zeros(30))
+    assert np.argwhere(np.isnan(log.X)).tolist() == [[3, 0], [7, 3], [7, 4], [7, 5], [7, 6]]
+    assert log.measured.all()
+    less = without_channels(ball, log, ["qpos.ball.qx"])
+    assert np.flatnonzero(np.isnan(less.y).all(axis=0)).tolist() == [3, 4, 5, 6]
+    rotation = [name in ("qpos.ball.rx", "qpos.ball.ry", "qpos.ball.rz") for name in ball.residual_names]
+    np.testing.assert_array_equal(less.measured, ~np.array(rotation))
+    np.testing.assert_array_equal(
+        less.measured, measured_channels(ball, [f"qpos.ball.q{part}" for part in "wxyz"])
+    )
+    assert np.isfinite(ball.predict(less.filled.X)).all()
+
+
+def test_outputs_of_a_one_shot_simulation_may_lack_its_inputs_may_not():
+    thrown = FunctionSimulator(lambda X: np.c_[X, X**2], input_names=("a",), output_names=("b", "c"))
+    X = np.linspace(0, 1, 40)[:, None]
+    y = np.c_[X, X**2]
+    y[3, 1] = np.nan
+    log = check_log(thrown, X, y, None)
+    assert log.filled.complete.all()
+    assert without_channels(thrown, log, ["c"]).measured.tolist() == [True, False]
+    X[4] = np.nan
+    with pytest.raises(
+        ValueError, match=r"X has nan in row 4, column 0 \(a\); every value must be a finite number\."
+    ):
+        check_log(thrown, X, y, None)
+
+
+def test_channels_that_are_left_out_must_exist_and_leave_some(simulator):
+    log = check_log(simulator, *rows([30]))
+    assert without_channels(simulator, log, []) is log
+    with pytest.raises(ValueError, match="hidden names w; state channels are x, v"):
+        without_channels(simulator, log, ["w"])
+    with pytest.raises(ValueError, match="nothing was measured"):
+        without_channels(simulator, log, ["x", "v"])
 
 
 def test_text_in_a_cell_is_named_with_its_row_and_column(simulator):
@@ -68,14 +200,12 @@ def test_wrong_number_of_columns_lists_those_of_the_simulator(simulator):
         check_log(simulator, X, y[:-1], groups)
 
 
-def test_fewer_than_twenty_rows_are_an_error(simulator):
-    X, y, groups = rows([10, 9])
-    with pytest.raises(ValueError, match=r"has 19 rows.*at least 20"):
+def test_fewer_than_four_rows_are_an_error(simulator):
+    X, y, groups = rows([2, 1])
+    with pytest.raises(ValueError, match=r"has 3 rows.*at least 4"):
         check_log(simulator, X, y, groups)
-    with pytest.raises(ValueError, match=r"has 19 rows.*at least 20"):
-        SimulationDiagnosis(simulator).fit(X, y, groups=groups)
-    X, y, groups = rows([10, 10])
-    assert len(check_log(simulator, X, y, groups)) == 20
+    assert len(check_log(simulator, X, y, groups, fewest_rows=1)) == 3
+    assert len(check_log(simulator, *rows([2, 2]))) == 4
 
 
 def test_y_that_is_not_the_next_state_names_the_row_and_the_channel(simulator):
@@ -95,14 +225,6 @@ def test_last_row_of_an_episode_need_not_lead_to_the_next_episode(simulator):
     np.testing.assert_array_equal(log.steps, np.tile(np.arange(15), 2))
 
 
-def test_hidden_channels_are_not_compared_between_rows(simulator):
-    X, y, groups = rows([30])
-    X[:, 1] = 0.0
-    with pytest.raises(ValueError, match="v differs"):
-        check_log(simulator, X, y, groups)
-    assert check_log(simulator, X, y, groups, hidden=("v",)).consecutive
-
-
 def test_episode_that_goes_on_after_another_is_named_with_its_row(simulator):
     X, y, _ = rows([30])
     groups = np.r_[np.zeros(10), np.ones(10), np.zeros(10)]
@@ -119,9 +241,9 @@ def test_groups_must_name_the_episode_of_every_row(simulator):
 def test_few_groups_of_rows_without_time_order_are_too_little_evidence():
     thrown = FunctionSimulator(lambda X: X, input_names=("a",), output_names=("b",))
     X = np.linspace(0, 1, 40)[:, None]
-    with pytest.raises(ValueError, match=r"4 groups .* needs at least 5. Pass groups=None"):
-        check_log(thrown, X, X, np.repeat(range(4), 10))
-    assert check_log(thrown, X, X, np.repeat(range(5), 8)).n_episodes == 5
+    with pytest.raises(ValueError, match=r"2 groups .* needs at least 4. Pass groups=None"):
+        check_log(thrown, X, X, np.repeat(range(2), 20))
+    assert check_log(thrown, X, X, np.repeat(range(4), 10)).n_episodes == 4
 
 
 def test_episodes_of_one_row_warn(simulator):
@@ -167,50 +289,9 @@ def test_nothing_is_held_out_with_test_size_zero(simulator):
     assert log.split(0, np.random.RandomState(0)) == (log, None)
 
 
-def test_blocks_and_chains_lie_inside_episodes_and_are_short():
-    episodes = np.repeat(np.arange(4), [130, 5, 61, 200])
-    log = Log(np.zeros((396, 3)), np.zeros((396, 2)), episodes, True)
-    chains, steps = log.chains()
-    for labels, longest in ((log.blocks(), BLOCK_LENGTH), (chains, CHAIN_LENGTH)):
-        assert (np.diff(labels) >= 0).all()
-        assert np.bincount(labels).max() <= longest
-        for label in np.unique(labels):
-            assert len(np.unique(episodes[labels == label])) == 1
-    np.testing.assert_array_equal(steps, np.concatenate([np.arange(n) for n in np.bincount(chains)]))
-
-
 def test_gap_in_the_chosen_rows_starts_a_new_episode():
     log = Log(np.zeros((10, 1)), np.zeros((10, 1)), np.repeat([0, 1], 5), True)
     np.testing.assert_array_equal(log.rows([0, 1, 3, 4, 5, 6]).episodes, [0, 0, 1, 1, 2, 2])
-
-
-def test_unknown_effects_and_channels_list_those_that_exist(simulator):
-    X, y, groups = rows([20, 20])
-    with pytest.raises(ValueError, match=r"(?s)dragg.*drag"):
-        SimulationDiagnosis(simulator, effects=["dragg"]).fit(X, y, groups=groups)
-    with pytest.raises(ValueError, match=r"effects is empty"):
-        SimulationDiagnosis(simulator, effects=[]).fit(X, y, groups=groups)
-    with pytest.raises(ValueError, match=r"hidden names w; state channels are x, v"):
-        SimulationDiagnosis(simulator, hidden=("w",)).fit(X, y, groups=groups)
-    with pytest.raises(ValueError, match=r"hidden= needs episodes"):
-        SimulationDiagnosis(simulator, hidden=("v",)).fit(X, y)
-
-
-@pytest.mark.parametrize(
-    ("parameters", "said"),
-    [
-        ({"alpha": 1.0}, "alpha must lie between 0 and 1; it is 1.0"),
-        ({"test_size": 1.0}, "test_size must be at least 0 and below 1; it is 1.0"),
-        ({"max_effects": 0}, "max_effects must be a whole number of at least 1; it is 0"),
-        ({"noise": "guess"}, "noise must be 'estimate' or one standard deviation per channel; it is 'guess'"),
-        ({"noise": [0.1, -1.0]}, "positive standard deviation for each of x, v"),
-        ({"noise": [0.1]}, "positive standard deviation for each of x, v"),
-    ],
-)
-def test_bad_parameters_are_said_with_their_value(simulator, parameters, said):
-    X, y, groups = rows([20, 20])
-    with pytest.raises(ValueError, match=said):
-        SimulationDiagnosis(simulator, **parameters).fit(X, y, groups=groups)
 
 
 def test_split_leaves_enough_to_fit():
@@ -224,29 +305,24 @@ def test_split_leaves_enough_to_fit():
     assert (len(fitted), len(held_out)) == (10, 10)
 
 
-def stuck_when_fast(X, drag=0.0):
-    return np.where(X[:, 1:2] > 1.2, np.nan, push(X, drag))
-
-
-@pytest.mark.parametrize("n_episodes", [6, 60])
-def test_rows_that_diverge_are_left_out_before_the_noise_is_known(n_episodes):
-    """Of many rows the noise is first estimated from some; smoothed states may diverge where measured ones do not."""
-    X, y, groups = rows([80] * n_episodes)
-    rng = np.random.default_rng(1)
-    noise = 0.03 * rng.normal(size=(len(X), 2))
-    last = np.r_[groups[1:] != groups[:-1], True]
-    X[:, :2] += noise
-    y = np.where(last[:, None], y + 0.03 * rng.normal(size=y.shape), np.roll(X[:, :2], -1, axis=0))
-    weak = FunctionSimulator(
-        stuck_when_fast,
-        input_names=("x", "v", "force"),
-        output_names=("x", "v"),
-        state_names=("x", "v"),
-        effects=(Effect("drag", unit="1/s", neutral=0.0, bounds=(0.0, 2.0)),),
-    )
-    with pytest.warns(UserWarning, match=f"of {len(X)} rows, which were left out"):
-        diagnosis = SimulationDiagnosis(weak, random_state=0).fit(X, y, groups)
-    assert diagnosis.causes_ == []
+@pytest.mark.parametrize(
+    ("episodes", "consecutive"),
+    [
+        (np.zeros(8, dtype=int), True),
+        (np.arange(8) // 2, True),
+        (np.arange(8), False),
+        (np.repeat(np.arange(4), 5), False),
+    ],
+    ids=["one short episode", "short episodes", "few rows", "four groups"],
+)
+def test_of_a_log_that_is_too_short_nothing_is_held_out_with_a_warning(episodes, consecutive):
+    X = np.zeros((len(episodes), 1))
+    log = Log(X, X, episodes, consecutive)
+    with pytest.warns(UserWarning, match=r"Nothing of .* is held out .* Pass test_size=0") as caught:
+        fitted, held_out = log.split(0.3, np.random.RandomState(0))
+    assert fitted is log
+    assert held_out is None
+    assert len(caught) == 1
 
 
 def test_missing_episode_is_named(simulator):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 # Grows where a field goes away or changes its meaning; fields may be added without.
-SCHEMA = 1
+SCHEMA = 2
 
 
 def findings_as_data(diagnosis, *, gain=None, error_name="", **context):
@@ -40,8 +40,15 @@ def findings_as_data(diagnosis, *, gain=None, error_name="", **context):
         **context,
         "verdict": diagnosis.verdict_,
         "causes": diagnosis.causes_,
+        "also_seen": diagnosis.also_seen_,
+        "sets": [_set(one) for one in diagnosis.posterior_.sets],
         "gain": None if gain is None else {**_fields(gain), "ratio": gain.ratio, "error": error_name},
-        "noise": dict(zip(_measured_names(diagnosis), np.ravel(diagnosis.noise_))),
+        "noise": {
+            name: one
+            for name, one in zip(diagnosis.simulator.residual_names, diagnosis.noise_)
+            if not math.isnan(one)
+        },
+        "remainder": [_left(part) for part in diagnosis.remainder_.parts],
     }
     return plain(content)
 
@@ -65,8 +72,13 @@ def _fields(record):
     return {field.name: getattr(record, field.name) for field in dataclasses.fields(record)}
 
 
-def _measured_names(diagnosis):
-    from skat.diagnosis.log import measured_channels
+def _set(one):
+    return {"names": one.names, "probability": one.probability, "values": one.values}
 
-    names = np.array(diagnosis.simulator.residual_names)
-    return names[measured_channels(diagnosis.simulator, tuple(diagnosis.hidden))].tolist()
+
+def _left(part):
+    """Return what is left in one direction, without what is only drawn."""
+    fields = {**_fields(part), "share": part.share}
+    for name in ("frequencies", "spectrum", "tried"):
+        del fields[name]
+    return fields

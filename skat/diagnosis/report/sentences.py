@@ -3,8 +3,8 @@
 import numpy as np
 
 from skat.diagnosis.comparison import ceiling_sentence, is_beaten
-from skat.diagnosis.omnibus import is_structured
-from skat.diagnosis.report.tables import is_guarded
+from skat.diagnosis.remainder import is_unexplained
+from skat.diagnosis.report.tables import GAP, is_guarded, plain_unit, probability_text
 from skat.rounding import interval_text, size_text
 from skat.simulators.base import is_sensor
 
@@ -30,37 +30,22 @@ def verdict_sentences(diagnosis, comparisons):
     sentences = [cause_sentence(cause, neutral.get(cause.name, 0.0)) for cause in diagnosis.causes_]
     for cause in diagnosis.causes_:
         if cause.aliases:
-            others, each = _listed(cause.aliases), "each of them" if len(cause.aliases) > 1 else "it"
+            others = [f"{alias.name} ({plain_percent(alias.probability)})" for alias in cause.aliases]
+            each = "each of them" if len(others) > 1 else "it"
             sentences.append(
-                f"These data cannot tell {cause.name} from {others}: put in its place, {each} explains "
-                "the log as well."
+                f"These data cannot tell {cause.name} from {_listed(others)}: put in its place, {each} explains the "
+                "log nearly as well."
             )
     sentences += cautions(diagnosis.causes_)
     if diagnosis.verdict_ == "nothing detected":
         sentences.append(
-            "No effect is seen in the log."
-            if tuple(diagnosis.hidden)
-            else "The log shows no difference from the simulation that noise would not explain."
-        )
-    if tuple(diagnosis.hidden):
-        sentences.append(
-            "With channels that were not measured, what no effect explains passes for noise unless it lasts: what it "
-            "depends on was not tested."
+            "The log shows no difference from the simulation that noise and random forces would not explain."
         )
     if unexplained:
         rest = remainder_sentence(diagnosis)
         sentences.insert(
             0, f"Beside what is named below, {rest}." if diagnosis.causes_ else f"{capital(rest)}."
         )
-        if diagnosis.refused_ is not None:
-            name, value = diagnosis.refused_
-            unit = {effect.name: effect.unit for effect in diagnosis.simulator.effects(also="all")}[name]
-            size = f"{value:.3g} {unit}".removesuffix(" 1")
-            sentences.insert(
-                1,
-                f"{name} = {size} would explain a part of it, but is not named: it does not do so throughout the log, "
-                "or predicts single steps worse.",
-            )
     return sentences + [
         ceiling_sentence(errors) for errors in comparisons if unexplained or is_beaten(errors)
     ]
@@ -87,27 +72,38 @@ def cautions(causes):
 
 def gain_sentence(diagnosis, gain):
     """Return a Gain of a fitted diagnosis in a sentence."""
-    if gain.horizon == 1:
-        text = (
-            f"the squared one-step error goes from {gain.nominal:.3g} to {gain.extended:.3g} times what "
-            "noise alone gives"
-        )
+    before, after = f"{gain.nominal:.3g}", f"{gain.extended:.3g}"
+    if gain.horizon == "episode":
+        text = f"the open-loop error of whole episodes goes from {before} to {after}"
     else:
-        text = f"the open-loop error of whole episodes goes from {gain.nominal:.3g} to {gain.extended:.3g}"
+        simulator = diagnosis.simulator
+        where = f" {horizon_text(simulator, gain.horizon)}" if simulator.state_names else ""
+        text = f"the squared error{where} goes from {before} to {after} times what a right model has"
     return f"{text}; {share_sentence(diagnosis, gain)}"
+
+
+def horizon_text(simulator, horizon):
+    """Return in words how far ahead a Gain predicts."""
+    if horizon == "episode":
+        return "whole episodes"
+    if not simulator.state_names:
+        return "each row by itself"
+    if simulator.dt:
+        return f"{horizon:.3g} s ahead"
+    return f"{horizon:g} row{'' if horizon == 1 else 's'} ahead"
 
 
 def share_sentence(diagnosis, gain):
     """Return in a sentence which share of the excess a Gain of a fitted diagnosis explains."""
     share, low, high = (f"{100 * one:.0f}" for one in (gain.explained, *gain.interval))
-    pieces = "rows" if gain.horizon == 1 else "episodes"
+    pieces = "episodes" if gain.horizon == "episode" else "rows"
     is_wide = gain.interval[1] - gain.interval[0] > 1
     is_near = gain.nominal <= gain.floor or (is_wide and gain.nominal < NEAR_FLOOR * gain.floor)
     # A share of more than all of it says that the floor is too high.
     if (is_near or gain.explained > MOST_EXPLAINED) and _hides_in_the_noise(diagnosis):
         return "the noise estimate itself contains what is unexplained, so that no share of it can be given."
     if gain.nominal <= gain.floor:
-        return "the simulation's error was no larger than noise alone makes it, so that there is no excess to explain."
+        return "the simulation's error was no larger than a right model's, so that there is no excess to explain."
     if is_near:
         return "that is too close to the noise to say which share of the excess is explained."
     if is_wide:
@@ -118,24 +114,38 @@ def share_sentence(diagnosis, gain):
 
 
 def remainder_sentence(diagnosis):
-    """Return in words what is left: its shape, or that it has none."""
-    if is_structured(diagnosis.remainder_, diagnosis.alpha):
-        return diagnosis.remainder_.sentence
-    if _only_diverges(diagnosis):
+    """Return in words why a verdict is "unexplained"."""
+    if not is_law_left(diagnosis):
         return f"the simulation diverges in {100 * diagnosis.diverged_share_:.0f} % of the rows, which tell nothing"
-    return "errors are larger than the noise explains, and depend on no single input in a way that would say where"
+    largest = max(clear_parts(diagnosis), key=lambda part: (part.ahead, part.predictable / part.scale))
+    return left_sentence(largest)
 
 
-def _only_diverges(diagnosis):
-    """Whether rows in which the simulation diverges are all that is unexplained."""
-    is_left = is_structured(diagnosis.remainder_, diagnosis.alpha)
-    return not is_left and diagnosis.excess_p_value_ >= diagnosis.alpha / 4
+def left_sentence(part):
+    """Return in words what a `Left` of the remainder follows."""
+    unit = plain_unit(part.unit)
+    size = f"{part.predictable:.2g} {unit}".rstrip()
+    size += f" (rms), {100 * part.predictable / part.scale:.2g} % of what acts there,"
+    if part.regressor == "constant":
+        return f"at {part.name} {size} are left at all times, which no cause explains"
+    return f"what is left at {part.name} depends on {part.regressor}, which predicts {size} that no cause explains"
+
+
+def clear_parts(diagnosis):
+    """Return the parts of what is left that follow a law beyond chance."""
+    return [part for part in diagnosis.remainder_.parts if part.evidence > -np.log(diagnosis.alpha)]
+
+
+def is_law_left(diagnosis):
+    """Whether what is left follows a law that matters; else an unexplained verdict is for rows that diverge."""
+    gain = None if diagnosis._prediction is None else diagnosis._prediction.gain
+    return is_unexplained(diagnosis.remainder_, gain, tolerance=diagnosis.tolerance, alpha=diagnosis.alpha)
 
 
 def _hides_in_the_noise(diagnosis):
-    """Whether what is unexplained counted as noise where that was estimated."""
-    is_estimated = isinstance(diagnosis.noise, str)
-    return diagnosis.verdict_ == "unexplained" and is_estimated and not _only_diverges(diagnosis)
+    """Whether what is unexplained counted as noise, or as a random force, where that was estimated."""
+    is_estimated = isinstance(diagnosis.noise, str) or bool(diagnosis.simulator.state_names)
+    return diagnosis.verdict_ == "unexplained" and is_estimated and is_law_left(diagnosis)
 
 
 def cause_sentence(cause, neutral=0.0):
@@ -173,6 +183,11 @@ def capital(text):
 def counted(things, word):
     """Return how many things there are, in words."""
     return f"{len(things)} {word}{'' if len(things) == 1 else 's'}"
+
+
+def plain_percent(probability):
+    """Return a probability in percent, for a line of text."""
+    return probability_text(probability).replace(GAP, " ")
 
 
 def _listed(names):

@@ -1,0 +1,506 @@
+"""The causes that a log asks for: fit, search, fit anew, until the set stands still."""
+
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from skat.diagnosis.evidence import Gram, Priors, Weighed, weigh
+from skat.diagnosis.filtering import Array
+from skat.diagnosis.fitting import (
+    Columns,
+    Fitted,
+    coordinate,
+    gram_of,
+    noise_without,
+    priors_of,
+    settled,
+    slopes_of,
+    value_at,
+)
+from skat.diagnosis.search import Ranked, search, without_weak
+from skat.diagnosis.statespace import StateSpace, derivatives
+from skat.effects import EVERY, Effect
+
+# Families that act on what a sensor reads, and so on nothing where it was not read.
+SENSORS = ("bias", "scale", "lag")
+# Biases have a typical size in these units; elsewhere it is a share of a channel's spread.
+KNOWN_UNITS = ("rad", "m", "rad/s", "m/s")
+BIAS_SHARE = 0.03
+# Relinearisations; a set that moves by less than this share of its standard errors stands still.
+TURNS = 8
+STANDS_STILL = 0.1
+# How often noise and what all effects explain are taken in turns, before any is a cause.
+DENSE_TURNS = 2
+# No model is exact: a log of so many rows counts half [Miller, Dunson 2019].
+COARSE_ROWS = 10_000
+# Of a normal law within its 95 % interval.
+WIDTH_95 = 1.96
+# Sets less likely than the best by more than this factor are told from it.
+ALIAS_FACTOR = 20.0
+# Effects whose slopes are taken anew with the causes in, of those that promise most.
+LIVE = 24
+# The weakest causes, so many, must bear being left out of a fit of its own, of so many turns.
+REFITTED, REFIT_TURNS = 3, 3
+# Effects whose responses make a smaller angle than this cosine may be the same: so many are fitted in a cause's place.
+ALIKE, RIVALS = 0.95, 2
+# A bound that an estimate comes this near to, as a share of the range, holds it.
+AT_BOUND = 1e-6
+
+
+@dataclass(frozen=True)
+class Found:
+    """The causes that a log asks for.
+
+    Attributes
+    ----------
+    effects : tuple of Effect
+        That might have been causes.
+    values : dict of str to float
+    intervals : dict of str to tuple of two floats
+        95 %.
+    worth : dict of str to float
+        What each cause is worth beside the others, nats: log posterior odds for the set with it against that without.
+    aliases : dict of str to tuple of (str, float)
+        For each cause the effects that may be behind it, with their probabilities.
+    probabilities : dict of str to float
+        Of every effect, that it is a cause.
+    also : dict of str to float
+        Effects that the log shows, and their values, but that matter less than what no model gets right.
+    fitted : Fitted
+        At these values.
+    gram : Gram
+        There.
+    priors : Priors
+    ranked : Ranked
+    best : Weighed
+    settled : bool
+        Whether the search stands still.
+    """
+
+    effects: tuple[Effect, ...]
+    values: dict[str, float]
+    intervals: dict[str, tuple[float, float]]
+    worth: dict[str, float]
+    aliases: dict[str, tuple[tuple[str, float], ...]]
+    probabilities: dict[str, float]
+    also: dict[str, float]
+    fitted: Fitted
+    gram: Gram
+    priors: Priors
+    ranked: Ranked
+    best: Weighed
+    settled: bool
+
+
+def find_causes(
+    space: StateSpace,
+    effects: Sequence[Effect],
+    *,
+    alpha: float = 0.01,
+    typical: Mapping[str, float] | None = None,
+    floor: Array | None = None,
+    given: Array | None = None,
+    max_effects: int | None = None,
+    start: Mapping[str, float] | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> Found:
+    """Search for the set of causes that a log asks for.
+
+    Parameters
+    ----------
+    space : StateSpace
+    effects : sequence of Effect
+        That may be causes; those of sensors that were not read are left out.
+    alpha : float, default=0.01
+        A cause is named if the odds for the set with it are 1 / alpha times those of the set without it.
+    typical : mapping from name to size, optional
+        Scales of the priors of a user's own.
+    floor : ndarray of shape (d,), optional
+        Least variance of each channel's noise, such as that of rounding.
+    given : ndarray of shape (d,), optional
+        Standard deviation of each channel's noise, where it is known.
+    max_effects : int, optional
+        Most causes at a time.
+    start : mapping from name to value, optional
+        Where to begin.
+    progress : callable, optional
+        ``progress(stage, done, total)``.
+
+    Returns
+    -------
+    Found
+    """
+    floor = np.zeros(space.d) if floor is None else floor
+    effects = _readable(space, effects)
+    priors = priors_of(effects, {**_typical_biases(space, effects), **(typical or {})})
+    families = _families(effects)
+    needed = -float(np.log(alpha))
+    power = COARSE_ROWS / (COARSE_ROWS + len(space.X))
+    places = {effect.name: place for place, effect in enumerate(effects)}
+    values: dict[str, float] = dict(start or {})
+    fitted: Fitted | None = None
+    slopes: Array | None = None
+    banned: set[int] = set()
+    live: list[int] = []
+    for turn in range(TURNS):
+        if progress is not None:
+            progress("search", turn, TURNS)
+        fitted = settled(space, values, fitted, floor, given=given)
+        if slopes is None:
+            slopes = slopes_of(space, fitted, effects, priors)
+            slopes = _with_chords(space, fitted, effects, slopes)
+            for _ in range(DENSE_TURNS):
+                columns = gram_of(space, fitted, slopes, effects)
+                fitted = noise_without(
+                    space, fitted, slopes, columns.dense(priors.scales), floor, given=given
+                )
+        else:
+            slopes = slopes.copy()
+            slopes[..., live] = slopes_of(space, fitted, [effects[one] for one in live], _part(priors, live))
+        columns = gram_of(space, fitted, slopes, effects)
+        members = [places[name] for name in values if name in places]
+        gram = _judged(columns, priors, members if turn else None)
+        ranked = search(
+            gram, priors, members, families=families, power=power, banned=sorted(banned), most=max_effects
+        )
+        predictive = partial(_predicted, columns, priors)
+        best, worth = without_weak(ranked, gram, priors, needed, power=power, predictive=predictive)
+        found = {priors.names[one]: value_at(effects[one], at) for one, at in zip(best.members, best.values)}
+        deviations = _deviations(gram, priors, best.members)
+        stands = set(found) == set(values) and all(
+            abs(coordinate(effects[one], values[priors.names[one]]) - at) < STANDS_STILL * deviation
+            for one, at, deviation in zip(best.members, best.values, deviations)
+        )
+        if stands:
+            refused = {one for one in best.members if is_held(effects[one], found[priors.names[one]])}
+            refused |= _refused(space, fitted, effects, priors, best, worth, floor, given, needed, power)
+            if not refused:
+                break
+            banned |= refused
+            found = {name: value for name, value in found.items() if places[name] not in refused}
+        values = found
+        live = _live(ranked, gram, best)
+        stands = False
+    if fitted is None:
+        raise RuntimeError("no relinearisation was made")
+    # A search that was stopped may end at a bound, or with what was just refused.
+    kept = [
+        one
+        for one in best.members
+        if one not in banned
+        and not is_held(effects[one], value_at(effects[one], float(best.values[best.members.index(one)])))
+    ]
+    found = {priors.names[one]: found[priors.names[one]] for one in kept}
+    probabilities = {name: ranked.probability(place) for place, name in enumerate(priors.names)}
+    rivals = _rivals(space, fitted, effects, priors, gram, best, floor, given, power)
+    for name, others in rivals.items():
+        probabilities[name] = min(probabilities[name], 1 - sum(share for _, share in others))
+    intervals = {
+        priors.names[one]: (
+            value_at(effects[one], at - WIDTH_95 * deviation),
+            value_at(effects[one], at + WIDTH_95 * deviation),
+        )
+        for one, at, deviation in zip(best.members, best.values, deviations)
+    }
+    return Found(
+        tuple(effects),
+        found,
+        intervals,
+        {priors.names[one]: nats for one, nats in worth.items() if one in kept},
+        _with_refitted(_aliases(ranked, gram, priors, best), rivals),
+        probabilities,
+        _also(gram, priors, effects, best, needed, families, banned, predictive),
+        fitted,
+        gram,
+        priors,
+        ranked,
+        best,
+        stands,
+    )
+
+
+def _refused(
+    space: StateSpace,
+    fitted: Fitted,
+    effects: Sequence[Effect],
+    priors: Priors,
+    best: Weighed,
+    worth: Mapping[int, float],
+    floor: Array,
+    given: Array | None,
+    needed: float,
+    power: float,
+) -> set[int]:
+    """Return the cause without which the others, at a noise and about a path of their own, do as well; or none.
+
+    Slopes at one set say little of another that lies far away.
+    """
+    if len(best.members) < 2:
+        return set()
+    whole = _evidence(space, fitted, effects, priors, best.members, power)
+    for one in sorted(best.members, key=lambda member: worth[member])[:REFITTED]:
+        rest = [other for other in best.members if other != one]
+        start = weigh(
+            _gram_at(space, fitted, effects, priors, best.members),
+            _part(priors, best.members),
+            [best.members.index(other) for other in rest],
+        )
+        values = {effects[other].name: value_at(effects[other], at) for other, at in zip(rest, start.values)}
+        for _ in range(REFIT_TURNS):
+            alone = settled(space, values, fitted, floor, given=given)
+            gram = _gram_at(space, alone, effects, priors, rest)
+            at = weigh(gram, _part(priors, rest), range(len(rest)))
+            values = {
+                effects[other].name: value_at(effects[other], place) for other, place in zip(rest, at.values)
+            }
+        if _evidence(space, alone, effects, priors, rest, power) + needed > whole:
+            return {one}
+    return set()
+
+
+def _rivals(
+    space: StateSpace,
+    fitted: Fitted,
+    effects: Sequence[Effect],
+    priors: Priors,
+    gram: Gram,
+    best: Weighed,
+    floor: Array,
+    given: Array | None,
+    power: float,
+) -> dict[str, tuple[tuple[str, float], ...]]:
+    """Return for each cause the effects that act most like it and, at fits of their own, stand for it nearly as well.
+
+    Slopes say that two effects act alike for small values; whether they do at this one, a fit must say.
+    """
+    if not best.members:
+        return {}
+    sizes = np.sqrt(np.maximum(np.diag(gram.products), 1e-300))
+    whole = _evidence(space, fitted, effects, priors, best.members, power)
+    found = {}
+    for cause in best.members[:REFITTED]:
+        alike = np.abs(gram.products[cause]) / (sizes[cause] * sizes)
+        alike[list(best.members)] = 0.0
+        rivals = []
+        for other in np.argsort(-alike, kind="stable")[:RIVALS]:
+            if alike[other] < ALIKE:
+                break
+            members = sorted({*best.members, int(other)} - {cause})
+            moved = weigh(gram, priors, members)
+            values = {
+                effects[one].name: value_at(effects[one], at) for one, at in zip(moved.members, moved.values)
+            }
+            for _ in range(REFIT_TURNS):
+                alone = settled(space, values, fitted, floor, given=given)
+                own = weigh(
+                    _gram_at(space, alone, effects, priors, members),
+                    _part(priors, members),
+                    range(len(members)),
+                )
+                values = {
+                    effects[one].name: value_at(effects[one], at) for one, at in zip(members, own.values)
+                }
+            odds = np.exp(min(_evidence(space, alone, effects, priors, members, power) - whole, 50.0))
+            if odds > 1 / ALIAS_FACTOR:
+                rivals.append((priors.names[other], float(odds)))
+        if rivals:
+            total = 1 + sum(odds for _, odds in rivals)
+            found[priors.names[cause]] = tuple((name, odds / total) for name, odds in rivals)
+    return found
+
+
+def _with_refitted(
+    aliases: dict[str, tuple[tuple[str, float], ...]], refitted: dict[str, tuple[tuple[str, float], ...]]
+) -> dict[str, tuple[tuple[str, float], ...]]:
+    """Return aliases with those of fits of their own put before those of slopes."""
+    both = {}
+    for cause, names in aliases.items():
+        own = refitted.get(cause, ())
+        both[cause] = (*own, *(one for one in names if one[0] not in {name for name, _ in own}))
+    return both
+
+
+def _gram_at(
+    space: StateSpace, fitted: Fitted, effects: Sequence[Effect], priors: Priors, members: Sequence[int]
+) -> Gram:
+    chosen = [effects[one] for one in members]
+    return gram_of(space, fitted, slopes_of(space, fitted, chosen, _part(priors, members)), chosen).gram
+
+
+def _evidence(
+    space: StateSpace,
+    fitted: Fitted,
+    effects: Sequence[Effect],
+    priors: Priors,
+    members: Sequence[int],
+    power: float,
+) -> float:
+    """Return the log evidence of a set at a fit of its own, beside what all sets have in common."""
+    if not members:
+        return power * fitted.bound
+    gram = _gram_at(space, fitted, effects, priors, members)
+    one = weigh(gram, _part(priors, members), range(len(members)), power=power)
+    b, G, origin = gram.at_neutral, gram.products, gram.origin
+    there = float(b @ origin - 0.5 * origin @ G @ origin)
+    return power * (fitted.bound - there) + one.evidence
+
+
+def _readable(space: StateSpace, effects: Sequence[Effect]) -> list[Effect]:
+    seen = space.mask.any(axis=(0, 1))
+    unread = {name for name, there in zip(space.simulator.residual_names, np.atleast_1d(seen)) if not there}
+    return [effect for effect in effects if effect.family not in SENSORS or effect.target not in unread]
+
+
+def _typical_biases(space: StateSpace, effects: Sequence[Effect]) -> dict[str, float]:
+    """Return typical biases of channels whose unit says nothing of their size: a share of what they read."""
+    spreads = dict(zip(space.simulator.residual_names, space.spread))
+    return {
+        effect.name: BIAS_SHARE * float(spreads[effect.target])
+        for effect in effects
+        if effect.family == "bias" and effect.unit not in KNOWN_UNITS and effect.target in spreads
+    }
+
+
+def _families(effects: Sequence[Effect]) -> dict[str, list[int]]:
+    """Return the members of each family, without what stands for all of them."""
+    families = defaultdict(list)
+    for place, effect in enumerate(effects):
+        if effect.target is not None and effect.target != EVERY.get(effect.family, "all"):
+            families[effect.family].append(place)
+    return dict(families)
+
+
+def _part(priors: Priors, chosen: Sequence[int]) -> Priors:
+    index = list(chosen)
+    return Priors(
+        tuple(priors.names[one] for one in index),
+        priors.scales[index],
+        priors.log_odds[index],
+        priors.low[index],
+        priors.high[index],
+    )
+
+
+def _judged(columns: Columns, priors: Priors, members: Sequence[int] | None) -> Gram:
+    """Return the Gram matrices of a fit, scores trusted as far as blocks of time agree on them.
+
+    What acts is the set found last; before any was, what all effects together explain.
+    """
+    moves = columns.dense(priors.scales)
+    if members is not None:
+        moves = np.zeros(len(moves))
+        if members:
+            best = weigh(columns.gram, priors, members)
+            moves[list(best.members)] = best.values - columns.gram.origin[list(best.members)]
+    return columns.gram.scattered(columns.excess(columns.whitened - columns.columns @ moves))
+
+
+def _predicted(columns: Columns, priors: Priors, members: Sequence[int]) -> float:
+    """Return what a set gains in each block with the values that the others have, in all."""
+    if not len(members):
+        return 0.0
+    chosen = list(members)
+    gained = columns.predictive(chosen, priors.scales[chosen], priors.low[chosen], priors.high[chosen])
+    return float(gained.sum())
+
+
+def _with_chords(space: StateSpace, fitted: Fitted, effects: Sequence[Effect], slopes: Array) -> Array:
+    """Return the slopes, those by a delay as the chord to the whole time step that explains most.
+
+    What a delay does has a kink at every time step, and its slope at none says nothing of a delay of a row.
+    """
+    simulator = space.simulator
+    if not simulator.dt:
+        return slopes
+    step = simulator.dt / int(getattr(simulator, "frame_skip", 1))
+    slopes = slopes.copy()
+    for place, effect in enumerate(effects):
+        if effect.family != "delay" or effect.name in fitted.values:
+            continue
+        grid = step * np.arange(1, int(effect.bounds[1] / step + 1e-9) + 1)
+        chords = np.concatenate(
+            [
+                derivatives(space, fitted.linear, fitted.values, {effect.name: (effect.neutral, float(at))})
+                for at in grid
+            ],
+            axis=-1,
+        )
+        if not chords.size:
+            continue
+        columns = gram_of(space, fitted, chords, [effect] * len(grid))
+        b, G = columns.gram.projections, np.diag(columns.gram.products)
+        slopes[..., place] = chords[..., int(np.argmax(b * grid - 0.5 * G * grid**2))]
+    return slopes
+
+
+def _deviations(gram: Gram, priors: Priors, members: Sequence[int]) -> Array:
+    if not members:
+        return np.zeros(0)
+    return np.sqrt(np.diag(np.linalg.inv(weigh(gram, priors, members).curvature)))
+
+
+def is_held(effect: Effect, value: float) -> bool:
+    """Whether an estimate lies at a bound that is not neutral."""
+    low, high = (coordinate(effect, bound) for bound in effect.bounds)
+    place, width = coordinate(effect, value), AT_BOUND * (high - low)
+    return (place > high - width and high > 0) or (place < low + width and low < 0)
+
+
+def _live(ranked: Ranked, gram: Gram, best: Weighed) -> list[int]:
+    """Return the effects that may still be causes: those of likely sets, and what is like them."""
+    top = ranked.sets[0].evidence
+    live = dict.fromkeys(best.members)
+    for one in ranked.sets:
+        if len(live) >= LIVE + len(best.members) or one.evidence < top - 1000 * ALIAS_FACTOR:
+            break
+        live.update(dict.fromkeys(one.members))
+    return list(live)
+
+
+def _aliases(
+    ranked: Ranked, gram: Gram, priors: Priors, best: Weighed
+) -> dict[str, tuple[tuple[str, float], ...]]:
+    """Return for each cause the effects that stand in its place in sets nearly as likely."""
+    sizes = np.sqrt(np.maximum(np.diag(gram.products), 1e-300))
+    found: dict[int, dict[int, float]] = {one: defaultdict(float) for one in best.members}
+    for share, one in zip(ranked.probabilities, ranked.sets):
+        if one.evidence < best.evidence - np.log(ALIAS_FACTOR):
+            break
+        others = [other for other in one.members if other not in best.members]
+        for cause in set(best.members) - set(one.members):
+            if others:
+                alike = np.abs(gram.products[cause, others]) / (sizes[cause] * sizes[others])
+                found[cause][others[int(np.argmax(alike))]] += float(share)
+    return {
+        priors.names[cause]: tuple(
+            (priors.names[other], share)
+            for other, share in sorted(shares.items(), key=lambda one: (-round(one[1], 6), one[0]))
+        )
+        for cause, shares in found.items()
+    }
+
+
+def _also(
+    gram: Gram,
+    priors: Priors,
+    effects: Sequence[Effect],
+    best: Weighed,
+    needed: float,
+    families: Mapping[str, Sequence[int]],
+    banned: set[int],
+    predictive: Callable[[Sequence[int]], float],
+) -> dict[str, float]:
+    """Return what the log shows beside the causes if the model is taken for exact."""
+    ranked = search(gram, priors, best.members, families=families, banned=sorted(banned))
+    exact, _ = without_weak(ranked, gram, priors, needed, predictive=predictive)
+    return {
+        priors.names[one]: value_at(effects[one], at)
+        for one, at in zip(exact.members, exact.values)
+        if one not in best.members and not is_held(effects[one], value_at(effects[one], at))
+    }
+
+
+__all__ = ["Found", "find_causes"]

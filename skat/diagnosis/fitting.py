@@ -1,0 +1,463 @@
+"""Fits of the state space: values of a set of causes, noise, path and slopes, and the Gram matrices of a search."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skat.diagnosis.evidence import Gram, Priors
+from skat.diagnosis.filtering import Array, Chains, Mask, filter_columns
+from skat.diagnosis.noise import Estimate, Noise, estimate_noise, normal_noise, passed
+from skat.diagnosis.statespace import Linear, StateSpace, derivatives, linearise, moved_path
+from skat.diagnosis.velocities import noise_variance
+from skat.effects import Effect
+
+# A path stands still when taking it anew gains less than so many nats.
+STILL = 1.0
+# Memories of random forces that are tried, in rows; of at most this share of an episode, so that what is steady stays a
+# cause; and what each of their numbers must be worth, in nats.
+MEMORIES = (2.0, 5.0, 10.0, 20.0, 40.0)
+SHARE_OF_EPISODE = 0.1
+MEMORY_WORTH = 2.0
+FEWEST_FOR_MEMORY = 10
+# Scores are compared between pieces of time of at most so many rows, about so many of them, at least so many.
+BLOCK_ROWS, MOST_BLOCKS, FEWEST_BLOCKS = 32, 60, 10
+PRIOR_TURNS = 4
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """The simulation at the values of a set of causes, as a log has it.
+
+    Attributes
+    ----------
+    values : mapping from name to value
+    linear : Linear
+        About the smoothed path.
+    estimate : Estimate
+        Noise, and the pass of filter and smoother with it.
+    chains : Chains
+        Those of `linear`, with forces of memory where the noise has such.
+    shares : ndarray of shape (n_forces,) or (0,)
+        What is left of such a force a row later.
+    """
+
+    values: Mapping[str, float]
+    linear: Linear
+    chains: Chains
+    estimate: Estimate
+    shares: Array
+
+    @property
+    def bound(self) -> float:
+        """Of the log likelihood, at this fit's own noise."""
+        return self.estimate.bound
+
+
+def priors_of(
+    effects: Sequence[Effect], typical: Mapping[str, float] | None = None, *, logarithmic: bool = True
+) -> Priors:
+    """Return the priors of effects, in coordinates of the search: from neutral, factors on the logarithm.
+
+    Parameters
+    ----------
+    effects : sequence of Effect
+    typical : mapping from name to size, optional
+        Scales of a user's own.
+    logarithmic : bool, default=True
+        Whether factors count on the logarithm; differences from neutral otherwise.
+    """
+    typical = typical or {}
+    odds = np.array([effect.odds for effect in effects])
+    chances = odds / (odds.sum() + 1)
+    low, high = (
+        np.array(
+            [
+                coordinate(effect, effect.bounds[end]) if logarithmic else effect.bounds[end] - effect.neutral
+                for effect in effects
+            ]
+        )
+        for end in (0, 1)
+    )
+    return Priors(
+        tuple(effect.name for effect in effects),
+        np.array([typical.get(effect.name, effect.typical) for effect in effects]),
+        np.log(chances / (1 - chances)),
+        low,
+        high,
+    )
+
+
+def settled(
+    space: StateSpace,
+    values: Mapping[str, float],
+    start: Fitted | None,
+    floor: Array,
+    *,
+    turns: int = 8,
+    given: Array | None = None,
+) -> Fitted:
+    """Return the fit at given values: path smoothed, slopes taken over what is not known, noise estimated.
+
+    Parameters
+    ----------
+    space : StateSpace
+    values : mapping from name to value
+    start : Fitted, optional
+        Begin with the path and the noise of this one.
+    floor : ndarray of shape (d,)
+        Least variance of each channel's noise.
+    turns : int, default=8
+        How often path and slopes are taken anew at most.
+    given : ndarray of shape (d,), optional
+        Standard deviation of each channel's noise, where it is known.
+    """
+    known = Known(floor, given)
+    if start is None:
+        linear = linearise(space, space.measured, values)
+        residuals = np.where(linear.valid[:, None], linear.chains.drive[space.places], np.nan)
+        typical = (1.4826 * np.nanmedian(np.abs(residuals), axis=0)) ** 2 / 2 + 1e-12 * space.spread**2
+        typical = np.minimum(typical, _rough(space)) if given is None else given**2
+        noise = normal_noise(linear.chains, _force_guess(linear, typical), typical)
+        chains, shares = linear.chains, np.zeros(0)
+    else:
+        linear = linearise(space, start.linear.path, values, _covariances(space, start.estimate))
+        noise, shares = start.estimate.noise, start.shares
+        chains = _remembering(space, linear, shares)
+    estimate = estimate_noise(chains, noise, space.real, floor=known.least(chains), held=known.held(chains))
+    best: Fitted | None = None
+    for turn in range(turns):
+        deviations = estimate.smoothed.means[..., : space.d]
+        path = moved_path(space, linear.path, deviations)
+        linear = linearise(space, path, values, _covariances(space, estimate))
+        if turn == 0 and space.real.shape[1] > FEWEST_FOR_MEMORY:
+            estimate, shares = _with_best_memory(space, linear, estimate.noise, shares, known)
+        else:
+            chains = _remembering(space, linear, shares)
+            estimate = estimate_noise(
+                chains, estimate.noise, space.real, floor=known.least(chains), held=known.held(chains)
+            )
+        gain = np.inf if best is None else estimate.bound - best.bound
+        if gain > 0:
+            best = Fitted(dict(values), linear, _remembering(space, linear, shares), estimate, shares)
+        if gain < STILL:
+            break
+    if best is None:
+        raise ValueError("turns must be at least 1")
+    return best
+
+
+def _rough(space: StateSpace) -> Array:
+    """Return the variance that neighbouring rows show of each channel's noise: motion can only add to it.
+
+    A start from larger noise may never find a force that passes for it.
+    """
+    names = space.simulator.output_names
+    variances = np.full(space.d, np.inf)
+    episodes = np.repeat(np.arange(len(space.measured)), space.measured.shape[1])
+    for channel, name in enumerate(space.simulator.residual_names):
+        if name in names:
+            read = space.measured[..., names.index(name)]
+            series = np.where(space.mask[..., channel], read, np.nan).ravel()
+            variance = noise_variance(series, episodes)
+            variances[channel] = variance if variance > 0 else np.inf
+    return variances
+
+
+def _with_best_memory(
+    space: StateSpace, linear: Linear, noise: Noise, shares: Array, known: "Known"
+) -> tuple[Estimate, Array]:
+    """Return the noise with forces of the memory, if any, that the bound asks for."""
+    n_forces = linear.chains.carrier.shape[-1]
+    plain = _without_memory(noise, space.d, n_forces)
+    without = best = estimate_noise(
+        linear.chains, plain, space.real, floor=known.least(linear.chains), held=known.held(linear.chains)
+    )
+    found = np.zeros(0)
+    if _worth_of_memory(linear.chains, without) < MEMORY_WORTH * (n_forces + 1):
+        return best, found
+    longest = SHARE_OF_EPISODE * np.unique(space.groups, return_counts=True)[1].max()
+    for rows in MEMORIES:
+        if rows > longest:
+            continue
+        tried = np.full(n_forces, np.exp(-1 / rows))
+        chains = _remembering(space, linear, tried)
+        start = noise if len(shares) else _with_memory(without.noise, tried)
+        estimate = estimate_noise(
+            chains, start, space.real, floor=known.least(chains), held=known.held(chains)
+        )
+        # A variance more for each force, and the memory itself.
+        if estimate.bound > best.bound + (0 if len(found) else MEMORY_WORTH * (n_forces + 1)):
+            best, found = estimate, tried
+    return best, found
+
+
+def _worth_of_memory(chains: Chains, estimate: Estimate) -> float:
+    """Return about how many nats the best memory would add, by how innovations go with those before.
+
+    White forces leave white innovations. Their mean product with the sum of the k before them, in units of its standard
+    error, is the score of a memory of about k rows; half its square is what the likelihood would gain.
+    """
+    whitened = np.where(chains.mask, estimate.filtered.whitened, 0.0)
+    whitened = np.clip(whitened, -3.0, 3.0)
+    worth = np.zeros(whitened.shape[-1])
+    sums = np.cumsum(whitened, axis=1)
+    for rows in (int(rows) for rows in MEMORIES):
+        if whitened.shape[1] <= rows + 1:
+            break
+        before = sums[:, rows - 1 : -1].copy()
+        before[:, 1:] -= sums[:, : -rows - 1]
+        products = whitened[:, rows:] * before
+        scores = products.sum(axis=(0, 1)) / np.sqrt(np.maximum(np.sum(products**2, axis=(0, 1)), 1e-300))
+        worth = np.maximum(worth, np.maximum(scores, 0.0) ** 2 / 2)
+    return float(worth.sum())
+
+
+def _remembering(space: StateSpace, linear: Linear, shares: Array) -> Chains:
+    if not len(shares):
+        return linear.chains
+    sizes = np.mean(linear.chains.carrier**2, axis=(0, 1)) / space.spread[:, None] ** 2
+    return linear.chains.with_memory(shares, 1 / np.maximum(sizes.max(axis=0), 1e-300))
+
+
+def _with_memory(noise: Noise, shares: Array) -> Noise:
+    n_chains, steps, _ = noise.force_weights.shape
+    k = len(shares)
+    return Noise(
+        np.r_[noise.force, noise.force * (1 - shares**2)],
+        np.r_[noise.error, np.ones(k)],
+        np.r_[noise.force_nu, np.full(k, np.inf)],
+        np.r_[noise.error_nu, np.full(k, np.inf)],
+        np.concatenate([noise.force_weights, np.ones((n_chains, steps, k))], axis=-1),
+        np.concatenate([noise.error_weights, np.ones((n_chains, steps + 1, k))], axis=-1),
+    )
+
+
+def _without_memory(noise: Noise, d: int, n_forces: int) -> Noise:
+    if len(noise.error) == d:
+        return noise
+    return Noise(
+        noise.force[:n_forces],
+        noise.error[:d],
+        noise.force_nu[:n_forces],
+        noise.error_nu[:d],
+        noise.force_weights[..., :n_forces],
+        noise.error_weights[..., :d],
+    )
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of the sensors' noise: its least variance, and where given its standard deviation."""
+
+    floor: Array
+    given: Array | None
+
+    def least(self, chains: Chains) -> Array:
+        """Return the least variance of each channel, hidden states with them."""
+        return np.r_[self.floor, np.zeros(chains.drive.shape[-1] - len(self.floor))]
+
+    def held(self, chains: Chains) -> Mask | None:
+        """Return which channels have a noise that was given."""
+        if self.given is None:
+            return None
+        mask: Mask = np.arange(chains.drive.shape[-1]) < len(self.floor)
+        return mask
+
+
+def _covariances(space: StateSpace, estimate: Estimate) -> Array:
+    return estimate.smoothed.covariances[..., : space.d, : space.d]
+
+
+def slopes_of(space: StateSpace, fitted: Fitted, effects: Sequence[Effect], priors: Priors) -> Array:
+    """Return the derivative of what the model adds in a step by each effect's coordinate, (n_rows, d, k)."""
+    steps = _steps(fitted.values, effects, priors)
+    slopes = derivatives(space, fitted.linear, fitted.values, steps)
+    stretch = [
+        fitted.values.get(effect.name, effect.neutral) if on_logarithm(effect) else 1.0 for effect in effects
+    ]
+    return slopes * np.array(stretch)
+
+
+def gram_of(space: StateSpace, fitted: Fitted, slopes: Array, effects: Sequence[Effect]) -> "Columns":
+    """Return second moments of whitened innovations and derivatives, and both themselves.
+
+    Parameters
+    ----------
+    space, fitted
+    slopes : ndarray of shape (n_rows, d, k)
+    effects : sequence of Effect
+    """
+    chains, filtered = fitted.chains, fitted.estimate.filtered
+    hidden = chains.drive.shape[-1] - space.d
+    padded = space.padded(np.pad(slopes, [(0, 0), (0, hidden), (0, 0)]))
+    columns = filter_columns(chains, filtered, padded)[chains.mask]
+    whitened = filtered.whitened[chains.mask]
+    origin = np.array(
+        [coordinate(effect, fitted.values.get(effect.name, effect.neutral)) for effect in effects]
+    )
+    gram = Gram(columns.T @ columns, columns.T @ whitened, origin)
+    blocks = np.broadcast_to(_blocks(space)[..., None], chains.mask.shape)[chains.mask]
+    return Columns(gram, whitened, columns, np.unique(blocks, return_inverse=True)[1])
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Whitened innovations, their derivatives by each effect, and the second moments of both.
+
+    Attributes
+    ----------
+    gram : Gram
+    whitened : ndarray of shape (n_measured,)
+    columns : ndarray of shape (n_measured, k)
+    blocks : ndarray of int of shape (n_measured,)
+        Piece of time that each belongs to.
+    """
+
+    gram: Gram
+    whitened: Array
+    columns: Array
+    blocks: NDArray[np.intp]
+
+    def dense(self, scales: Array) -> Array:
+        """Return what all effects together, each held by a normal law of its typical size, would move.
+
+        Coordinates from where the slopes were taken.
+        """
+        sizes = np.sqrt(np.diag(self.gram.products) + 1 / scales**2)
+        scaled = (self.gram.products + np.diag(1 / scales**2)) / (sizes * sizes[:, None])
+        # Towards neutral, not towards where the slopes were taken.
+        right = self.gram.projections - self.gram.origin / scales**2
+        return np.linalg.solve(scaled, right / sizes) / sizes
+
+    def excess(self, left: Array) -> Array:
+        """Return by how much the score of each effect scatters between blocks of time more than the model says.
+
+        The effect's own best value is taken out of each score.
+
+        Parameters
+        ----------
+        left : ndarray of shape (n_measured,)
+            Innovations with what is known to act taken out.
+        """
+        n_blocks = int(self.blocks.max()) + 1 if len(self.blocks) else 0
+        if n_blocks < FEWEST_BLOCKS:
+            return np.zeros(self.columns.shape[1])
+        order = np.argsort(self.blocks, kind="stable")
+        starts = np.searchsorted(self.blocks[order], np.arange(n_blocks))
+        columns = self.columns[order]
+        scores = np.add.reduceat(columns * left[order, None], starts)
+        information = np.add.reduceat(columns**2, starts)
+        model = np.maximum(information.sum(axis=0), 1e-300)
+        scores -= information * (scores.sum(axis=0) / model)
+        variances = np.sum(scores**2, axis=0) * n_blocks / (n_blocks - 1)
+        return np.maximum(variances / model - 1, 0.0)
+
+    def predictive(self, members: Sequence[int], scales: Array, low: Array, high: Array) -> Array:
+        """Return what a set of effects gains in each block with the values that the other blocks have, nats.
+
+        What shows in one block alone predicts nothing of another.
+
+        Parameters
+        ----------
+        members : sequence of int
+        scales, low, high : ndarray of shape (len(members),)
+            Of the prior, from neutral.
+
+        Returns
+        -------
+        ndarray of shape (n_blocks,)
+        """
+        n_blocks = int(self.blocks.max()) + 1
+        chosen = list(members)
+        order = np.argsort(self.blocks, kind="stable")
+        starts = np.searchsorted(self.blocks[order], np.arange(n_blocks))
+        N = self.columns[:, chosen][order]
+        z = self.whitened[order] + N @ self.gram.origin[chosen]
+        b = np.add.reduceat(N * z[:, None], starts)
+        G = np.stack([N[start:stop].T @ N[start:stop] for start, stop in zip(starts, [*starts[1:], len(N)])])
+        values = np.zeros(len(chosen))
+        for _ in range(PRIOR_TURNS):  # the Cauchy prior as a normal one of the same slope
+            held = np.diag(2 / (scales**2 + values**2))
+            values = np.linalg.solve(G.sum(axis=0) + held, b.sum(axis=0))
+        rest = G.sum(axis=0) - G + held
+        others = np.linalg.solve(rest, (b.sum(axis=0) - b)[..., None])[..., 0]
+        others = np.clip(others, low, high)
+        gained = np.sum(b * others, axis=1) - 0.5 * np.einsum("bi,bij,bj->b", others, G, others)
+        return np.asarray(gained, dtype=np.float64)
+
+
+def _blocks(space: StateSpace) -> NDArray[np.intp]:
+    """Return the block of time of each instant, (n_chains, n_steps + 1)."""
+    n_chains, steps = space.real.shape
+    length = max(1, min(BLOCK_ROWS, int(space.real.sum()) // MOST_BLOCKS))
+    per_chain = -(-(steps + 1) // length)
+    block = np.arange(n_chains)[:, None] * per_chain + np.arange(steps + 1) // length
+    if steps == 1:  # rows that are independent of each other
+        block = np.repeat(np.arange(n_chains)[:, None] // max(1, n_chains // MOST_BLOCKS), 2, axis=1)
+    return block
+
+
+def noise_without(
+    space: StateSpace,
+    fitted: Fitted,
+    slopes: Array,
+    moves: Array,
+    floor: Array,
+    *,
+    given: Array | None = None,
+) -> Fitted:
+    """Return the fit with its noise estimated anew where effects move by so much.
+
+    What effects explain is no noise: a force that a missing friction leaves would hide the friction.
+    """
+    known = Known(floor, given)
+    hidden = fitted.chains.drive.shape[-1] - space.d
+    shift = space.padded(np.pad(slopes @ moves, [(0, 0), (0, hidden)]))
+    moved = replace(fitted.chains, drive=fitted.chains.drive + shift)
+    estimate = estimate_noise(
+        moved,
+        fitted.estimate.noise,
+        space.real,
+        floor=known.least(fitted.chains),
+        held=known.held(fitted.chains),
+    )
+    return replace(fitted, estimate=passed(fitted.chains, estimate.noise, space.real, covariances=True))
+
+
+def on_logarithm(effect: Effect) -> bool:
+    """Whether values count on a logarithmic scale: factors that are positive throughout."""
+    return effect.is_factor and effect.bounds[0] > 0
+
+
+def coordinate(effect: Effect, value: float) -> float:
+    """Return a value as the search counts it: 0 is neutral."""
+    return float(np.log(value / effect.neutral)) if on_logarithm(effect) else value - effect.neutral
+
+
+def value_at(effect: Effect, place: float) -> float:
+    """Return the value at a coordinate, within bounds."""
+    value = effect.neutral * np.exp(place) if on_logarithm(effect) else effect.neutral + place
+    return float(np.clip(value, *effect.bounds))
+
+
+def _steps(
+    values: Mapping[str, float], effects: Sequence[Effect], priors: Priors
+) -> dict[str, tuple[float, float]]:
+    """Return between which values each slope is taken: about a twentieth of the typical size, within bounds."""
+    steps = {}
+    for effect, scale in zip(effects, priors.scales):
+        now = values.get(effect.name, effect.neutral)
+        width = 0.05 * scale * (now if on_logarithm(effect) else 1.0)
+        low, high = max(effect.bounds[0], now - width), min(effect.bounds[1], now + width)
+        steps[effect.name] = (
+            (low, now) if high <= now else (now, high) if effect.name not in values else (low, high)
+        )
+    return steps
+
+
+def _force_guess(linear: Linear, typical: Array) -> Array:
+    """Return variances of forces that would make up the residuals of one step."""
+    sizes = np.mean(linear.chains.carrier**2, axis=(0, 1)) / typical[:, None]
+    return 1 / np.maximum(sizes.max(axis=0), 1e-300) if sizes.size else np.zeros(0)

@@ -1,0 +1,710 @@
+r"""How well the simulation as given and the extended one predict a log that neither was fitted to.
+
+Both start, every h rows, in the state that the filter has there from what was measured until then, run for h rows with
+the logged commands and without any random force, and are compared with what was measured h rows on. An error counts in
+units of its standard deviation under a right model: with :math:`M_t` what the filter leaves unknown at a start,
+
+.. math::
+
+    M_{t+1} = A_t M_t A_t' + F_t Q F_t' + \Omega_t, \qquad \mathrm{Var}\, e_{t+h} = H M_{t+h} H' + R,
+
+so that a right model has a mean square of 1, the floor. Random forces that nothing predicts belong to it. So do forces
+with memory: what is known of them at a start is not told to the simulation, and they enter :math:`M_t` with all of
+their variance.
+
+Both models start in the same states, those that the extended one's filter has, as the noise is its own: a filter that
+takes that little noise for granted follows a wrong model rather than its readings, and would compare runs that began
+long before the horizon.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from skat.diagnosis.filtering import Array, Chains, Mask, kalman_filter, smooth
+from skat.diagnosis.findings import Gain
+from skat.diagnosis.fitting import Fitted
+from skat.diagnosis.noise import Estimate, Noise, normal_noise, passed
+from skat.diagnosis.statespace import Linear, Places, StateSpace, linearise, moved_path
+from skat.simulators import Simulator
+
+# By default the horizon is so long, and has at least so many rows.
+HORIZON_S = 0.25
+FEWEST_ROWS = 10
+# Rows after which a filter has found what was not measured, and hidden states of actuators do not show how they began.
+SETTLED_ROWS = 10
+# How often the path of a held-out log, and the weights of its samples, are taken anew.
+TURNS = 3
+# An error counts with at most this square, in units of the larger of its own variance and the nominal model's typical
+# square.
+LARGEST_SQUARE = 9.0
+# Of a square of a standard normal number, the median.
+MEDIAN_OF_SQUARES = 0.4549
+# In an output's own unit, no error counts for more than so many standard deviations of what was measured.
+FARTHEST = 10.0
+N_BOOTSTRAP = 999
+# Fewer pieces do not say how much a gain varies from one to the next; of few episodes each is cut into pieces of time.
+FEWEST_PIECES = 5
+PIECES = 20
+N_OVERLAYS = 3
+# Of an episode's residuals, what fitted initial states leave is never taken for a smaller share than this.
+LEAST_LEFT = 0.1
+# Relinearisations by which an initial state is fitted.
+START_TURNS = 6
+
+
+@dataclass(frozen=True)
+class Overlay:
+    """An episode, measured and predicted.
+
+    Attributes
+    ----------
+    episode : int
+        Its label among the rows of the log.
+    time : ndarray of shape (n_instants,)
+        s from the first row, or rows where the simulation has no time.
+    channels : tuple of str
+    measured : ndarray of shape (n_instants, n_channels)
+        NaN where nothing was measured.
+    nominal, extended : ndarray of shape (n_instants, n_channels)
+        Predictions, begun anew every `horizon` instants; NaN where they diverged.
+    horizon : int
+        Rows of a prediction.
+    """
+
+    episode: int
+    time: Array
+    channels: tuple[str, ...]
+    measured: Array
+    nominal: Array
+    extended: Array
+    horizon: int
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Errors at a horizon, and episodes to look at: those that the nominal model predicts worst."""
+
+    gain: Gain
+    overlays: tuple[Overlay, ...]
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A log as a model and a noise have it.
+
+    Attributes
+    ----------
+    linear : Linear
+        About the smoothed path.
+    chains : Chains
+        Those of `linear`, with forces of memory where the noise has such.
+    estimate : Estimate
+    shares : ndarray of shape (n_forces,) or (0,)
+        What is left of a force with memory a row later.
+    """
+
+    linear: Linear
+    chains: Chains
+    estimate: Estimate
+    shares: Array
+
+
+def horizon_rows(simulator: Simulator, horizon: float | None = None) -> int:
+    """Return a horizon in rows.
+
+    Parameters
+    ----------
+    simulator : Simulator
+    horizon : float, optional
+        In s, or in rows where the simulation has no time. By default a quarter of a second or ten rows, whichever is
+        longer; one row for a simulation without a state.
+
+    Raises
+    ------
+    ValueError
+        If the horizon is not positive.
+    """
+    if horizon is not None and not horizon > 0:
+        raise ValueError(f"horizon must be positive, in seconds; it is {horizon!r}.")
+    if not simulator.state_names:
+        return 1
+    dt = simulator.dt
+    if horizon is None:
+        return max(FEWEST_ROWS, int(np.ceil(HORIZON_S / dt - 1e-9)) if dt else 0)
+    return max(1, round(horizon / dt if dt else horizon))
+
+
+def predicted_gain(
+    space: StateSpace,
+    fitted: Fitted,
+    values: Mapping[str, float],
+    *,
+    horizon: int | None = None,
+    random_state: np.random.RandomState,
+) -> Gain:
+    """Return the Gain at a horizon; see `predicted`."""
+    return predicted(space, fitted, values, horizon=horizon, random_state=random_state).gain
+
+
+def predicted(
+    space: StateSpace,
+    fitted: Fitted,
+    values: Mapping[str, float],
+    *,
+    horizon: int | None = None,
+    random_state: np.random.RandomState,
+    n_overlays: int = N_OVERLAYS,
+) -> Prediction:
+    """Return how well the nominal and the extended simulation predict a log at a horizon.
+
+    Parameters
+    ----------
+    space : StateSpace
+        The log, held out.
+    fitted : Fitted
+        On another log, at the values of the causes: its noise counts, the weights of its samples do not.
+    values : mapping from name to value
+        Of the extended simulation.
+    horizon : int, optional
+        In rows; as `horizon_rows` by default. At most as long as the longest episode.
+    random_state : numpy.random.RandomState
+        Draws the bootstrap.
+    n_overlays : int, default=3
+
+    Returns
+    -------
+    Prediction
+
+    Raises
+    ------
+    RuntimeError
+        If one of the simulations diverges in every row, or nothing was measured at any horizon.
+
+    Notes
+    -----
+    The square of an error is cut at nine times the larger of its variance and the nominal model's own typical square in
+    that channel (by the median), so that no single row decides, and a simulation that diverged counts as one that is
+    wholly wrong. Squares are over what a right model has under the same cut.
+    """
+    simulator = space.simulator
+    h = horizon_rows(simulator) if horizon is None else horizon
+    seen = look(space, fitted, values)
+    if simulator.state_names:
+        starts, h = windows(space, h)
+    else:
+        starts, h = np.arange(len(space.X)), 1
+    if not len(starts):
+        raise RuntimeError("No episode is long enough to be predicted.")
+    candidates: list[Mapping[str, float]] = [{}, values]
+    paths = _runs(space, seen, candidates, starts, h)
+    rows = starts[:, None] + np.arange(h)
+    measured, mask = ends(space)
+    with np.errstate(invalid="ignore", over="ignore"):
+        errors = simulator.residual(measured[rows], paths)
+    for name, one in zip(("as given", "with its causes"), errors):
+        if not np.isfinite(one).all(axis=-1).any():
+            raise RuntimeError(f"The simulation {name} diverges in every row.")
+    counted = mask[rows[:, -1]]
+    if not counted.any():
+        raise RuntimeError("Nothing was measured at the horizon of any row.")
+    variances = variances_ahead(space, seen, starts, h)[:, -1]
+    with np.errstate(over="ignore"):
+        squares = np.nan_to_num(errors[:, :, -1] ** 2 / variances, nan=np.inf)
+    nominal, extended, floor = _cut(squares, counted)
+    there = counted.any(axis=1)
+    gain = _gain(
+        np.stack([nominal, extended, floor])[:, there],
+        _pieces(space.groups[starts])[there],
+        random_state,
+        horizon=float(h * simulator.dt) if simulator.dt else float(h),
+        channels=_channel_errors(space, errors, mask[rows]),
+    )
+    chosen = _worst_episodes(space.groups[starts], nominal, n_overlays) if simulator.state_names else []
+    overlays = tuple(_overlay(space, paths, starts, h, episode) for episode in chosen)
+    return Prediction(gain, overlays)
+
+
+def look(space: StateSpace, fitted: Fitted, values: Mapping[str, float]) -> Seen:
+    """Return a log that a noise was not fitted to, as this noise and a model have it.
+
+    Where heavy tails were found, each sample's weight is found anew in turns with the variances held.
+    """
+    noise, shares = _with_even_weights(fitted.estimate.noise, space), fitted.shares
+    path, covariances = space.measured, None
+    heavy = bool(np.isfinite(np.r_[noise.force_nu, noise.error_nu]).any())
+    turns = TURNS if space.simulator.state_names or heavy else 1
+    for turn in range(turns):
+        linear = linearise(space, path, values, covariances)
+        chains = linear.chains
+        if len(shares):
+            chains = chains.with_memory(shares, _steady(noise, shares))
+        for _ in range(TURNS if heavy else 0):
+            estimate = passed(chains, noise, space.real)
+            noise = _weighted(estimate, space.real, chains.mask)
+        estimate = passed(chains, noise, space.real, covariances=True)
+        if turn < turns - 1:
+            path = moved_path(space, linear.path, estimate.smoothed.means[..., : space.d])
+            covariances = estimate.smoothed.covariances[..., : space.d, : space.d]
+    return Seen(linear, chains, estimate, shares)
+
+
+def filtered(space: StateSpace, seen: Seen) -> tuple[Array, Array]:
+    """Return the state in which each row starts, from what was measured until then, and what is not known of it.
+
+    Returns
+    -------
+    states : ndarray of shape (n_rows, n_states)
+    covariances : ndarray of shape (n_rows, d_all, d_all)
+        Of the deviation from the truth, with the forces of memory behind.
+    """
+    one, chains = seen.estimate.filtered, seen.chains
+    means = one.means + np.einsum("ctij,ctj->cti", one.gains, one.innovations)
+    kept = np.eye(means.shape[-1]) - one.gains
+    noise = np.where(chains.mask, seen.estimate.noise.error_variances, 0.0)
+    covariances = kept @ one.covariances @ kept.swapaxes(2, 3)
+    covariances += (one.gains * noise[:, :, None]) @ one.gains.swapaxes(2, 3)
+    states = moved_path(space, seen.linear.path, means[..., : space.d])
+    return states[:, :-1][space.places], covariances[:, :-1][space.places]
+
+
+def windows(space: StateSpace, horizon: int) -> tuple[Places, int]:
+    """Return the rows at which predictions start, one after the other in each episode, and how many rows they run.
+
+    Where not all of a state was measured, a start lies some rows behind the beginning of its chain.
+    """
+    step = space.places[1]
+    unknown = not space.mask[:, 0].all()
+    first = np.flatnonzero(np.r_[True, np.diff(space.groups) != 0])
+    length = np.diff(np.r_[first, len(space.groups)])
+    late = min(SETTLED_ROWS, int(length.max()) - 1) if unknown else 0
+    horizon = max(1, min(horizon, int(length.max()) - late))
+    starts = np.concatenate([np.arange(begin, begin + n, horizon) for begin, n in zip(first, length)])
+    starts = np.unique(starts + np.maximum(late - step[starts], 0))
+    last = np.repeat(first + length, length)
+    starts = starts[starts < len(last)]
+    return starts[starts + horizon <= last[starts]], horizon
+
+
+def ends(space: StateSpace) -> tuple[Array, Mask]:
+    """Return what was measured at the end of each row, (n_rows, n_states), and which channels, (n_rows, d)."""
+    chain, step = (one.copy() for one in space.places)
+    # A state at which an episode was cut into chains belongs to the one that it begins.
+    cut = np.flatnonzero((np.diff(space.groups) == 0) & (np.diff(chain) != 0))
+    after = chain, step + 1
+    after[0][cut], after[1][cut] = chain[cut + 1], 0
+    return space.measured[after], space.mask[after]
+
+
+def variances_ahead(
+    space: StateSpace, seen: Seen, starts: Places, horizon: int, begin: Array | None = None
+) -> Array:
+    """Return the variance of what a right model's error would be after each row, (n_starts, horizon, d).
+
+    Parameters
+    ----------
+    space, seen
+    starts : ndarray of int of shape (n_starts,)
+    horizon : int
+        In rows.
+    begin : ndarray of shape (n_starts, d_all, d_all), optional
+        What is not known of the states at the starts; as the filter has it by default.
+    """
+    d, noise = space.d, seen.estimate.noise
+    error = variances_of(noise.error, noise.error_nu)[:d]
+    if not space.simulator.state_names:
+        return np.broadcast_to(error, (len(starts), horizon, d))
+    M = filtered(space, seen)[1][starts] if begin is None else begin
+    if len(seen.shares):
+        # A simulation does not know what is known of these forces: to it, all of their variance is an error.
+        k = len(seen.shares)
+        M = M.copy()
+        M[:, -k:, -k:] = np.diag(_steady(noise, seen.shares))
+    A = seen.chains.transitions[space.places]
+    F = seen.chains.carrier[space.places]
+    bends = seen.chains.bends[space.places]
+    force = variances_of(noise.force, noise.force_nu)
+    # Two motions that have nothing in common any more are no further apart than that.
+    most = 2 * (space.spread / 3) ** 2
+    out = np.empty((len(starts), horizon, d))
+    for step in range(horizon):
+        rows = starts + step
+        with np.errstate(over="ignore", invalid="ignore"):
+            M = (
+                A[rows] @ M @ A[rows].swapaxes(1, 2)
+                + (F[rows] * force) @ F[rows].swapaxes(1, 2)
+                + bends[rows]
+            )
+        out[:, step] = np.fmin(np.einsum("nii->ni", M)[:, :d], most) + error
+    return out
+
+
+def open_loop_gain(
+    space: StateSpace,
+    fitted: Fitted,
+    values: Mapping[str, float],
+    *,
+    initial_state: str = "measured",
+    outputs: Sequence[str] | None = None,
+    labels: Sequence[object] | None = None,
+    random_state: np.random.RandomState,
+) -> Gain:
+    """Return the Gain in root mean squared distance over whole episodes in open loop.
+
+    Parameters
+    ----------
+    space : StateSpace
+    fitted : Fitted
+        Its noise says how much each channel counts where initial states are fitted, and what a right model has.
+    values : mapping from name to value
+    initial_state : {"measured", "fitted"}, default="measured"
+        "fitted": the first state of each episode given all of it, with no random force, for either model.
+    outputs : sequence of str, optional
+        Channels that make up the distance; by default all that were measured.
+    labels : sequence, optional
+        What the user calls each episode.
+    random_state : numpy.random.RandomState
+
+    Returns
+    -------
+    Gain
+        Its floor is what a right model would have: noise of what is compared, and, carried on, random forces and noise
+        of the initial states.
+
+    Raises
+    ------
+    ValueError
+        If an output is none that was measured; if an initial state was not measured.
+    RuntimeError
+        If an episode diverges.
+    """
+    simulator = space.simulator
+    space = _whole_episodes(space)
+    measured, mask = ends(space)
+    names = [name for channel, name in enumerate(simulator.residual_names) if mask[:, channel].any()]
+    unknown = [name for name in outputs or () if name not in names]
+    if unknown:
+        raise ValueError(f"outputs names {', '.join(unknown)}; measured channels are {', '.join(names)}.")
+    chosen = np.isin(simulator.residual_names, list(outputs or names))
+    if initial_state == "measured" and not space.mask[:, 0].all():
+        missing = [
+            name
+            for channel, name in enumerate(simulator.residual_names)
+            if not space.mask[:, 0, channel].all()
+        ]
+        raise ValueError(
+            f"{', '.join(missing)} were not measured in the first row of every episode: pass initial_state='fitted'."
+        )
+    noise = fitted.estimate.noise
+    deviations = np.sqrt(variances_of(noise.error, noise.error_nu)[: space.d])
+    counted = mask & chosen
+    paths = []
+    models: tuple[Mapping[str, float], ...] = ({}, values)
+    for name, model in zip(("nominal", "extended"), models):
+        starts = [space.measured[:, 0]]
+        if initial_state == "fitted":
+            starts += _fitted_starts(space, model, deviations**2)
+        path, lost = _best_runs(space, model, starts, measured, mask, deviations)
+        if lost.any():
+            episode = int(np.flatnonzero(lost)[0])
+            label = episode if labels is None else labels[episode]
+            raise RuntimeError(
+                f"In open loop the {name} simulation diverges in episode {label}: cut it into shorter ones, or leave "
+                "it out."
+            )
+        paths.append(path[:, 1:][space.places])
+    errors = simulator.residual(measured, np.stack(paths))
+    squares = np.where(counted, errors**2, 0.0).sum(axis=-1)
+    floor = np.where(counted, _open_loop_variances(space, fitted, values, initial_state), 0.0).sum(axis=-1)
+    there = counted.any(axis=1)
+    return _gain(
+        np.stack([*squares, floor])[:, there],
+        space.groups[there],
+        random_state,
+        horizon="episode",
+        channels=_channel_errors(space, errors, counted),
+        root=True,
+    )
+
+
+# -- parts of a prediction -------------------------------------------------------------------------------------------
+
+
+def _with_even_weights(noise: Noise, space: StateSpace) -> Noise:
+    n, steps = space.real.shape
+    return Noise(
+        noise.force,
+        noise.error,
+        noise.force_nu,
+        noise.error_nu,
+        np.ones((n, steps, len(noise.force))),
+        np.ones((n, steps + 1, len(noise.error))),
+    )
+
+
+def _weighted(last: Estimate, real: Mask, mask: Mask) -> Noise:
+    """Return a noise with the expected precision of each sample, its law held."""
+    noise, smoothed = last.noise, last.smoothed
+    weights = []
+    for means, variances, scale, nu, present in (
+        (smoothed.forces, smoothed.force_variances, noise.force, noise.force_nu, real[..., None]),
+        (smoothed.errors, smoothed.error_variances, noise.error, noise.error_nu, mask),
+    ):
+        finite = np.where(np.isfinite(nu), nu, 1.0)
+        heavy = (finite + 1) / (finite + (means**2 + variances) / scale)
+        weights.append(np.where(np.isfinite(nu) & present, heavy, 1.0))
+    return Noise(noise.force, noise.error, noise.force_nu, noise.error_nu, weights[0], weights[1])
+
+
+def variances_of(scale: Array, nu: Array) -> Array:
+    """Return the variances of Student's laws of squared scales."""
+    heavy = np.isfinite(nu)
+    return scale * np.where(heavy, nu / np.where(heavy, nu - 2, 1.0), 1.0)
+
+
+def _steady(noise: Noise, shares: Array) -> Array:
+    """Return the variance of each force with memory, at any time."""
+    force = variances_of(noise.force, noise.force_nu)[-len(shares) :]
+    return force / np.maximum(1 - shares**2, 1e-12)
+
+
+def _runs(
+    space: StateSpace, seen: Seen, candidates: Sequence[Mapping[str, float]], starts: Places, horizon: int
+) -> Array:
+    """Return outputs after each row of each prediction, (n_candidates, n_starts, horizon, n_outputs)."""
+    simulator = space.simulator
+    if not simulator.state_names:
+        outputs = simulator.predict_many(space.X, candidates, groups=space.groups)
+        return outputs[:, starts, None]
+    n_states = len(simulator.state_names)
+    rows = starts[:, None] + np.arange(horizon)
+    before = None
+    n_lags = max(simulator.n_lags(values) for values in candidates)
+    if n_lags or any(simulator.extended(values).hidden_state_names for values in candidates):
+        # Of an episode's first row, the commands have held before.
+        first = np.maximum.accumulate(
+            np.where(np.r_[True, np.diff(space.groups) != 0], np.arange(len(space.X)), 0)
+        )
+        earlier = starts[:, None] - np.arange(max(n_lags, SETTLED_ROWS), 0, -1)
+        before = space.rows(seen.linear.path)[np.maximum(earlier, first[starts][:, None])]
+    initial = filtered(space, seen)[0][starts]
+    paths = simulator.rollout_many(
+        initial, space.X[rows][..., n_states:], candidates, n_steps=horizon, before=before
+    )
+    return paths[:, :, 1:]
+
+
+def _cut(squares: Array, counted: Mask) -> tuple[Array, Array, Array]:
+    """Return the mean squares (n_starts,) of two models and of a right one, cut alike, a right one's mean being 1."""
+    typical = np.ones(squares.shape[-1])
+    for channel, there in enumerate(counted.T):
+        if there.any():
+            middle = float(np.median(squares[0, there, channel]))
+            typical[channel] = max(1.0, middle / MEDIAN_OF_SQUARES) if np.isfinite(middle) else np.inf
+    typical = np.where(
+        np.isfinite(typical), typical, max(1.0, typical[np.isfinite(typical)].max(initial=1.0))
+    )
+    most = LARGEST_SQUARE * typical
+    right = stats.chi2.cdf(most, 3) + most * stats.chi2.sf(most, 1)
+    numbers = np.maximum(counted.sum(axis=1), 1)
+    parts = [*np.minimum(squares, most), np.broadcast_to(right, counted.shape)]
+    nominal, extended, floor = (np.where(counted, one, 0.0).sum(axis=1) / numbers for one in parts)
+    unit = float(floor[counted.any(axis=1)].mean())
+    return nominal / unit, extended / unit, floor / unit
+
+
+def _pieces(episodes: Places) -> Places:
+    """Return the piece of each start: its episode, or where there are few, a piece of time."""
+    labels = np.unique(episodes, return_inverse=True)[1]
+    n_episodes = int(labels.max()) + 1
+    if n_episodes >= FEWEST_PIECES:
+        return labels
+    sizes = np.bincount(labels)
+    each = -(-PIECES // n_episodes)
+    within = np.arange(len(labels)) - np.r_[0, np.cumsum(sizes)[:-1]][labels]
+    pieces: Places = labels * each + within * np.minimum(each, sizes[labels]) // sizes[labels]
+    return pieces
+
+
+def _gain(
+    parts: Array,
+    pieces: Places,
+    random_state: np.random.RandomState,
+    *,
+    horizon: float | str,
+    channels: dict[str, tuple[float, float]],
+    root: bool = False,
+) -> Gain:
+    """Return the Gain of squares (3, n_rows): of two models and of a right one."""
+    labels = np.unique(pieces, return_inverse=True)[1]
+    counts = np.bincount(labels)
+    low = high = np.nan
+    if len(counts) >= FEWEST_PIECES:
+        sums = np.stack([np.bincount(labels, one) for one in parts])
+        draws = random_state.randint(len(counts), size=(N_BOOTSTRAP, len(counts)))
+        sampled = _explained(sums[:, draws].sum(axis=2) / counts[draws].sum(axis=1), root)
+        # Where there may be no excess, a share of it may be anything.
+        none = np.isnan(sampled)
+        low = float(np.quantile(np.where(none, -np.inf, sampled), 0.025, method="lower"))
+        high = float(np.quantile(np.where(none, np.inf, sampled), 0.975, method="higher"))
+    means = parts.mean(axis=1)
+    explained = float(np.nan_to_num(_explained(means, root)))
+    nominal, extended, floor = map(float, np.sqrt(means) if root else means)
+    return Gain(nominal, extended, floor, explained, (low, high), horizon, channels)
+
+
+def _explained(means: Array, root: bool) -> Array:
+    """Return the share of the excess error that is gone; NaN where there is no excess."""
+    nominal, extended, floor = np.sqrt(means) if root else means
+    excess = nominal - floor
+    return np.where(excess > 0, (nominal - extended) / np.where(excess > 0, excess, 1.0), np.nan)
+
+
+def _channel_errors(space: StateSpace, errors: Array, mask: Mask) -> dict[str, tuple[float, float]]:
+    """Return root mean squares (nominal, extended) of errors (2, ..., d) of each channel that was measured."""
+    names = space.simulator.residual_names
+    most = FARTHEST * space.spread / 3
+    sizes = np.minimum(np.nan_to_num(np.abs(errors), nan=np.inf), most)
+    found = {}
+    for channel, name in enumerate(names):
+        there = mask[..., channel]
+        if there.any():
+            nominal, extended = (float(np.sqrt(np.mean(one[..., channel][there] ** 2))) for one in sizes)
+            found[name] = nominal, extended
+    return found
+
+
+def _worst_episodes(episodes: Places, squares: Array, count: int) -> list[int]:
+    """Return the labels of the episodes with the largest mean square, worst first."""
+    labels, inverse, sizes = np.unique(episodes, return_inverse=True, return_counts=True)
+    if len(labels) == len(episodes):  # of one prediction each there is nothing to see over time
+        inverse = np.arange(len(episodes))
+    means = np.bincount(inverse, squares) / sizes
+    return [int(labels[place]) for place in np.argsort(-means, kind="stable")[:count]]
+
+
+def _overlay(space: StateSpace, paths: Array, starts: Places, horizon: int, episode: int) -> Overlay:
+    simulator = space.simulator
+    own = np.flatnonzero(space.groups[starts] == episode)
+    rows = (starts[own][:, None] + np.arange(horizon)).ravel()
+    first = int(np.flatnonzero(space.groups == episode)[0])
+    measured, mask = ends(space)
+    columns = [_channel_of(name, simulator) for name in simulator.output_names]
+    nominal, extended = (one[own].reshape(len(rows), -1) for one in paths)
+    time = np.asarray((rows + 1 - first) * (simulator.dt or 1.0), dtype=np.float64)
+    shown = np.where(mask[rows][:, columns], measured[rows], np.nan)
+    return Overlay(episode, time, simulator.output_names, shown, nominal, extended, horizon)
+
+
+def _channel_of(output: str, simulator: Simulator) -> int:
+    """Return the channel of a residual that tells whether an output was measured."""
+    names = simulator.residual_names
+    if output in names:
+        return names.index(output)
+    return names.index(f"{output.rpartition('.')[0]}.rx")
+
+
+# -- parts of whole episodes in open loop ----------------------------------------------------------------------------
+
+
+def _whole_episodes(space: StateSpace) -> StateSpace:
+    """Return the log with each episode as one chain."""
+    episode: NDArray[np.intp] = np.unique(space.groups, return_inverse=True)[1]
+    if len(space.real) == int(episode[-1]) + 1:
+        return space
+    first = np.flatnonzero(np.r_[True, np.diff(episode) != 0])
+    step = np.arange(len(episode)) - first[episode]
+    shape = int(episode[-1]) + 1, int(step.max()) + 1
+    real = np.zeros(shape, dtype=bool)
+    real[episode, step] = True
+    after, seen_after = ends(space)
+    measured = np.repeat(space.measured[space.places][first][:, None], shape[1] + 1, axis=1)
+    mask = np.zeros((shape[0], shape[1] + 1, space.d), dtype=bool)
+    mask[:, 0] = space.mask[space.places][first]
+    measured[episode, step + 1], mask[episode, step + 1] = after, seen_after
+    return StateSpace(
+        space.simulator,
+        space.X,
+        space.groups,
+        (episode, step),
+        measured,
+        mask,
+        real,
+        space.carrier,
+        space.spread,
+    )
+
+
+def _fitted_starts(space: StateSpace, values: Mapping[str, float], error: Array) -> list[Array]:
+    """Return initial states of episodes given all of them, with no random force, as relinearisation goes on."""
+    path, starts = space.measured, []
+    for _ in range(START_TURNS):
+        linear = linearise(space, path, values)
+        noise = normal_noise(linear.chains, np.zeros(linear.chains.carrier.shape[-1]), error)
+        variances = noise.force_variances, noise.error_variances
+        smoothed = smooth(
+            linear.chains, kalman_filter(linear.chains, *variances), *variances, covariances=False
+        )
+        if not np.isfinite(smoothed.means).all():
+            break
+        farthest = FARTHEST * space.spread
+        path = moved_path(space, path, np.clip(smoothed.means, -farthest, farthest))
+        starts.append(path[:, 0])
+    return starts
+
+
+def _best_runs(
+    space: StateSpace,
+    values: Mapping[str, float],
+    starts: Sequence[Array],
+    measured: Array,
+    mask: Mask,
+    deviations: Array,
+) -> tuple[Array, Mask]:
+    """Return the episodes (n_episodes, n_steps + 1, n_outputs) from the best of several starts, and which diverge."""
+    simulator = space.simulator
+    inputs = space.padded(space.X[:, len(simulator.state_names) :])
+    n_steps, episode = space.real.shape[1], space.places[0]
+    best, least = np.empty(0), np.full(len(space.real), np.inf)
+    for start in starts:
+        (path,) = simulator.rollout_many(start, inputs, [values], n_steps=n_steps)
+        with np.errstate(invalid="ignore", over="ignore"):
+            white = simulator.residual(measured, path[:, 1:][space.places]) / deviations
+            loss = np.bincount(episode, np.where(mask, white**2, 0.0).sum(axis=1))
+        loss = np.where(
+            np.bincount(episode, ~np.isfinite(path[:, 1:][space.places]).all(axis=1)) > 0, np.inf, loss
+        )
+        if not len(best):
+            best = path
+        better = loss < least
+        best[better], least[better] = path[better], loss[better]
+    return best, ~np.isfinite(least)
+
+
+def _open_loop_variances(
+    space: StateSpace, fitted: Fitted, values: Mapping[str, float], initial_state: str
+) -> Array:
+    """Return the variance of what a right model's error would be after each row, (n_rows, d)."""
+    linear = linearise(space, space.measured, values)
+    noise = _with_even_weights(fitted.estimate.noise, space)
+    chains, shares = linear.chains, fitted.shares
+    if len(shares):
+        chains = chains.with_memory(shares, _steady(noise, shares))
+    seen = Seen(linear, chains, fitted.estimate, shares)
+    n_all, d = chains.drive.shape[-1], space.d
+    error = variances_of(noise.error, noise.error_nu)[:d]
+    begin = np.zeros((n_all, n_all))
+    if initial_state == "measured":
+        begin[:d, :d] = np.diag(error)
+    out = np.empty((len(space.X), d))
+    for episode in range(len(space.real)):
+        rows = np.flatnonzero(space.places[0] == episode)
+        out[rows] = variances_ahead(space, seen, rows[:1], len(rows), begin[None])[0]
+        if initial_state == "fitted":
+            # A fitted start takes up as many of its episode's residuals as it has coordinates.
+            n_measured = int(space.mask[episode].sum())
+            out[rows] -= error * (1 - max(1 - d / max(n_measured, 1), LEAST_LEFT))
+    return out

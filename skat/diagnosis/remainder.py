@@ -1,0 +1,621 @@
+r"""What is left of a log beside the causes: how large it is, what predicts it, and what it looks like over time.
+
+A force on a joint that is :math:`\phi(c_t)'\beta` moves the whitened innovations z by :math:`N\beta`, N being the
+filter's response to the columns :math:`F_t \phi(c_t)`, so that with :math:`G = N'N, b = N'z` the log likelihood gains
+:math:`b'\beta - \beta'G\beta / 2`. That holds however little of the force the sensors show, where a regression of
+smoothed forces, which are drawn to zero, would not. With :math:`\beta \sim N(0, s^2)` a law is worth
+
+.. math:: \ln E_s = \tfrac12 b'(G + s^{-2})^{-1} b - \tfrac12 \ln |1 + s^2 G|,
+
+which is what it gains in predicting each row from those before it, added up. The coordinate c is taken from the state
+as the filter has it from earlier rows alone. So where nothing is left, :math:`E_s` has a mean of at most 1, and so has
+any mean of such numbers over sizes s, regressors and joints: the chance that it exceeds :math:`1 / \alpha` is at most
+:math:`\alpha`, whatever was tried. (For the noise as it is; the noise was estimated.)
+Where tails were found heavy, half of the weight is for the same with normal noise: what acts in few places passes for
+outliers else.
+
+The size of a law comes from two halves of the log, blocks of time in turns: the mean of the product of what either half
+has it to be is free of what each takes for the law by chance.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy import signal
+from scipy.special import logsumexp
+
+from skat.diagnosis.filtering import Array, Mask, filter_columns, kalman_filter, smooth
+from skat.diagnosis.findings import Gain
+from skat.diagnosis.fitting import Fitted
+from skat.diagnosis.noise import estimate_noise, normal_noise
+from skat.diagnosis.prediction import Seen, ends, filtered, horizon_rows, variances_ahead, windows
+from skat.diagnosis.statespace import Places, StateSpace
+
+# Bins of a law of a joint's own coordinate, and of any other.
+OWN_BINS, OTHER_BINS = 12, 5
+# Sizes of a law that are tried, over the force on the joint.
+SIZES = (0.01, 0.03, 0.1, 0.3, 1.0)
+# Laws of other joints' coordinates are tried up to so many columns in all.
+MOST_COLUMNS = 1500
+LONGEST_TABLE = 5
+# Rows of a block of time, of which each half of a log has every other.
+BLOCK_ROWS = 16
+# Fewer episodes do not tell a law of time from chance.
+EPISODES_FOR_TIME = 5
+# Of a force's variance: where the sensors show less of it, there is no saying what it looks like.
+LEAST_SHOWN = 0.1
+# Rows of one spectrum, and draws of what the smoother shows of a white force.
+SPECTRUM_ROWS, LEAST_SPECTRUM_ROWS, DRAWS = 128, 32, 4
+# Of the square: what a word stands for holds more than half of it. An impact's rows are one in fifty; a vibration is
+# within 15 % of its frequency; a drift has the lowest tenth of all frequencies.
+MAJORITY, FEW_ROWS, WIDTH, SLOW = 0.5, 0.02, 0.15, 0.1
+WIDTH_95 = 1.96
+
+
+@dataclass(frozen=True)
+class Law:
+    """A force as a function of one coordinate.
+
+    Attributes
+    ----------
+    coordinate : str
+        An input, "time", or a product of two inputs.
+    edges : ndarray of shape (n_bins + 1,)
+    mean, low, high : ndarray of shape (n_bins,)
+        Force in each bin, and its 95 % interval.
+    """
+
+    coordinate: str
+    edges: Array
+    mean: Array
+    low: Array
+    high: Array
+
+
+@dataclass(frozen=True)
+class Left:
+    """What is left in one direction: a force on a joint, or an error of one output.
+
+    Attributes
+    ----------
+    name, unit : str
+    rms : float
+        Of the force, what sensors hide of it included.
+    scale : float
+        Root mean square of the force that the nominal model has there, same unit.
+    predictable : float
+        Root mean square of the part that the best single regressor predicts.
+    regressor : str
+        That regressor, such as ``"|v|v"`` of a coordinate.
+    evidence : float
+        What there is for a law in this direction, nats, corrected for all that was tried: above ln(1 / alpha) in at
+        most a share alpha of logs in which nothing is left.
+    law : Law
+        Of the best regressor's coordinate.
+    past : float
+        Share of the variance that is predicted a row ahead by the force's own past; 0 for a white one.
+    ahead : float
+        What the predictable part adds to the mean square error at the horizon, in units of a right model's.
+    frequencies, spectrum : ndarray of shape (n_frequencies,)
+        Hz (or per row), and the power density of what no law predicts, as if sensors hid nothing.
+    word : str
+        "drift", "vibration at 22 Hz", "impacts", "white", or "none" where sensors show no force.
+    tried : tuple of (str, float)
+        The best regressors and their evidence, uncorrected.
+    """
+
+    name: str
+    unit: str
+    rms: float
+    scale: float
+    predictable: float
+    regressor: str
+    evidence: float
+    law: Law
+    past: float
+    ahead: float
+    frequencies: Array
+    spectrum: Array
+    word: str
+    tried: tuple[tuple[str, float], ...]
+
+    @property
+    def share(self) -> float:
+        """Share of the force's square that is predictable."""
+        return min(1.0, (self.predictable / self.rms) ** 2) if self.rms > 0 else 0.0
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """What is left in each direction, that with most evidence of a law first."""
+
+    parts: tuple[Left, ...]
+    horizon: int
+
+    @property
+    def evidence(self) -> float:
+        """Of the clearest law, nats."""
+        return max((part.evidence for part in self.parts), default=-np.inf)
+
+
+@dataclass(frozen=True)
+class _Regressor:
+    name: str
+    coordinate: str
+    values: Array  # (n_rows,)
+    columns: Array  # (n_rows, k)
+    is_own: bool
+
+
+@dataclass(frozen=True)
+class _Directions:
+    """Where something may act: names, units, and the derivative of the next state, (n_rows, d, n)."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    own: tuple[tuple[str, ...], ...]
+    columns: Array
+    forces: Array  # (n_rows, n), smoothed
+    variances: Array
+    scales: Array
+
+
+def is_unexplained(
+    remainder: Remainder, gain: Gain | None, *, tolerance: float = 0.1, alpha: float = 0.01
+) -> bool:
+    """Whether what is predictable, and no cause explains, is too much.
+
+    Parameters
+    ----------
+    remainder : Remainder
+    gain : Gain, optional
+        On the log held out, at the same horizon.
+    tolerance : float, default=0.1
+        Share of the excess error at the horizon that may be left; where a law that is left adds less than this share to
+        a right model's error, of the joint's force.
+    alpha : float, default=0.01
+    """
+    clear = [part for part in remainder.parts if part.evidence > -np.log(alpha)]
+    if not clear:
+        return False
+    ahead = sum(part.ahead for part in clear)
+    if ahead > tolerance:
+        explained = max(gain.nominal - gain.extended, 0.0) if gain is not None else 0.0
+        return bool(ahead > tolerance * (explained + ahead))
+    return any(part.predictable > tolerance * part.scale for part in clear)
+
+
+def find_remainder(
+    space: StateSpace,
+    fitted: Fitted,
+    *,
+    horizon: int | None = None,
+    random_state: np.random.RandomState,
+) -> Remainder:
+    """Return what is left of a log beside the causes.
+
+    Parameters
+    ----------
+    space : StateSpace
+    fitted : Fitted
+        On this log, at the values of the causes.
+    horizon : int, optional
+        In rows; as `horizon_rows` by default.
+    random_state : numpy.random.RandomState
+        Draws white forces, for comparison of spectra.
+    """
+    seen = Seen(fitted.linear, fitted.chains, fitted.estimate, fitted.shares)
+    h = horizon_rows(space.simulator) if horizon is None else horizon
+    directions = _directions(space, fitted)
+    rows = space.X.copy()
+    if space.simulator.state_names:
+        rows[:, : len(space.simulator.state_names)] = filtered(space, seen)[0]
+        rows = _turned_back(space, rows)
+    white = _white_spectra(space, fitted, directions, random_state)
+    looks = [seen, *_with_normal_noise(space, seen)]
+    parts = [
+        _left(space, looks, directions, index, rows, h, (white[0], white[1][index]))
+        for index in range(len(directions.names))
+    ]
+    return Remainder(tuple(sorted(parts, key=lambda part: -part.evidence)), h)
+
+
+def _left(
+    space: StateSpace,
+    looks: list[Seen],
+    directions: _Directions,
+    index: int,
+    rows: Array,
+    horizon: int,
+    white: tuple[Array, Array],
+) -> Left:
+    scale = float(directions.scales[index])
+    regressors = _regressors(space, directions, index, rows)
+    # Own laws have half of the weight for themselves.
+    n_own = sum(one.is_own for one in regressors)
+    n_other = len(regressors) - n_own
+    tried = []
+    for look in looks:
+        for one in regressors:
+            N = _response(space, look, directions.columns[..., index], one.columns)
+            nats, size = _worth(*_gram(space, look, N), scale)
+            weight = (0.5 if n_other else 1.0) / n_own if one.is_own else 0.5 / n_other
+            tried.append((nats, nats + np.log(weight / len(looks)), size, one, look))
+    evidence = float(logsumexp([weighted for _, weighted, *_ in tried]))
+    ranked = sorted(tried, key=lambda entry: -entry[1])
+    _, _, size, chosen, _ = ranked[0]
+    # How large it is, is a matter of mean squares: heavy tails would take a law's largest forces for outliers.
+    seen = looks[-1]
+    response = _response(space, seen, directions.columns[..., index], chosen.columns)
+    half = _halves(space)
+    ridge = np.eye(chosen.columns.shape[1]) / size**2
+    betas = []
+    for which in (False, True):
+        G, b = _gram(space, seen, response, half == which)
+        betas.append(np.linalg.solve(G + ridge, b))
+    predicted = [chosen.columns @ beta for beta in betas]
+    predictable = float(np.sqrt(max(np.mean(predicted[0] * predicted[1]), 0.0)))
+    ahead = _ahead(space, seen, directions.columns[..., index], np.stack(predicted, axis=-1), horizon)
+    law = _law(space, seen, directions.columns[..., index], chosen, size)
+    corrected = evidence - np.log(len(directions.names))
+    force, variance = directions.forces[:, index], directions.variances[:, index]
+    mean_square = float(np.mean(force**2 + variance))
+    left = force - (sum(predicted) / 2 if corrected > 0 else 0.0)
+    shown = 1 - float(variance.mean()) / mean_square if mean_square > 0 else 0.0
+    frequencies, spectrum = _spectrum(space, left, white[0], white[1])
+    word = _word(left, frequencies, spectrum, "Hz" if space.simulator.dt else "per row")
+    return Left(
+        directions.names[index],
+        directions.units[index],
+        float(np.sqrt(mean_square)),
+        scale,
+        predictable,
+        chosen.name,
+        float(corrected),
+        law,
+        _past(seen, index),
+        ahead,
+        frequencies,
+        spectrum,
+        word if shown > LEAST_SHOWN else "none",
+        tuple((one.name, nats) for nats, _, _, one, _ in ranked[:LONGEST_TABLE]),
+    )
+
+
+# -- where something may act, and how large it is ---------------------------------------------------------------------
+
+
+def _directions(space: StateSpace, fitted: Fitted) -> _Directions:
+    simulator, smoothed = space.simulator, fitted.estimate.smoothed
+    units = [simulator.units.get(name, f"unit of {name}") for name in simulator.residual_names]
+    n_rows, d = len(space.X), space.d
+    if not simulator.state_names:
+        return _Directions(
+            simulator.residual_names,
+            tuple(units),
+            tuple(simulator.input_names for _ in range(d)),
+            np.broadcast_to(np.eye(d), (n_rows, d, d)),
+            smoothed.errors[:, 1:][space.places],
+            smoothed.error_variances[:, 1:][space.places],
+            np.maximum(space.spread / 3, 1e-300),
+        )
+    columns = fitted.linear.chains.carrier[space.places]
+    k = columns.shape[-1]
+    forces, variances = _total_forces(space, fitted.shares, smoothed.forces, smoothed.means)
+    variances = smoothed.force_variances[..., :k][space.places].copy()
+    if len(fitted.shares):
+        diagonal = np.einsum("ctii->cti", smoothed.covariances)[..., d:]
+        variances += np.maximum(diagonal[:, :-1][space.places], 0.0)
+    joints = simulator.joint_forces()
+    if joints:
+        names = tuple(effect.target or effect.name for effect, _ in joints)
+        return _Directions(
+            names,
+            tuple(effect.unit for effect, _ in joints),
+            tuple(inputs for _, inputs in joints),
+            columns,
+            forces,
+            variances,
+            _joint_scales(space, fitted),
+        )
+    # A random force of such a simulation is one of each channel, or an acceleration.
+    actions = simulator.input_names[len(simulator.state_names) :]
+    rates = [name for name in simulator.residual_names if name.startswith("qvel.")]
+    is_acceleration = k != d
+    acting = rates if is_acceleration else list(simulator.residual_names)
+    unit = np.ones(k) if is_acceleration else np.diag(space.carrier)
+    change = simulator.residual(space.path_ends(fitted.linear.path), fitted.linear.path[:, :-1][space.places])
+    change = change[:, [simulator.residual_names.index(name) for name in acting]]
+    named = dict(zip(simulator.residual_names, units))
+    size = np.sqrt(np.mean(change**2, axis=0)) / (simulator.dt or 1.0 if is_acceleration else 1.0)
+    own = tuple(tuple(dict.fromkeys((*_state_inputs(space, name), *actions))) for name in acting)
+    return _Directions(
+        tuple(acting),
+        tuple(f"{named[name]}/s" if is_acceleration else f"{named[name]} per row" for name in acting),
+        own,
+        columns / unit,
+        forces * unit,
+        variances * unit**2,
+        np.maximum(size, 1e-300),
+    )
+
+
+def _state_inputs(space: StateSpace, channel: str) -> tuple[str, ...]:
+    """Return the inputs that belong to a channel: itself, and the position beside a velocity."""
+    names = (channel, channel.replace("qvel.", "qpos.", 1))
+    return tuple(name for name in names if name in space.simulator.input_names)
+
+
+def _total_forces(space: StateSpace, shares: Array, forces: Array, means: Array) -> tuple[Array, Array]:
+    """Return white forces with those of memory added, (n_rows, k), and the white ones alone."""
+    white = forces[..., : forces.shape[-1] - len(shares)][space.places]
+    if not len(shares):
+        return white, white
+    return white + means[:, :-1, space.d :][space.places], white
+
+
+def _joint_scales(space: StateSpace, fitted: Fitted) -> Array:
+    """Return the nominal model's rms force on each joint: that of motors, of gravity where none drives it."""
+    import mujoco
+
+    simulator = space.simulator
+    prepared: Callable[[Mapping[str, float]], Any] = getattr(simulator, "prepared")  # noqa: B009
+    model, _, _ = prepared({})
+    data = mujoco.MjData(model)
+    squares = np.zeros((2, model.nv))
+    rows = space.rows(fitted.linear.path)
+    n_states = len(simulator.state_names)
+    for row in rows:
+        data.qpos[:], data.qvel[:] = row[: model.nq], row[model.nq : model.nq + model.nv]
+        if len(row) - n_states == model.nu:
+            data.ctrl[:] = row[n_states:]
+        mujoco.mj_forward(model, data)
+        squares += np.stack([data.qfrc_actuator, data.qfrc_bias]) ** 2
+    actuator, bias = np.sqrt(squares / len(rows))
+    scales: Array = np.maximum(np.where(actuator > 0, actuator, bias), 1e-9)
+    return scales
+
+
+def _past(seen: Seen, index: int) -> float:
+    """Return the share of a force's variance that its own past predicts a row ahead."""
+    k = len(seen.shares)
+    if not k:
+        return 0.0
+    force, share = seen.estimate.noise.force, float(seen.shares[index])
+    lasting = force[k + index] / max(1 - share**2, 1e-12)
+    total = lasting + force[index]
+    return float(share**2 * lasting / total) if total > 0 else 0.0
+
+
+def _with_normal_noise(space: StateSpace, seen: Seen) -> list[Seen]:
+    """Return the log as normal noise has it, if the noise has heavy tails."""
+    noise = seen.estimate.noise
+    if not np.isfinite(np.r_[noise.force_nu, noise.error_nu]).any():
+        return []
+    normal = normal_noise(seen.chains, noise.force, noise.error)
+    estimate = estimate_noise(seen.chains, normal, space.real, floor=np.zeros(len(noise.error)), heavy=False)
+    return [replace(seen, estimate=estimate)]
+
+
+# -- what predicts it -------------------------------------------------------------------------------------------------
+
+
+def _regressors(space: StateSpace, directions: _Directions, index: int, rows: Array) -> list[_Regressor]:
+    simulator = space.simulator
+    places = {name: column for column, name in enumerate(simulator.input_names)}
+    own = directions.own[index]
+    first = rows[:, places[own[0]]] if own else np.zeros(len(rows))
+    found = [_Regressor("constant", own[0] if own else "row", first, np.ones((len(rows), 1)), True)]
+    for name in own:
+        values = rows[:, places[name]]
+        found += _binned(name, values, OWN_BINS, is_own=True)
+        if _is_rate(name, simulator.units):
+            for law, column in (("sign", np.sign(values)), ("square", np.abs(values) * values)):
+                title = f"sign({name})" if law == "sign" else f"|{name}|{name}"
+                found += _single(title, name, values, column)
+            found += [
+                one
+                for other in own
+                if other in simulator.state_names and other != name
+                for one in _single(f"{other} {name}", f"{other} {name}", rows[:, places[other]] * values)
+            ]
+    if simulator.state_names:
+        groups = np.unique(space.groups, return_inverse=True)[1]
+        begins = np.flatnonzero(np.r_[True, np.diff(groups) != 0])
+        time = np.asarray((np.arange(len(rows)) - begins[groups]) * (simulator.dt or 1.0), dtype=np.float64)
+        if len(begins) >= EPISODES_FOR_TIME:
+            found += _binned("time", time, OWN_BINS, is_own=True)
+    others = [name for name in simulator.input_names if name not in own]
+    if len(others) * OTHER_BINS * len(directions.names) <= MOST_COLUMNS:
+        for name in others:
+            found += _binned(name, rows[:, places[name]], OTHER_BINS, is_own=False)
+    return found
+
+
+def _turned_back(space: StateSpace, rows: Array) -> Array:
+    """Return the rows with angles that turn over within half a turn of zero: a force there comes back each turn."""
+    for column, name in enumerate(space.simulator.state_names):
+        if space.simulator.units.get(name) == "rad" and np.ptp(rows[:, column]) > 2 * np.pi:
+            rows[:, column] = np.remainder(rows[:, column] + np.pi, 2 * np.pi) - np.pi
+    return rows
+
+
+def _is_rate(name: str, units: Mapping[str, str]) -> bool:
+    return name.startswith("qvel.") or units.get(name, "").endswith("/s")
+
+
+def _single(name: str, coordinate: str, values: Array, column: Array | None = None) -> list[_Regressor]:
+    column = values if column is None else column
+    size = float(np.sqrt(np.mean(column**2)))
+    if size == 0:
+        return []
+    return [_Regressor(name, coordinate, values, column[:, None] / size, True)]
+
+
+def _binned(name: str, values: Array, n_bins: int, *, is_own: bool) -> list[_Regressor]:
+    columns = _bins(values, n_bins)[1]
+    return [_Regressor(name, name, values, columns, is_own)] if columns.shape[1] > 1 else []
+
+
+def _bins(values: Array, n_bins: int) -> tuple[Array, Array]:
+    """Return edges, and which bin each row is in as columns."""
+    edges: Array = np.unique(np.quantile(values, np.linspace(0, 1, n_bins + 1)))
+    if len(edges) < 3:
+        centre = float(values.mean())
+        edges = np.array([min(float(values.min()), centre), max(float(values.max()), centre + 1e-12)])
+    place = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
+    return edges, np.eye(len(edges) - 1)[place]
+
+
+def _response(space: StateSpace, seen: Seen, direction: Array, columns: Array) -> Array:
+    """Return by how much whitened innovations change with each column of force, (n_chains, n_steps + 1, d_all, k)."""
+    hidden = seen.chains.drive.shape[-1] - space.d
+    drive = np.pad(direction[:, :, None] * columns[:, None, :], [(0, 0), (0, hidden), (0, 0)])
+    drive[~seen.linear.valid] = 0.0
+    return filter_columns(seen.chains, seen.estimate.filtered, space.padded(drive))
+
+
+def _gram(space: StateSpace, seen: Seen, N: Array, chosen: Mask | None = None) -> tuple[Array, Array]:
+    mask = seen.chains.mask if chosen is None else seen.chains.mask & chosen[..., None]
+    columns, z = N[mask], seen.estimate.filtered.whitened[mask]
+    return columns.T @ columns, columns.T @ z
+
+
+def _worth(G: Array, b: Array, scale: float) -> tuple[float, float]:
+    """Return what a law is worth, nats, as a mean over its sizes, and the size that is best."""
+    values, vectors = np.linalg.eigh(G)
+    values, turned = np.maximum(values, 0.0), vectors.T @ b
+    each = []
+    for size in SIZES:
+        prior = (size * scale) ** 2
+        nats = 0.5 * np.sum(turned**2 * prior / (1 + prior * values)) - 0.5 * np.sum(np.log1p(prior * values))
+        each.append(float(nats))
+    return float(logsumexp(each) - np.log(len(SIZES))), SIZES[int(np.argmax(each))] * scale
+
+
+def _halves(space: StateSpace) -> Mask:
+    """Return the half that each instant belongs to, (n_chains, n_steps + 1)."""
+    n, steps = space.real.shape
+    block = np.arange(n)[:, None] + np.arange(steps + 1) // BLOCK_ROWS
+    return np.asarray(block % 2 == 1)
+
+
+def _ahead(space: StateSpace, seen: Seen, direction: Array, forces: Array, horizon: int) -> float:
+    """Return what a force adds to the mean square error at a horizon, from two estimates (n_rows, 2) of it."""
+    if not space.simulator.state_names:
+        starts, horizon = np.arange(len(space.X)), 1
+    else:
+        starts, horizon = windows(space, horizon)
+    if not len(starts):
+        return 0.0
+    drive = direction[:, :, None] * forces[:, None, :]
+    A = seen.linear.chains.transitions[space.places]
+    moved = np.zeros((len(starts), space.d, 2))
+    for step in range(horizon):
+        moved = A[starts + step] @ moved + drive[starts + step]
+    variances = variances_ahead(space, seen, starts, horizon)[:, -1]
+    mask = ends(space)[1][starts + horizon - 1]
+    both = moved[..., 0] * moved[..., 1] / variances
+    return float(max(both[mask].mean(), 0.0)) if mask.any() else 0.0
+
+
+def _law(space: StateSpace, seen: Seen, direction: Array, chosen: _Regressor, size: float) -> Law:
+    edges, columns = _bins(chosen.values, OWN_BINS)
+    G, b = _gram(space, seen, _response(space, seen, direction, columns))
+    curvature = G + np.eye(len(G)) / size**2
+    mean = np.asarray(np.linalg.solve(curvature, b), dtype=np.float64)
+    half = WIDTH_95 * np.sqrt(np.diag(np.linalg.inv(curvature)))
+    return Law(chosen.coordinate, edges, mean, mean - half, mean + half)
+
+
+# -- what it looks like over time -------------------------------------------------------------------------------------
+
+
+def _segments(space: StateSpace) -> tuple[list[Places], int]:
+    """Return the rows of each episode, and how many of them a spectrum takes."""
+    rows = np.split(np.arange(len(space.groups)), np.flatnonzero(np.diff(space.groups)) + 1)
+    longest = max(len(one) for one in rows)
+    length = min(SPECTRUM_ROWS, longest)
+    return [one for one in rows if len(one) >= length], length
+
+
+def _welch(space: StateSpace, force: Array) -> tuple[Array, Array]:
+    segments, length = _segments(space)
+    if length < LEAST_SPECTRUM_ROWS:
+        return np.zeros(0), np.zeros(0)
+    rate = 1 / space.simulator.dt if space.simulator.dt else 1.0
+    spectra, weights = [], []
+    for rows in segments:
+        frequencies, power = signal.welch(force[rows], rate, nperseg=length, detrend=False)
+        spectra.append(power)
+        weights.append(len(rows))
+    return frequencies, np.average(spectra, axis=0, weights=weights)
+
+
+def _white_spectra(
+    space: StateSpace, fitted: Fitted, directions: _Directions, random_state: np.random.RandomState
+) -> tuple[Array, list[Array]]:
+    """Return what the smoother shows of a white force with the variance that was found: frequencies, and spectra.
+
+    Where sensors hide a force, a smoothed one is a slow one, whatever it was.
+    """
+    n = len(directions.names)
+    if not space.simulator.state_names or _segments(space)[1] < LEAST_SPECTRUM_ROWS:
+        return np.zeros(0), [np.zeros(0)] * n
+    plain, chains, noise = fitted.linear.chains, fitted.chains, fitted.estimate.noise
+    d, k = space.d, plain.carrier.shape[-1]
+    forces = noise.force[:k].copy()
+    if len(fitted.shares):
+        forces += noise.force[k:] / np.maximum(1 - fitted.shares**2, 1e-12)
+    variances = noise.force_variances, noise.error_variances
+    spectra = [np.zeros(0)] * n
+    frequencies = np.zeros(0)
+    for draw in range(DRAWS):
+        pushes = np.sqrt(forces) * random_state.normal(size=(*space.real.shape, k)) * space.real[..., None]
+        readings = np.sqrt(variances[1]) * random_state.normal(size=variances[1].shape)
+        state = np.zeros((len(pushes), d))
+        for step in range(pushes.shape[1] + 1):
+            readings[:, step, :d] += state
+            if step < pushes.shape[1]:
+                state = np.einsum("nij,nj->ni", plain.transitions[:, step], state)
+                state += np.einsum("nij,nj->ni", plain.carrier[:, step], pushes[:, step])
+        drawn = replace(
+            chains, measured=np.where(chains.mask, readings, 0.0), drive=np.zeros_like(chains.drive)
+        )
+        smoothed = smooth(drawn, kalman_filter(drawn, *variances), *variances, covariances=False)
+        shown, _ = _total_forces(space, fitted.shares, smoothed.forces, smoothed.means)
+        for index in range(n):
+            frequencies, power = _welch(space, shown[:, index] / np.sqrt(max(forces[index], 1e-300)))
+            spectra[index] = power / DRAWS if draw == 0 else spectra[index] + power / DRAWS
+    return frequencies, spectra
+
+
+def _spectrum(space: StateSpace, force: Array, frequencies: Array, white: Array) -> tuple[Array, Array]:
+    """Return the power density that a force would show if the smoother showed all of it."""
+    if not len(frequencies):
+        return frequencies, np.zeros(0)
+    shown = _welch(space, force)[1]
+    level = 1 / frequencies[-1]  # of a white force of unit variance
+    ratio = np.where(white > 0, shown / np.where(white > 0, white, 1.0), 0.0)
+    return frequencies, ratio * level
+
+
+def _word(force: Array, frequencies: Array, spectrum: Array, unit: str) -> str:
+    squares = np.sort(force**2)[::-1]
+    total = float(squares.sum())
+    if not len(frequencies) or total == 0 or not spectrum.sum() > 0:
+        return "none" if total == 0 else "white"
+    if squares[: max(1, int(FEW_ROWS * len(squares)))].sum() > MAJORITY * total:
+        return "impacts"
+    power = spectrum[1:] / spectrum[1:].sum()
+    above = frequencies[1:]
+    peak = int(np.argmax(power))
+    near = np.abs(above - above[peak]) <= max(WIDTH * above[peak], 2 * above[0])
+    if peak > 2 and power[near].sum() > MAJORITY:
+        centre = float((above[near] * power[near]).sum() / power[near].sum())
+        return f"vibration at {centre:.2g} {unit}"
+    if power[above <= SLOW * above[-1]].sum() > MAJORITY:
+        return "drift"
+    return "white"

@@ -1,0 +1,449 @@
+"""A simulator and a log as linear dynamics about a path: chains of states, means and slopes over what is not known."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from joblib import Parallel, delayed, effective_n_jobs
+from numpy.typing import NDArray
+
+from skat.diagnosis.filtering import Array, Chains, Mask
+from skat.simulators import Simulator
+
+Places = NDArray[np.intp]
+
+# Transitions filtered one after the other; chains run side by side.
+CHAIN_LENGTH = 64
+# Step of a first derivative by the state, in units of a channel's spread.
+FIRST_STEP = 1e-4
+# Values that the simulations of one block of derivatives return.
+VALUES_AT_ONCE = 2e7
+# Of the largest force on a joint, for the derivative by it.
+SMALL_FORCE = 1e-3
+# Smallest step of a derivative, where the state is known better than that.
+SMALLEST_STEP = 1e-7
+
+
+@dataclass(frozen=True)
+class StateSpace:
+    """A log laid out in chains.
+
+    Attributes
+    ----------
+    simulator : Simulator
+    X : ndarray of shape (n_rows, n_inputs)
+        As measured; what was not is a guess.
+    groups : ndarray of shape (n_rows,)
+        Episode of each row, as the simulator takes it.
+    places : tuple of two ndarrays of int of shape (n_rows,)
+        Chain and step of each row.
+    measured : ndarray of shape (n_chains, n_steps + 1, n_states)
+        States; guesses where nothing was measured.
+    mask : ndarray of bool of shape (n_chains, n_steps + 1, d)
+    real : ndarray of bool of shape (n_chains, n_steps)
+    carrier : ndarray of shape (d, n_forces)
+        How a random force enters the state where the simulator has no forces on joints.
+    spread : ndarray of shape (d,)
+        Standard deviation of a chain's first state about the path, before measurements.
+    n_jobs : int or None
+        Processes of joblib that share the simulations of candidates.
+    """
+
+    simulator: Simulator
+    X: Array
+    groups: Places
+    places: tuple[Places, Places]
+    measured: Array
+    mask: Mask
+    real: Mask
+    carrier: Array
+    spread: Array
+    n_jobs: int | None = None
+
+    @property
+    def d(self) -> int:
+        """Number of channels of a residual."""
+        return self.mask.shape[-1]
+
+    def rows(self, path: Array) -> Array:
+        """Return the rows of inputs that start on a path, (n_rows, n_inputs)."""
+        X = self.X.copy()
+        if self.simulator.state_names:
+            X[:, : path.shape[-1]] = path[:, :-1][self.places]
+        return X
+
+    def simulated(self, rows: Array, candidates: Sequence[Mapping[str, float]]) -> Array:
+        """Return the outputs of rows under each candidate, (n_candidates, n_rows, n_outputs)."""
+        jobs = effective_n_jobs(self.n_jobs)
+        if jobs == 1 or len(candidates) < 2:
+            return self.simulator.predict_many(rows, candidates, groups=self.groups)
+        parts = np.array_split(np.arange(len(candidates)), min(jobs, len(candidates)))
+        outputs = Parallel(n_jobs=self.n_jobs)(
+            delayed(self.simulator.predict_many)(rows, [candidates[one] for one in part], groups=self.groups)
+            for part in parts
+        )
+        return np.concatenate(outputs)
+
+    def path_ends(self, path: Array) -> Array:
+        """Return the states in which the rows end on a path, (n_rows, n_states)."""
+        return path[:, 1:][self.places]
+
+    def padded(self, rows: Array) -> Array:
+        """Return what belongs to rows as (n_chains, n_steps, ...), zero in padding."""
+        out = np.zeros((*self.real.shape, *rows.shape[1:]))
+        out[self.places] = rows
+        return out
+
+
+@dataclass(frozen=True)
+class Linear:
+    """The simulation about a path.
+
+    Attributes
+    ----------
+    path : ndarray of shape (n_chains, n_steps + 1, n_states)
+    chains : Chains
+    outputs : ndarray of shape (n_rows, n_outputs)
+        Of the simulation on the path.
+    valid : ndarray of bool of shape (n_rows,)
+        Rows in which it did not diverge.
+    """
+
+    path: Array
+    chains: Chains
+    outputs: Array
+    valid: Mask
+
+
+def state_space(
+    simulator: Simulator,
+    X: Array,
+    y: Array,
+    episodes: Places,
+    *,
+    consecutive: bool,
+    n_jobs: int | None = None,
+) -> StateSpace:
+    """Lay out a checked log.
+
+    Parameters
+    ----------
+    simulator : Simulator
+    X, y : ndarray of shape (n_rows, n_inputs), (n_rows, n_outputs)
+        NaN in states and outputs where nothing was measured.
+    episodes : ndarray of int of shape (n_rows,)
+    consecutive : bool
+        Whether the rows of an episode follow each other in time.
+    n_jobs : int, optional
+        Processes of joblib that share the simulations of candidates.
+    """
+    n_states = len(simulator.state_names)
+    (chain, step), states = in_chains(simulator, X, y, episodes, consecutive=consecutive)
+    if not (consecutive and n_states):
+        episodes = chain
+    shape = len(states), states.shape[1] - 1
+    real = np.zeros(shape, dtype=bool)
+    real[chain, step] = True
+    starts_rows = np.flatnonzero(step == 0)
+    X = X.copy()
+    d = len(simulator.residual_names)
+    seen = np.isfinite(states)
+    if n_states and consecutive:
+        # A state at which an episode was cut belongs to the chain that it begins.
+        last = np.r_[starts_rows[1:] - 1]
+        cut = episodes[last] == episodes[last + 1]
+        seen[chain[last][cut], step[last][cut] + 1] = False
+    guesses = guessed(simulator, states)
+    mask = tangent_mask(simulator, seen)
+    rows = X
+    if n_states:
+        rows[:, :n_states] = guesses[:, :-1][chain, step]
+    flat = guesses[np.concatenate([np.ones((shape[0], 1), bool), real], axis=1)]
+    middle = np.broadcast_to(flat[:1], flat.shape)
+    spread = simulator.residual(flat, middle).std(axis=0)
+    spread = np.maximum(spread, 1e-6 * max(float(spread.max(initial=0.0)), 1e-6))
+    carrier = _carrier(simulator, spread) if n_states else np.zeros((d, 0))
+    return StateSpace(
+        simulator, rows, episodes, (chain, step), guesses, mask, real, carrier, 3 * spread, n_jobs
+    )
+
+
+def in_chains(
+    simulator: Simulator, X: Array, y: Array, episodes: Places, *, consecutive: bool
+) -> tuple[tuple[Places, Places], Array]:
+    """Return chain and step of each row, and the states as measured, (n_chains, n_steps + 1, n_states).
+
+    Rows that do not follow each other in time are a chain each; a one-shot simulator's have no state before.
+    """
+    n_states = len(simulator.state_names)
+    n_rows = len(X)
+    step = np.zeros(n_rows, dtype=int)
+    if consecutive and n_states:
+        starts = np.flatnonzero(np.r_[True, np.diff(episodes) != 0])
+        step = np.arange(n_rows) - starts[np.cumsum(np.r_[True, np.diff(episodes) != 0]) - 1]
+        lengths = np.diff(np.r_[starts, n_rows])
+        # Pieces of one episode are about as long as each other.
+        longest = np.ceil(lengths / np.ceil(lengths / CHAIN_LENGTH)).astype(int)
+        longest = np.repeat(longest, lengths)
+        new = (step % longest) == 0
+        step = step % longest
+        chain = np.cumsum(new) - 1
+    else:
+        chain = np.arange(n_rows)
+    states = np.full((int(chain[-1]) + 1, int(step.max()) + 2, y.shape[1]), np.nan)
+    states[chain, step + 1] = y
+    if n_states:
+        states[np.arange(len(states)), 0] = X[np.flatnonzero(step == 0), :n_states]
+    return (chain, step), states
+
+
+def linearise(
+    space: StateSpace,
+    path: Array,
+    values: Mapping[str, float],
+    covariances: Array | None = None,
+    *,
+    slopes: Linear | None = None,
+) -> Linear:
+    """Return the simulation about a path, its slopes and means over what is not known of the states.
+
+    Parameters
+    ----------
+    space : StateSpace
+    path : ndarray of shape (n_chains, n_steps + 1, n_states)
+    values : mapping from name to value
+    covariances : ndarray of shape (n_chains, n_steps + 1, d, d), optional
+        What is not known of the states; without it, slopes are those at a point.
+    slopes : Linear, optional
+        Take slopes and bends of this one.
+
+    Returns
+    -------
+    Linear
+
+    Notes
+    -----
+    The points of a row are its state and, along each principal axis of the covariance, one standard deviation to
+    both sides. A function that is quadratic between them has the mean f + sum(h) / 2 and, beside its slope, the
+    covariance sum(h h') / 2, h being its second differences.
+    """
+    simulator, d = space.simulator, space.d
+    rows = space.rows(path)
+    n = len(rows)
+    if not simulator.state_names:
+        (outputs,) = simulator.predict_many(rows, [values], groups=space.groups)
+        drive = simulator.residual(outputs, path[:, 1:][space.places])
+        return _assembled(space, path, np.zeros((n, d, d)), drive, np.zeros((n, d, d)), outputs)
+    if slopes is not None:
+        (outputs,) = simulator.predict_many(rows, [values], groups=space.groups)
+        chains = slopes.chains
+        drive = simulator.residual(outputs, path[:, 1:][space.places])
+        return _assembled(
+            space,
+            path,
+            chains.transitions[space.places],
+            drive,
+            chains.bends[space.places],
+            outputs,
+            chains.carrier,
+        )
+    if covariances is None:
+        axes, widths = np.tile(np.eye(d), (n, 1, 1)), np.tile(FIRST_STEP * space.spread, (n, 1))
+    else:
+        units = space.spread
+        scaled = covariances[:, :-1][space.places] / (units[:, None] * units)
+        variances, axes = np.linalg.eigh(scaled)
+        widths = np.sqrt(np.clip(variances, SMALLEST_STEP**2, 1.0))
+        axes = axes * units[:, None]
+    known = covariances is not None
+    moved = [rows]
+    for axis in range(d):
+        offset = axes[:, :, axis] * widths[:, axis, None]
+        moved += [simulator.displace(rows, offset), simulator.displace(rows, -offset)]
+    stacked = np.concatenate(moved)
+    copies = np.concatenate(
+        [space.groups + copy * (int(space.groups.max()) + 1) for copy in range(len(moved))]
+    )
+    (outputs,) = simulator.predict_many(stacked, [values], groups=copies)
+    outputs = outputs.reshape(len(moved), n, -1)
+    base = outputs[0]
+    safe = np.where(np.isfinite(base), base, path[:, 1:][space.places])
+    up = np.stack([simulator.residual(_finite(one, safe), safe) for one in outputs[1::2]], axis=-1)
+    down = np.stack([simulator.residual(_finite(one, safe), safe) for one in outputs[2::2]], axis=-1)
+    inverse = (
+        np.linalg.inv(axes) if known else axes
+    )  # of orthonormal axes in units: rows of inverse are directions
+    transitions = ((up - down) / (2 * widths[:, None])) @ inverse
+    drive = simulator.residual(safe, path[:, 1:][space.places])
+    bends = np.zeros((n, d, d))
+    if known:
+        second = up + down
+        drive = drive + second.sum(axis=-1) / 2
+        bends = np.einsum("nia,nja->nij", second, second) / 2
+    carrier = _joint_carrier(space, rows, values, base, space.path_ends(path))
+    return _assembled(space, path, transitions, drive, bends, base, carrier)
+
+
+def _joint_carrier(
+    space: StateSpace, rows: Array, values: Mapping[str, float], base: Array, safe: Array
+) -> Array | None:
+    """Return the derivative of the next state by a force on each joint, (n_chains, n_steps, d, n_forces)."""
+    forces = [effect for effect, _ in space.simulator.joint_forces()]
+    if not forces:
+        return None
+    sizes = [SMALL_FORCE * effect.bounds[1] for effect in forces]
+    candidates = [{**values, effect.name: size} for effect, size in zip(forces, sizes)]
+    outputs = space.simulated(rows, candidates)
+    base = _finite(base, safe)
+    columns = [space.simulator.residual(_finite(one, base), base) / size for one, size in zip(outputs, sizes)]
+    return space.padded(np.stack(columns, axis=-1))
+
+
+def derivatives(
+    space: StateSpace,
+    linear: Linear,
+    values: Mapping[str, float],
+    steps: Mapping[str, tuple[float, float]],
+) -> Array:
+    """Return the derivative of what the model adds in a step by each parameter, (n_rows, d, k).
+
+    Parameters
+    ----------
+    space, linear, values
+    steps : mapping from name to (low, high)
+        For each effect, two values between which the slope is taken; one of them may be that in `values`.
+    """
+    simulator, rows, base = space.simulator, space.rows(linear.path), linear.outputs
+    neutral = {effect.name: effect.neutral for effect in simulator.effects(also="all")}
+    safe = _finite(base, linear.path[:, 1:][space.places])
+    columns = np.zeros((len(rows), space.d, len(steps)))
+    names = list(steps)
+    together = max(1, int(VALUES_AT_ONCE // max(1, 2 * base.size)))
+    for start in range(0, len(names), together):
+        part = names[start : start + together]
+        candidates = [
+            {**values, name: end}
+            for name in part
+            for end in steps[name]
+            if end != values.get(name, neutral[name])
+        ]
+        outputs = iter(space.simulated(rows, candidates))
+        for column, name in enumerate(part, start):
+            low, high = (
+                base if end == values.get(name, neutral[name]) else next(outputs) for end in steps[name]
+            )
+            difference = simulator.residual(_finite(high, safe), _finite(low, safe))
+            bad = ~(np.isfinite(high).all(axis=1) & np.isfinite(low).all(axis=1))
+            difference[bad] = 0.0
+            columns[:, :, column] = difference / (steps[name][1] - steps[name][0])
+    columns[~linear.valid] = 0.0
+    return columns
+
+
+def moved_path(space: StateSpace, path: Array, deviations: Array) -> Array:
+    """Return a path displaced by deviations (n_chains, n_steps + 1, d)."""
+    if not space.simulator.state_names:
+        return path
+    return space.simulator.displace(path, deviations)
+
+
+def _assembled(
+    space: StateSpace,
+    path: Array,
+    transitions: Array,
+    drive: Array,
+    bends: Array,
+    outputs: Array,
+    carrier: Array | None = None,
+) -> Linear:
+    d = space.d
+    finite = [np.isfinite(one).reshape(len(one), -1).all(axis=1) for one in (outputs, transitions, drive)]
+    valid: Mask = np.logical_and.reduce(finite)
+    wide = np.diag(space.spread**2)
+    transitions = np.where(valid[:, None, None], transitions, 0.0)
+    drive = np.where(valid[:, None], drive, 0.0)
+    bends = np.where(valid[:, None, None], bends, wide)
+    measured = space.simulator.residual(space.measured, path)
+    if carrier is None:
+        carrier = np.broadcast_to(space.carrier, (*space.real.shape, *space.carrier.shape))
+    chains = Chains(
+        _identity_padded(space, transitions, d),
+        space.padded(drive),
+        space.padded(bends),
+        carrier,
+        np.where(space.mask, measured, 0.0),
+        space.mask,
+        space.spread**2,
+    )
+    return Linear(path, chains, outputs, valid)
+
+
+def _identity_padded(space: StateSpace, transitions: Array, d: int) -> Array:
+    out = np.tile(np.eye(d), (*space.real.shape, 1, 1))
+    out[space.places] = transitions
+    return out
+
+
+def _finite(values: Array, otherwise: Array) -> Array:
+    bad: Mask = np.asarray(~np.isfinite(values).all(axis=-1))
+    return np.where(bad[..., None], otherwise, values) if bad.any() else values
+
+
+def tangent_mask(simulator: Simulator, seen: Mask) -> Mask:
+    """Return which channels of a residual were measured: a rotation as a whole, or not."""
+    outputs, tangent = simulator.output_names, simulator.residual_names
+    if outputs == tangent:
+        return seen
+    mask = np.empty((*seen.shape[:-1], len(tangent)), dtype=bool)
+    for column, name in enumerate(tangent):
+        if name in outputs:
+            mask[..., column] = seen[..., outputs.index(name)]
+        else:
+            joint = name[: -len(".rx")]
+            parts = [outputs.index(f"{joint}.{part}") for part in ("qw", "qx", "qy", "qz")]
+            mask[..., column] = seen[..., parts].all(axis=-1)
+    return mask
+
+
+def guessed(simulator: Simulator, states: Array) -> Array:
+    """Return the states with what was not measured filled in: in time, from positions, or the model's own place."""
+    filled = states.copy()
+    names = simulator.output_names
+    times = np.arange(states.shape[1])
+    for column in range(states.shape[2]):
+        for chain in range(states.shape[0]):
+            series = filled[chain, :, column]
+            known = np.isfinite(series)
+            if known.any() and not known.all():
+                filled[chain, :, column] = np.interp(times, times[known], series[known])
+    for column, name in enumerate(names):
+        if np.isfinite(filled[..., column]).all():
+            continue
+        position = name.replace("qvel.", "qpos.", 1)
+        guess = np.zeros(states.shape[:2])
+        if name.startswith("qvel.") and position in names and simulator.dt:
+            place = filled[..., names.index(position)]
+            if np.isfinite(place).all() and place.shape[1] > 1:
+                guess = np.gradient(place, axis=1) / simulator.dt
+        missing = ~np.isfinite(filled[..., column])
+        own = np.nanmean(states[..., column]) if np.isfinite(states[..., column]).any() else None
+        filled[..., column] = np.where(missing, guess if own is None else own, filled[..., column])
+    for column, name in enumerate(names):
+        if name.endswith(".qw"):
+            unknown = ~np.isfinite(states[..., column])
+            filled[..., column] = np.where(unknown & (filled[..., column] == 0), 1.0, filled[..., column])
+    return filled
+
+
+def _carrier(simulator: Simulator, spread: Array) -> Array:
+    """Return how a random acceleration of each degree of freedom enters position and velocity in a transition."""
+    names, dt = simulator.residual_names, simulator.dt
+    velocities = [index for index, name in enumerate(names) if name.startswith("qvel.")]
+    if not velocities or dt is None or len(names) != 2 * len(velocities):
+        return np.diag(spread)
+    steps = int(getattr(simulator, "frame_skip", 1))
+    carrier = np.zeros((len(names), len(velocities)))
+    for force, index in enumerate(velocities):
+        carrier[index, force] = dt
+        carrier[index - len(velocities), force] = dt**2 * (steps + 1) / (2 * steps)
+    return carrier

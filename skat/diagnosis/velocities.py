@@ -1,0 +1,143 @@
+r"""Whether velocities were measured or computed from the positions beside them, told without a simulation.
+
+Regress a velocity on the positions around it and on its own neighbours, :math:`v_t \approx \sum_k c_k q_{t+k} + \sum_k
+a_k v_{t+k}`. Noise of the positions that the velocity knows nothing of enters what is left with exactly
+:math:`\sigma_q^2 \sum c_k^2`, so that no measured velocity can be predicted better; one that was computed from these
+positions can, by any linear filter, causal or not, that so many neighbours express.
+"""
+
+from math import comb
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skat.diagnosis.filtering import Array
+from skat.simulators import Simulator
+
+# Neighbours to each side that a filter may use.
+POSITIONS, VELOCITIES = 4, 2
+# Order of the differences of positions in which noise is all that is left.
+ORDER = 6
+# Motion adds to differences, above all where something hits: noise is what the quieter quarter of the pieces has.
+PIECE, QUIET = 10, 0.25
+# Of what independent noise would leave: far from 1 for the scatter of a variance, far from 0 for a log's own rounding.
+SHARE = 0.05
+# Rows for each regressor.
+ROWS_EACH = 4
+
+
+def is_computed(positions: Array, velocities: Array, episodes: NDArray[Any]) -> bool:
+    """Return whether one joint's velocities were computed from its positions.
+
+    Parameters
+    ----------
+    positions, velocities : ndarray of shape (n_instants,)
+        As measured, evenly spaced within an episode; NaN where nothing was.
+    episodes : ndarray of shape (n_instants,)
+
+    Returns
+    -------
+    bool
+        False also where too few rows leave it open. Where positions have no noise, either answer may come: they then
+        tell what the velocity would.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> angle = np.sin(0.05 * np.arange(400))
+    >>> read = angle + 0.001 * rng.normal(size=400)
+    >>> is_computed(read, np.gradient(read, 0.01), np.zeros(400))
+    True
+    >>> is_computed(read, 5 * np.cos(0.05 * np.arange(400)) + 0.05 * rng.normal(size=400), np.zeros(400))
+    False
+    """
+    windows, targets = [], []
+    for episode in np.unique(episodes):
+        q, v = positions[episodes == episode], velocities[episodes == episode]
+        if len(q) <= 2 * POSITIONS + 1:
+            continue
+        around_q = np.lib.stride_tricks.sliding_window_view(q, 2 * POSITIONS + 1)
+        inner = v[POSITIONS - VELOCITIES : len(v) - (POSITIONS - VELOCITIES)]
+        around_v = np.lib.stride_tricks.sliding_window_view(inner, 2 * VELOCITIES + 1)
+        targets.append(around_v[:, VELOCITIES])
+        windows.append(np.column_stack([around_q, np.delete(around_v, VELOCITIES, axis=1)]))
+    if not windows:
+        return False
+    design, target = np.concatenate(windows), np.concatenate(targets)
+    kept = np.isfinite(design).all(axis=1) & np.isfinite(target)
+    design, target = design[kept], target[kept]
+    if len(target) < ROWS_EACH * design.shape[1]:
+        return False
+    noise = noise_variance(positions, episodes)
+    design = np.column_stack([design - design.mean(axis=0), np.ones(len(design))])
+    sizes = np.sqrt(np.mean(design**2, axis=0))
+    sizes[sizes == 0] = 1.0
+    coefficients, *_ = np.linalg.lstsq(design / sizes, target, rcond=None)
+    left = target - design / sizes @ coefficients
+    own = (coefficients / sizes)[: 2 * POSITIONS + 1]
+    degrees = len(target) - design.shape[1]
+    return bool(np.sum(left**2) / degrees < SHARE * noise * np.sum(own**2))
+
+
+def noise_variance(series: Array, episodes: NDArray[Any]) -> float:
+    """Return the variance of a channel's noise as neighbouring rows show it: what high differences leave.
+
+    Parameters
+    ----------
+    series : ndarray of shape (n_instants,)
+        NaN where nothing was measured.
+    episodes : ndarray of shape (n_instants,)
+
+    Returns
+    -------
+    float
+        0 where no piece is long enough to tell.
+    """
+    rough = [np.diff(series[episodes == episode], ORDER) for episode in np.unique(episodes)]
+    squares = np.concatenate(rough) ** 2 / comb(2 * ORDER, ORDER)
+    squares = squares[np.isfinite(squares)]
+    n_pieces = max(1, len(squares) // PIECE)
+    means = [piece.mean() for piece in np.array_split(squares, n_pieces) if len(piece)]
+    return float(np.quantile(means, QUIET)) if means else 0.0
+
+
+def computed_velocities(simulator: Simulator, X: Array, y: Array, groups: NDArray[Any]) -> tuple[str, ...]:
+    """Return the names of the velocities that were computed from positions.
+
+    Parameters
+    ----------
+    simulator : Simulator
+    X, y : ndarray of shape (n_rows, n_inputs), (n_rows, n_outputs)
+    groups : ndarray of shape (n_rows,)
+        Episode of each row.
+    """
+    names = simulator.state_names
+    last = np.flatnonzero(np.r_[groups[1:] != groups[:-1], True])
+    states = np.insert(X[:, : len(names)], last + 1, y[last], axis=0)
+    episodes = np.insert(groups, last + 1, groups[last])
+    return tuple(
+        velocity
+        for position, velocity in motions(simulator)
+        if is_computed(states[:, names.index(position)], states[:, names.index(velocity)], episodes)
+    )
+
+
+def motions(simulator: Simulator) -> tuple[tuple[str, str], ...]:
+    """Return (position, velocity) of each pair of channels of which the second is the rate of the first.
+
+    MuJoCo's names tell, but for orientations, whose rates no difference of a column makes; elsewhere units do, where
+    there is one pair of them.
+    """
+    states, units = simulator.state_names, simulator.units
+    names = simulator.residual_names
+    if all(name.startswith(("qpos.", "qvel.")) for name in names):
+        half = len(names) // 2
+        return tuple(pair for pair in zip(names[:half], names[half:]) if set(pair) <= set(states))
+    pairs = []
+    for name in states:
+        alike = [one for one in states if units.get(one) == units.get(name)]
+        rates = [one for one in states if name in units and units.get(one) == f"{units[name]}/s"]
+        if len(alike) == len(rates) == 1:
+            pairs.append((name, rates[0]))
+    return tuple(pairs)

@@ -1,0 +1,185 @@
+"""The filter, the smoother and the noise, against dense normal laws and quadrature."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import integrate, stats
+
+from skat.diagnosis.filtering import (
+    Chains,
+    filter_columns,
+    kalman_filter,
+    smooth,
+    student_log_density,
+)
+from skat.diagnosis.noise import Noise, estimate_noise, normal_noise, passed
+
+
+@pytest.fixture
+def log():
+    """Three chains of six steps, four channels and two forces; a third of the samples and one channel are missing."""
+    rng = np.random.default_rng(0)
+    n, steps, d, k = 3, 6, 4, 2
+    bends = 0.1 * rng.normal(size=(n, steps, d, d))
+    mask = rng.random((n, steps + 1, d)) > 0.3
+    mask[..., 3] = False
+    chains = Chains(
+        0.6 * rng.normal(size=(n, steps, d, d)),
+        rng.normal(size=(n, steps, d)),
+        bends @ bends.swapaxes(-1, -2),
+        rng.normal(size=(n, steps, d, k)),
+        rng.normal(size=(n, steps + 1, d)),
+        mask,
+        np.full(d, 9.0),
+    )
+    return chains, 0.1 + rng.random((n, steps, k)), 0.1 + rng.random((n, steps + 1, d))
+
+
+def dense(chains, forces, errors, chain):
+    """Return mean and covariance of all states of a chain, and what of them was measured, with its noise."""
+    n_states, d = chains.measured.shape[1:]
+    total = n_states * d
+    carried, spread, mean = np.zeros((total, total)), np.zeros((total, total)), np.zeros(total)
+    at = [slice(t * d, (t + 1) * d) for t in range(n_states)]
+    carried[at[0], at[0]], spread[at[0], at[0]] = np.eye(d), np.diag(chains.prior)
+    for t in range(n_states - 1):
+        A, F = chains.transitions[chain, t], chains.carrier[chain, t]
+        carried[at[t + 1]] = A @ carried[at[t]]
+        carried[at[t + 1], at[t + 1]] += np.eye(d)
+        mean[at[t + 1]] = A @ mean[at[t]] + chains.drive[chain, t]
+        spread[at[t + 1], at[t + 1]] = F @ np.diag(forces[chain, t]) @ F.T + chains.bends[chain, t]
+    seen = chains.mask[chain].ravel()
+    return mean, carried @ spread @ carried.T, seen, errors[chain].ravel()[seen]
+
+
+def test_filter_and_smoother_are_those_of_the_dense_normal_law(log):
+    chains, forces, errors = log
+    filtered = kalman_filter(chains, forces, errors)
+    smoothed = smooth(chains, filtered, forces, errors)
+    expected = 0.0
+    for chain in range(len(chains.drive)):
+        mean, covariance, seen, noise = dense(chains, forces, errors, chain)
+        S = covariance[np.ix_(seen, seen)] + np.diag(noise)
+        measured = chains.measured[chain].ravel()[seen]
+        expected += stats.multivariate_normal(mean[seen], S).logpdf(measured)
+        gain = np.linalg.solve(S, covariance[seen]).T
+        states = mean + gain @ (measured - mean[seen])
+        left = covariance - gain @ covariance[seen]
+        np.testing.assert_allclose(smoothed.means[chain].ravel(), states, rtol=1e-9, atol=1e-10)
+        d = chains.measured.shape[2]
+        for t, found in enumerate(smoothed.covariances[chain]):
+            block = slice(t * d, (t + 1) * d)
+            np.testing.assert_allclose(found, left[block, block], rtol=1e-8, atol=1e-10)
+        np.testing.assert_allclose(
+            smoothed.errors[chain].ravel()[seen], measured - states[seen], rtol=1e-8, atol=1e-10
+        )
+        np.testing.assert_allclose(
+            smoothed.error_variances[chain].ravel()[seen], np.diag(left)[seen], rtol=1e-8, atol=1e-10
+        )
+    assert filtered.log_likelihood == pytest.approx(expected, rel=1e-11)
+
+
+def test_derivatives_of_innovations_are_those_of_the_filter(log):
+    chains, forces, errors = log
+    columns = np.random.default_rng(1).normal(size=(*chains.drive.shape, 3))
+    filtered = kalman_filter(chains, forces, errors)
+    slopes = filter_columns(chains, filtered, columns)
+    theta = np.array([0.3, -1.0, 0.5])
+    moved = kalman_filter(replace(chains, drive=chains.drive + columns @ theta), forces, errors)
+    np.testing.assert_allclose(filtered.whitened - slopes @ theta, moved.whitened, atol=1e-10)
+
+
+def test_no_noise_and_no_force_are_allowed(log):
+    chains, forces, errors = log
+    exact = replace(chains, bends=np.zeros_like(chains.bends))
+    assert np.isfinite(kalman_filter(exact, 0 * forces, 1e-14 + 0 * errors).log_likelihood)
+
+
+def random_walk(rng, *, steps=400, force=0.3, error=1.0, chains=4, memory=0.0, nu=np.inf):
+    """Return chains in which a place is pushed by a random force and read with noise."""
+    pushes = force * rng.normal(size=(chains, steps + 50, 1))
+    for t in range(1, steps + 50):
+        pushes[:, t] += memory * pushes[:, t - 1]
+    place = np.concatenate([np.zeros((chains, 1, 1)), np.cumsum(pushes[:, 50:], axis=1)], axis=1)
+    noise = rng.normal(size=place.shape) if np.isinf(nu) else stats.t(nu).rvs(place.shape, random_state=rng)
+    ones = np.ones((chains, steps, 1, 1))
+    return Chains(
+        ones,
+        np.zeros((chains, steps, 1)),
+        0 * ones,
+        ones,
+        place + error * noise,
+        np.ones((chains, steps + 1, 1), dtype=bool),
+        np.array([100.0]),
+    )
+
+
+def test_the_bound_never_falls_and_noise_and_force_are_found():
+    chains = random_walk(np.random.default_rng(2))
+    real = np.ones(chains.drive.shape[:2], dtype=bool)
+    noise = normal_noise(chains, [4.0], [0.01])
+    bounds = []
+    for _ in range(6):
+        estimate = estimate_noise(chains, noise, real, floor=np.zeros(1), n_passes=10)
+        noise = estimate.noise
+        bounds.append(estimate.bound)
+    assert np.all(np.diff(bounds) >= -1e-9)
+    assert np.sqrt(noise.error[0]) == pytest.approx(1.0, abs=0.1)
+    assert np.sqrt(noise.force[0]) == pytest.approx(0.3, abs=0.1)
+
+
+def test_heavy_tails_are_noticed_and_normal_ones_are_not():
+    for nu, heavy in ((3.0, True), (np.inf, False)):
+        chains = random_walk(np.random.default_rng(3), nu=nu)
+        real = np.ones(chains.drive.shape[:2], dtype=bool)
+        estimate = estimate_noise(chains, normal_noise(chains, [0.1], [1.0]), real, floor=np.zeros(1))
+        assert np.isfinite(estimate.noise.error_nu[0]) == heavy
+        if not heavy:
+            assert np.sqrt(estimate.noise.error[0]) == pytest.approx(1.0, abs=0.15)
+
+
+def test_a_force_with_memory_is_told_from_a_white_one_by_the_bound():
+    gains = []
+    for memory in (0.9, 0.0):
+        chains = random_walk(np.random.default_rng(4), memory=memory, error=0.5)
+        real = np.ones(chains.drive.shape[:2], dtype=bool)
+        white = estimate_noise(chains, normal_noise(chains, [0.3], [0.3]), real, floor=np.zeros(1))
+        both = chains.with_memory(np.array([0.9]), np.array([10.0]))
+        start = normal_noise(both, [0.1, 0.1], [0.3, 1.0])
+        gains.append(estimate_noise(both, start, real, floor=np.zeros(2)).bound - white.bound)
+    assert gains[0] > 20
+    assert gains[1] < 6
+
+
+def test_the_bound_is_near_the_likelihood_by_quadrature():
+    rng = np.random.default_rng(5)
+    measured, scale, nu = 1.5 * rng.standard_t(3, size=12), 1.2, 3.0
+    chains = Chains(
+        np.zeros((12, 1, 1, 1)),
+        np.zeros((12, 1, 1)),
+        np.zeros((12, 1, 1, 1)),
+        np.zeros((12, 1, 1, 1)),
+        np.stack([0 * measured, measured], axis=1)[..., None],
+        np.stack([np.zeros(12, bool), np.ones(12, bool)], axis=1)[..., None],
+        np.ones(1),
+    )
+    weights = np.ones((12, 2, 1))
+    weights[:, 1, 0] = (nu + 1) / (nu + measured**2 / scale)
+    noise = Noise(
+        np.ones(1), np.array([scale]), np.array([np.inf]), np.array([nu]), np.ones((12, 1, 1)), weights
+    )
+    bound = passed(chains, noise, np.ones((12, 1), dtype=bool)).bound
+    exact = 0.0
+    for value in measured:
+        law = stats.gamma(nu / 2, scale=2 / nu)
+        density, _ = integrate.quad(
+            lambda lam, value=value, law=law: (
+                law.pdf(lam) * stats.norm.pdf(value, scale=np.sqrt(scale / lam))
+            ),
+            0,
+            60,
+        )
+        exact += np.log(density)
+    assert exact - 0.1 <= bound <= exact + 1e-6
+    assert student_log_density(measured**2, scale, nu).sum() == pytest.approx(exact, abs=1e-6)

@@ -1,0 +1,163 @@
+"""Regression in force space: laws of the smoother, of inverse dynamics, of sets by families, and small machines."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from skat.diagnosis.changes import find_changes
+from skat.diagnosis.evidence import Gram, Priors, weigh
+from skat.diagnosis.force_space import first_look
+from skat.diagnosis.set_search import Weigher, search_sets
+from skat.diagnosis.smoothing import smooth_coordinate
+from skat.simulators import FunctionSimulator, MujocoSimulator
+
+ARM = """
+<mujoco>
+  <option timestep="0.002" integrator="implicitfast"/>
+  <worldbody>
+    <body name="upper">
+      <joint name="shoulder" axis="0 1 0"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.6"/>
+      <body name="lower" pos="0 0 -0.3">
+        <joint name="elbow" axis="0 1 0"/>
+        <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.5"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor name="shoulder" joint="shoulder"/><motor name="elbow" joint="elbow"/></actuator>
+</mujoco>"""
+JOINTS = ("shoulder", "elbow")
+
+
+def log_of(seed, *, friction=(0.0, 0.0), damping=(0.0, 0.0), gain=(1.0, 1.0), mass=1.0, rows=1200):
+    """Return (X, y, groups) of the arm by plain MuJoCo, with noise, rows of 10 ms."""
+    model = mujoco.MjModel.from_xml_string(ARM)
+    model.dof_frictionloss[:], model.dof_damping[:] = friction, damping
+    model.actuator_gainprm[:, 0] = gain
+    model.body_mass[2] *= mass
+    model.body_inertia[2] *= mass
+    data, rng = mujoco.MjData(model), np.random.default_rng(seed)
+    phases, rates = rng.uniform(0, 6, (2, 3)), rng.uniform(0.3, 1.5, (2, 3))
+    states, commands = [], []
+    for row in range(rows + 1):
+        command = np.array([1.2, 0.5]) * np.sin(2 * np.pi * rates * 0.01 * row + phases).mean(axis=1) * 2
+        states.append(np.r_[data.qpos, data.qvel])
+        commands.append(command)
+        data.ctrl[:] = command
+        mujoco.mj_step(model, data, 5)
+    states = np.array(states) + rng.normal(size=(rows + 1, 4)) * [0.002, 0.002, 0.02, 0.02]
+    return np.column_stack([states[:-1], commands[:-1]]), states[1:], np.zeros(rows, dtype=int)
+
+
+def test_smoother_finds_noise_and_motion():
+    rng = np.random.default_rng(0)
+    time = 0.01 * np.arange(1500)
+    truth = 0.6 * np.sin(4 * time) + 0.2 * np.sin(9 * time + 1)
+    speed = 2.4 * np.cos(4 * time) + 1.8 * np.cos(9 * time + 1)
+    read = truth + 0.003 * rng.normal(size=1500)
+    read[rng.random(1500) < 0.05] = np.nan
+    unread = np.full(1500, np.nan)
+    smooth = smooth_coordinate(read, unread, np.zeros(1500), 0.01)
+    assert smooth.position_noise == pytest.approx(0.003, rel=0.08)
+    assert np.std(smooth.velocity - speed) == pytest.approx(smooth.velocity_error, rel=0.5)
+
+
+def test_smoother_leaves_a_parabola_as_it_is():
+    time = 0.01 * np.arange(60)
+    smooth = smooth_coordinate(1 + 2 * time + 3 * time**2, np.full(60, np.nan), np.zeros(60), 0.01)
+    np.testing.assert_allclose(smooth.velocity, 2 + 6 * time, atol=1e-6)
+    np.testing.assert_allclose(smooth.acceleration, 6.0, atol=1e-4)
+
+
+def test_missing_force_is_that_of_inverse_dynamics():
+    simulator = MujocoSimulator(ARM, frame_skip=5)
+    rng = np.random.default_rng(1)
+    states, pulls, commands = rng.normal(size=(7, 4)), rng.normal(size=(7, 2)), rng.normal(size=(7, 2))
+    values = {"armature[elbow]": 0.02, "damping[shoulder]": 0.3, "gain[elbow]": 1.2, "mass[lower]": 1.5}
+    found = simulator.missing_forces(states, pulls, commands[None], [values])[0]
+    model = simulator.compiled(values)
+    data = mujoco.MjData(model)
+    for row in range(7):
+        data.qpos[:], data.qvel[:] = states[row, :2], states[row, 2:]
+        data.qacc[:], data.ctrl[:] = pulls[row], commands[row]
+        mujoco.mj_inverse(model, data)
+        mujoco.mj_fwdActuation(model, data)
+        np.testing.assert_allclose(found[row], data.qfrc_inverse - data.qfrc_actuator, atol=1e-9)
+
+
+def test_no_force_is_missing_under_the_acceleration_of_forward_dynamics():
+    simulator = MujocoSimulator(ARM, frame_skip=5)
+    rng = np.random.default_rng(2)
+    states, commands = rng.normal(size=(5, 4)), rng.normal(size=(5, 2))
+    values = {"dry_friction[elbow]": 0.3}
+    model = simulator.compiled(values)
+    data, pulls = mujoco.MjData(model), []
+    for row in range(5):
+        data.qpos[:], data.qvel[:], data.ctrl[:] = states[row, :2], states[row, 2:], commands[row]
+        mujoco.mj_forward(model, data)
+        pulls.append(data.qacc.copy())
+    missing = simulator.missing_forces(states, np.array(pulls), commands[None], [values])[0]
+    np.testing.assert_allclose(missing, 0.0, atol=1e-6)
+
+
+def random_problem(seed, n=300, k=12, members=(1, 2, 3, 4, 8)):
+    rng = np.random.default_rng(seed)
+    N, truth = rng.normal(size=(n, k)), np.zeros(k)
+    truth[list(members)] = rng.choice([-1, 1], len(members)) * rng.uniform(0.5, 1, len(members))
+    z = N @ truth + rng.normal(size=n)
+    names = tuple(f"cause[{place}]" for place in range(k))
+    priors = Priors(names, np.full(k, 0.5), np.full(k, -np.log(k + 1.0)), np.full(k, -9.0), np.full(k, 9.0))
+    return Gram(N.T @ N, N.T @ z, np.zeros(k)), priors
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_sets_come_back_when_data_are_simulated_from_them(seed):
+    gram, priors = random_problem(seed)
+    best, _ = search_sets(gram, priors, {"family": (1, 2, 3, 4), "other": (5, 6, 7)})
+    assert best.members == (1, 2, 3, 4, 8)
+
+
+def test_quick_weighing_is_that_of_the_evidence():
+    gram, priors = random_problem(5)
+    worth = Weigher(gram, priors)
+    for members in ((1,), (1, 2, 3), (0, 4, 8, 11)):
+        assert worth(members).evidence == pytest.approx(weigh(gram, priors, members).evidence, abs=0.02)
+
+
+def test_first_look_names_friction_and_damping_of_both_joints():
+    simulator = MujocoSimulator(ARM, frame_skip=5)
+    truth = {"dry_friction": (0.12, 0.06), "damping": (0.1, 0.05)}
+    look = first_look(
+        simulator,
+        *log_of(3, friction=truth["dry_friction"], damping=truth["damping"]),
+        simulator.effects(),
+    )
+    for family, values in truth.items():
+        for joint, value in zip(JOINTS, values):
+            assert look.values[f"{family}[{joint}]"] == pytest.approx(value, rel=0.25)
+    assert len(look.values) <= 5
+
+
+def test_first_look_has_nothing_to_say_of_a_function():
+    simulator = FunctionSimulator(
+        lambda X: X, input_names=("a",), output_names=("a",), state_names=("a",), effects=(), dt=0.1
+    )
+    empty = np.zeros((30, 1))
+    assert first_look(simulator, empty, empty, np.zeros(30), ()) is None
+
+
+def test_only_what_changed_is_named_of_a_model_that_is_wrong_in_both_logs():
+    simulator = MujocoSimulator(ARM, frame_skip=5)
+    wrong = {"friction": (0.12, 0.06), "damping": (0.1, 0.05), "mass": 1.15}
+    found = find_changes(
+        simulator, log_of(4, **wrong), log_of(5, **wrong, gain=(1.0, 1.25)), simulator.effects()
+    )
+    assert [change.name for change in found.changes] == ["gain[elbow]"]
+    assert found.changes[0].value == pytest.approx(1.25, rel=0.07)
+
+
+def test_nothing_is_named_where_nothing_changed():
+    simulator = MujocoSimulator(ARM, frame_skip=5)
+    wrong = {"friction": (0.12, 0.06), "damping": (0.1, 0.05), "mass": 1.15}
+    found = find_changes(simulator, log_of(6, **wrong), log_of(7, **wrong), simulator.effects())
+    assert found.verdict == "nothing changed"

@@ -1,0 +1,174 @@
+"""Gains at a horizon and over whole episodes, on logs that were not fitted."""
+
+import numpy as np
+import pytest
+
+from skat.diagnosis.fitting import settled
+from skat.diagnosis.prediction import horizon_rows, open_loop_gain, predicted, predicted_gain
+from skat.diagnosis.statespace import state_space
+from skat.simulators import FunctionSimulator, MujocoSimulator
+from tests.diagnosis.pendulum import (
+    DT,
+    FRAME_SKIP,
+    NOMINAL,
+    SIGMA,
+    TEXT,
+    known,
+    laid_out,
+    measured,
+)
+
+DAMPED = TEXT.format(damping=0.15)
+CAUSE = {"damping[hinge]": 0.1}
+
+
+@pytest.fixture(scope="module")
+def simulator():
+    return MujocoSimulator(NOMINAL, frame_skip=FRAME_SKIP)
+
+
+def push(q, v, time, rng):
+    return 0.3 * rng.normal()
+
+
+def logs(simulator, text, law, *, hidden=False, **options):
+    """Return a log to fit, and one to test."""
+    spaces = []
+    for seed, episodes in ((0, 2), (1, 8)):
+        X, y, groups = measured(text, seed, law=law, episodes=episodes, **options)
+        if hidden:
+            X[:, 1] = y[:, 1] = np.nan
+        spaces.append(laid_out(simulator, X, y, groups))
+    return spaces
+
+
+def random_state():
+    return np.random.RandomState(0)
+
+
+@pytest.mark.parametrize("hidden", [False, True], ids=["all measured", "no velocities"])
+@pytest.mark.parametrize("law", [None, push], ids=["no force", "a random force"])
+def test_a_right_model_is_at_the_floor_and_a_cause_explains_what_it_adds(simulator, law, hidden):
+    train, test = logs(simulator, DAMPED, law, hidden=hidden)
+    gain = predicted_gain(test, known(train, CAUSE, 0.3 if law else 1e-6), CAUSE, random_state=random_state())
+    # Of some seventy windows whose channels go together: a mean of squares is right to a third.
+    assert gain.extended == pytest.approx(1.0, abs=0.35)
+    assert gain.floor == pytest.approx(1.0)
+    assert gain.nominal > 10
+    assert gain.interval[0] - 0.02 <= 1.0 <= gain.interval[1] + 0.02
+    assert gain.explained == pytest.approx(1.0, abs=0.03)
+    assert gain.horizon == pytest.approx(0.25)
+    if not law and not hidden:
+        np.testing.assert_allclose(
+            [gain.channels[name][1] for name in simulator.residual_names], SIGMA, rtol=0.2
+        )
+
+
+def test_a_random_force_and_one_with_memory_belong_to_the_floor(simulator):
+    last = [0.0]
+
+    def lasting(q, v, time, rng):
+        last[0] = (0.9 * last[0] if time else 0.0) + 0.13 * rng.normal()
+        return last[0]
+
+    for law, share in ((push, None), (lasting, 0.9)):
+        train, test = logs(simulator, NOMINAL, law)
+        gain = predicted_gain(test, known(train, {}, 0.3, share=share), {}, random_state=random_state())
+        assert gain.extended == gain.nominal == pytest.approx(1.0, abs=0.45)
+        assert gain.explained == 0.0
+
+
+def test_rows_that_were_not_measured_do_not_count(simulator):
+    train, _ = logs(simulator, NOMINAL, None)
+    X, y, groups = measured(NOMINAL, 5)
+    fitted = known(train, {}, 1e-6)
+    y[groups == 1] += 1.0  # would be errors
+    follows = np.r_[False, np.diff(groups) == 0]
+    X[(groups == 1) & follows, :2] += 1.0
+    y[groups == 1], X[(groups == 1) & follows, :2] = np.nan, np.nan
+    gain = predicted_gain(laid_out(simulator, X, y, groups), fitted, {}, random_state=random_state())
+    assert gain.extended == pytest.approx(1.0, abs=0.4)
+
+
+def test_a_delay_is_known_at_the_start_of_each_window(simulator):
+    """Else each prediction begins with commands that were not given."""
+    X, y, groups = measured(NOMINAL, 6, delay=3, episodes=6)
+    cause = {"delay[action]": 0.03}
+    space = laid_out(simulator, X, y, groups)
+    fitted = known(space, cause, 1e-6)
+    gain = predicted_gain(space, fitted, cause, horizon=5, random_state=random_state())
+    assert gain.extended == pytest.approx(1.0, abs=0.25)
+    assert gain.nominal > 2
+
+
+def test_one_wild_row_does_not_decide(simulator):
+    train, test = logs(simulator, DAMPED, push)
+    fitted = known(train, CAUSE, 0.3, nu=3)
+    quiet = predicted_gain(test, fitted, CAUSE, random_state=random_state())
+    X, y, groups = measured(DAMPED, 1, law=push, episodes=8)
+    y[1024, 1] += 10
+    X[1025, 1] += 10
+    wild = predicted_gain(laid_out(simulator, X, y, groups), fitted, CAUSE, random_state=random_state())
+    assert wild.explained == pytest.approx(quiet.explained, abs=0.25)
+
+
+def test_overlays_show_the_episodes_that_the_nominal_model_predicts_worst(simulator):
+    train, test = logs(simulator, DAMPED, None)
+    prediction = predicted(
+        test, known(train, CAUSE, 1e-6), CAUSE, horizon=25, random_state=random_state(), n_overlays=2
+    )
+    assert len(prediction.overlays) == 2
+    first, second = (np.mean((one.nominal - one.measured) ** 2) for one in prediction.overlays)
+    assert first > second / 3
+    one = prediction.overlays[0]
+    assert one.channels == simulator.output_names
+    assert one.time[0] == pytest.approx(DT)
+    assert np.abs(one.extended - one.measured).max() < 6 * SIGMA.max()
+    assert one.measured.shape == one.nominal.shape == (len(one.time), 2)
+
+
+@pytest.mark.parametrize("start", ["measured", "fitted"])
+def test_whole_episodes_in_open_loop_end_where_the_world_does(simulator, start):
+    train, test = logs(simulator, DAMPED, None, rows=150)
+    gain = open_loop_gain(
+        test, known(train, CAUSE, 1e-6), CAUSE, initial_state=start, random_state=random_state()
+    )
+    assert gain.horizon == "episode"
+    assert gain.extended < 2 * gain.floor
+    assert gain.explained == pytest.approx(1.0, abs=0.02)
+    if start == "fitted":
+        assert gain.extended == pytest.approx(np.sqrt(np.sum(SIGMA**2)), rel=0.1)
+
+
+def test_open_loop_names_what_is_wrong_with_its_input(simulator):
+    train, test = logs(simulator, NOMINAL, None, hidden=True, rows=40)
+    fitted = known(train, {}, 1e-6)
+    with pytest.raises(ValueError, match=r"qvel\.hinge were not measured in the first row"):
+        open_loop_gain(test, fitted, {}, random_state=random_state())
+    with pytest.raises(ValueError, match=r"outputs names nose; measured channels are qpos\.hinge"):
+        open_loop_gain(test, fitted, {}, outputs=["nose"], random_state=random_state())
+
+
+def test_a_function_without_a_state_is_judged_row_by_row():
+    simulator = FunctionSimulator(lambda X: 2 * X, input_names=("a",), output_names=("y",))
+    rng = np.random.default_rng(0)
+    spaces = []
+    for _ in range(2):
+        X = rng.normal(size=(200, 1))
+        y = 2 * X + 0.1 * rng.normal(size=(200, 1))
+        spaces.append(state_space(simulator, X, y, np.arange(200), consecutive=False))
+    wrong = {"scale[y]": 1.5}
+    gain = predicted_gain(
+        spaces[1], settled(spaces[0], {}, None, np.zeros(1)), wrong, random_state=random_state()
+    )
+    assert gain.nominal == pytest.approx(1.0, abs=0.25)
+    assert gain.extended > 5
+    assert gain.horizon == 1
+
+
+def test_the_horizon_is_a_quarter_of_a_second_or_ten_rows(simulator):
+    assert horizon_rows(simulator) == 25
+    assert horizon_rows(MujocoSimulator(NOMINAL, frame_skip=20)) == 10
+    assert horizon_rows(simulator, 1.0) == 100
+    with pytest.raises(ValueError, match="horizon must be positive"):
+        horizon_rows(simulator, 0.0)
