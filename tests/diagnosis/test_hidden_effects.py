@@ -85,7 +85,7 @@ def test_single_hidden_effect_is_named_and_measured(worlds, cases, kind, hidden)
     family, target, value = hidden
     diagnosis = diagnosed(worlds, worlds.measure(kind, [hidden], seed=SEED, n_episodes=EPISODES[kind]))
     (cause,) = diagnosis.causes_
-    assert cases.name(family, target) in (cause.name, *cause.aliases)
+    assert cases.name(family, target) in (cause.name, *(alias.name for alias in cause.aliases))
     assert diagnosis.verdict_ == ("ambiguous" if cause.aliases else "named")
     if cause.name == cases.name(family, target):
         neutral = cases.value_of(family, 0.0, 1)
