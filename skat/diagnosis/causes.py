@@ -332,7 +332,8 @@ def _rivals(
 def _cosines(gram: Gram, one: int) -> Array:
     """Return the cosines of the angles between an effect's response and those of all."""
     sizes = np.sqrt(np.maximum(np.diag(gram.products), 1e-300))
-    return np.asarray(np.abs(gram.products[one]) / (sizes[one] * sizes))
+    cosines: Array = np.abs(gram.products[one]) / (sizes[one] * sizes)
+    return cosines
 
 
 def _with_refitted(
