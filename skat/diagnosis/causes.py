@@ -10,6 +10,7 @@ import numpy as np
 from skat.diagnosis.evidence import Gram, Priors, Weighed, weigh
 from skat.diagnosis.filtering import Array
 from skat.diagnosis.fitting import (
+    STILL,
     Columns,
     Fitted,
     coordinate,
@@ -48,7 +49,7 @@ REFITTED, REFIT_TURNS = 3, 3
 # Chords of an effect that has no slope where it is neutral, to each of its bounds.
 CHORDS = 10
 # Effects whose responses make a smaller angle than this cosine may be the same: so many are fitted in a cause's place.
-ALIKE, RIVALS = 0.95, 2
+ALIKE, RIVALS = 0.8, 2
 # A bound that an estimate comes this near to, as a share of the range, holds it.
 AT_BOUND = 1e-6
 
@@ -96,6 +97,26 @@ class Found:
     ranked: Ranked
     best: Weighed
     settled: bool
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A set in which another effect stands in a cause's place, at a fit of its own.
+
+    Attributes
+    ----------
+    cause, other : int
+    members : tuple of int
+    log_odds : float
+        Of this set against that with the cause, nats.
+    values : mapping from name to value
+    """
+
+    cause: int
+    other: int
+    members: tuple[int, ...]
+    log_odds: float
+    values: Mapping[str, float]
 
 
 def find_causes(
@@ -147,6 +168,9 @@ def find_causes(
     fitted: Fitted | None = None
     slopes: Array | None = None
     first: Gram | None = None
+    rivals: list[Rival] = []
+    tried: set[tuple[int, ...]] = set()
+    bounds: dict[tuple[int, ...], float] = {}
     banned: set[int] = set()
     live: list[int] = []
     for turn in range(TURNS):
@@ -178,15 +202,26 @@ def find_causes(
         best, worth = without_weak(top, gram, priors, needed, power=power, predictive=predictive)
         found = {priors.names[one]: value_at(effects[one], at) for one, at in zip(best.members, best.values)}
         deviations = _deviations(gram, priors, best.members)
-        stands = set(found) == set(values) and all(
-            abs(coordinate(effects[one], values[priors.names[one]]) - at) < STANDS_STILL * deviation
-            for one, at, deviation in zip(best.members, best.values, deviations)
+        # Where something hits, the bound and with it the values never rest: a set is done when it gains no more.
+        stands = set(found) == set(values) and (
+            fitted.bound < bounds.get(best.members, -np.inf) + STILL
+            or all(
+                abs(coordinate(effects[one], values[priors.names[one]]) - at) < STANDS_STILL * deviation
+                for one, at, deviation in zip(best.members, best.values, deviations)
+            )
         )
+        if set(found) == set(values):
+            bounds[best.members] = max(fitted.bound, bounds.get(best.members, -np.inf))
         if stands:
             refused = {one for one in best.members if is_held(effects[one], found[priors.names[one]])}
             refused |= _refused(space, fitted, effects, priors, best, worth, floor, given, needed, power)
             if not refused:
-                break
+                rivals = _rivals(space, fitted, effects, priors, (gram, first), best, floor, given, power)
+                better = max(rivals, key=lambda rival: rival.log_odds, default=None)
+                if better is None or better.log_odds <= 0 or better.members in tried:
+                    break
+                tried.add(best.members)
+                found = dict(better.values)
             banned |= refused
             found = {name: value for name, value in found.items() if places[name] not in refused}
         values = found
@@ -203,8 +238,9 @@ def find_causes(
     ]
     found = {priors.names[one]: found[priors.names[one]] for one in kept}
     probabilities = {name: ranked.probability(place) for place, name in enumerate(priors.names)}
-    rivals = _rivals(space, fitted, effects, priors, (gram, first), best, floor, given, power)
-    for name, others in rivals.items():
+    shares = _shares(rivals) if stands else {}
+    for one, others in shares.items():
+        name = priors.names[one]
         probabilities[name] = min(probabilities[name], 1 - sum(share for _, share in others))
     intervals = {
         priors.names[one]: (
@@ -218,7 +254,13 @@ def find_causes(
         found,
         intervals,
         {priors.names[one]: nats for one, nats in worth.items() if one in kept},
-        _with_refitted(_aliases(ranked, gram, priors, best), rivals),
+        _with_refitted(
+            _aliases(ranked, gram, priors, best),
+            {
+                priors.names[one]: tuple((priors.names[other], share) for other, share in others)
+                for one, others in shares.items()
+            },
+        ),
         probabilities,
         _also(gram, priors, effects, best, needed, families, banned, predictive),
         fitted,
@@ -299,41 +341,46 @@ def _rivals(
     floor: Array,
     given: Array | None,
     power: float,
-) -> dict[str, tuple[tuple[str, float], ...]]:
+) -> list[Rival]:
     """Return for each cause the effects that act most like it and, at fits of their own, stand for it nearly as well.
 
     Slopes say that two effects act alike for small values; whether they do at this one, a fit must say. Some act alike
     only where neither is a cause yet: of two limits the lower one hides the other.
     """
     if not best.members:
-        return {}
+        return []
     whole = _evidence(space, fitted, effects, priors, best.members, power)
-    found = {}
+    found: list[Rival] = []
     for cause in best.members[:REFITTED]:
         looks = np.stack([_cosines(gram, cause) for gram in grams])
         alike = looks.max(axis=0)
         alike[list(best.members)] = 0.0
-        rivals = []
         for other in np.argsort(-alike, kind="stable")[:RIVALS]:
             if alike[other] < ALIKE:
                 break
             members = sorted({*best.members, int(other)} - {cause})
             moved = weigh(grams[int(np.argmax(looks[:, other]))], priors, members)
             alone = _refitted(space, fitted, effects, priors, members, moved.values, floor, given)
-            odds = np.exp(min(_evidence(space, alone, effects, priors, members, power) - whole, 50.0))
-            if odds > 1 / ALIAS_FACTOR:
-                rivals.append((priors.names[other], float(odds)))
-        if rivals:
-            total = 1 + sum(odds for _, odds in rivals)
-            found[priors.names[cause]] = tuple((name, odds / total) for name, odds in rivals)
+            log_odds = _evidence(space, alone, effects, priors, members, power) - whole
+            if log_odds > -np.log(ALIAS_FACTOR):
+                found.append(Rival(cause, int(other), tuple(members), float(log_odds), dict(alone.values)))
     return found
+
+
+def _shares(rivals: Sequence[Rival]) -> dict[int, tuple[tuple[int, float], ...]]:
+    """Return for each cause its rivals and the probability of each."""
+    shares = {}
+    for cause in {rival.cause for rival in rivals}:
+        own = [rival for rival in rivals if rival.cause == cause]
+        odds = np.exp(np.minimum([rival.log_odds for rival in own], 50.0))
+        shares[cause] = tuple((rival.other, float(one / (1 + odds.sum()))) for rival, one in zip(own, odds))
+    return shares
 
 
 def _cosines(gram: Gram, one: int) -> Array:
     """Return the cosines of the angles between an effect's response and those of all."""
     sizes = np.sqrt(np.maximum(np.diag(gram.products), 1e-300))
-    cosines: Array = np.abs(gram.products[one]) / (sizes[one] * sizes)
-    return cosines
+    return (np.abs(gram.products[one]) / (sizes[one] * sizes)).astype(np.float64)
 
 
 def _with_refitted(
