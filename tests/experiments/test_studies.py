@@ -21,7 +21,7 @@ NO_DATA = pytest.mark.skipif(not os.environ.get("SKAT_DATA_HOME"), reason="SKAT_
 @pytest.mark.parametrize(("ball", "times_smaller"), [("Whiffle Ball 1", 10), ("Tennis Ball", 3)])
 def test_drag_of_a_light_ball_is_named_and_makes_the_error_many_times_smaller(ball, times_smaller):
     study = study_ball_drops([ball])[ball]
-    named = {name for cause in study.diagnosis.causes_ for name in (cause.name, *cause.aliases)}
+    named = {name for cause in study.diagnosis.causes_ for name in (cause.name, *map(str, cause.aliases))}
     assert named & {"air_drag[z]", "air_drag[all]", "damping[z]", "damping[all]"}
     assert study.gain.ratio > times_smaller
 
@@ -93,7 +93,7 @@ def test_demo_finds_what_the_world_hides_or_an_alias_of_it_and_compares_every_me
     assert study.truth == truth.truth_sentence
     (name,) = truth.truth
     assert name in effects
-    assert any(name in (cause.name, *cause.aliases) for cause in study.diagnosis.causes_)
+    assert any(name in (cause.name, *map(str, cause.aliases)) for cause in study.diagnosis.causes_)
     assert study.gain.extended < 0.5 * study.gain.nominal
     errors = study.errors.set_index("method")["error"]
     assert {"AffineTransport", "ProcrustesAffineTransport", "CORAL", "ExactTransport"} < set(errors.index)
