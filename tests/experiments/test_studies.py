@@ -18,7 +18,21 @@ NO_DATA = pytest.mark.skipif(not os.environ.get("SKAT_DATA_HOME"), reason="SKAT_
 
 
 @NO_DATA
-@pytest.mark.parametrize(("ball", "times_smaller"), [("Whiffle Ball 1", 10), ("Tennis Ball", 3)])
+@pytest.mark.parametrize(
+    ("ball", "times_smaller"),
+    [
+        ("Whiffle Ball 1", 10),
+        pytest.param(
+            "Tennis Ball",
+            3,
+            marks=pytest.mark.xfail(
+                strict=True,
+                reason="Nothing detected: on one drop of 2 s a random force of .65 N, as large as the ball's weight, "
+                "explains what drag does; damping[z] has a probability of .25, air_drag[z] of .005",
+            ),
+        ),
+    ],
+)
 def test_drag_of_a_light_ball_is_named_and_makes_the_error_many_times_smaller(ball, times_smaller):
     study = study_ball_drops([ball])[ball]
     named = {name for cause in study.diagnosis.causes_ for name in (cause.name, *map(str, cause.aliases))}
