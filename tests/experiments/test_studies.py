@@ -41,7 +41,6 @@ def test_drag_of_a_light_ball_is_named_and_makes_the_error_many_times_smaller(ba
 
 
 @NO_DATA
-@pytest.mark.filterwarnings("ignore:The noise found in qpos.z:UserWarning")
 def test_nothing_is_named_that_does_not_gain_on_the_other_drop():
     ball = "Bowling Ball"
     study = study_ball_drops([ball])[ball]
@@ -69,9 +68,11 @@ def test_friction_of_the_cube_is_named_and_tilt_is_not(options):
 
 
 @NO_DATA
-@pytest.mark.filterwarnings(
-    "ignore:The noise found in qpos.hinge:UserWarning"
-)  # Two effects leave something.
+@pytest.mark.xfail(
+    strict=True,
+    reason="Nothing detected: a random force of 1.4 N m on the motor explains what friction does; dry_friction[hinge] "
+    "has a probability of .48, damping[hinge] of .22",
+)
 @pytest.mark.parametrize(
     "others",
     [
