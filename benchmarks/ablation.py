@@ -1,27 +1,23 @@
-"""What each constant and rule of the engine is for: every field of `Settings` halved, doubled, off, none left out.
+"""What each constant of the engine is for: halved, doubled, off, one of a tuple left out.
 
-24 causes and 24 clean logs of cheap worlds, the same for all. The fields are those of the frozen dataclass
-``skat.diagnosis.settings.Settings``: a number is halved, doubled, and set to 0; one that is infinite or None is set to
-1; a flag is turned, a Literal takes its other values; of a tuple of numbers every member is halved and doubled, and its
-first and its last member are left out; a mapping or a dataclass is taken apart. A value that `Settings` refuses is told
-as such, and one of another kind stops the table. Where neither halving, doubling nor absence changes an answer, the
-constant does nothing::
+24 causes and 24 clean logs of cheap worlds, the same for all. The constants are the numbers, and tuples of numbers, in
+capitals at the top of the modules in `ENGINE`: a number is halved, doubled, and set to 0; one that is infinite is set
+to 1; of a tuple every member is halved and doubled, and its first and its last member are left out. Where neither
+halving, doubling nor absence changes an answer, the constant does nothing::
 
-    python benchmarks/ablation.py --cut                  # four logs, the first three fields
-    python benchmarks/ablation.py --cases "tolerance "   # one field; see tables.py for the rest
+    python benchmarks/ablation.py --cut                        # four logs, the first three constants
+    python benchmarks/ablation.py --cases "causes.LIVE "       # one constant; see tables.py for the rest
 
-Settings are replaced where the modules of ``skat`` hold the default instance (a module's attribute, the default of a
-parameter, or a member of a class that is that instance), for the time of one fit.
+A constant is replaced in every module that has it from the one that defines it, for the time of one fit. Some values
+are none that the engine can work with, and end in an error, which is told as an answer.
 """
 
+import ast
 import contextlib
-import dataclasses
 import importlib
+import inspect
 import math
-import pkgutil
 import sys
-import types
-import typing
 
 import numpy as np
 import sensors
@@ -29,6 +25,20 @@ import tables
 from tables import Case, Table
 from worlds.robots import make_log
 
+# Modules of ``skat.diagnosis`` that decide; what only draws or words a finding is not tried.
+ENGINE = (
+    "estimator",
+    "log",
+    "velocities",
+    "statespace",
+    "noise",
+    "fitting",
+    "evidence",
+    "search",
+    "causes",
+    "prediction",
+    "remainder",
+)
 # Cheap robots and sensors: (robot, sensor, rows).
 WORLDS = (
     ("two_link", "ideal", 400),
@@ -52,139 +62,98 @@ def logs(cut):
     return found
 
 
-def settings_class():
-    """Return the class of settings; an engine without one has none to try."""
-    try:
-        return importlib.import_module("skat.diagnosis.settings").Settings
-    except ModuleNotFoundError as error:
-        raise SystemExit(
-            "the engine has no skat.diagnosis.settings.Settings, whose fields are what is tried"
-        ) from error
-
-
-def instances():
-    """Return the default instances of the settings that the modules of ``skat.diagnosis`` hold."""
-    import skat.diagnosis
-
-    kind = settings_class()
-    for module in pkgutil.walk_packages(skat.diagnosis.__path__, "skat.diagnosis."):
-        importlib.import_module(module.name)
-    found = []
-    for module in _modules():
-        for value in vars(module).values():
-            if isinstance(value, kind) and not any(value is one for one in found):
-                found.append(value)
-    return found or [kind()]
-
-
-def changes(settings):
-    """Return {label: settings} of everything that is tried of each field."""
+def constants():
+    """Return the constants of the engine: (module, name) to value, in the order of the sources."""
     found = {}
-    for field in dataclasses.fields(settings):
-        value = getattr(settings, field.name)
-        literal = typing.get_type_hints(type(settings))[field.name]
-        if typing.get_origin(literal) is typing.Literal:
-            tried = [(f"as {other!r}", other) for other in typing.get_args(literal) if other != value]
-        else:
-            tried = _others(value)
-        for word, other in tried:
-            found[f"{field.name} {word}"] = (field.name, other)
+    for short in ENGINE:
+        module = importlib.import_module(f"skat.diagnosis.{short}")
+        for name in assigned(inspect.getsource(module)):
+            if _is_tried(getattr(module, name)):
+                found[short, name] = getattr(module, name)
     return found
 
 
+def assigned(source):
+    """Return the names in capitals that a source assigns at its top."""
+    targets = [
+        target for node in ast.parse(source).body if isinstance(node, ast.Assign) for target in node.targets
+    ]
+    return [
+        name.id
+        for target in targets
+        for name in ast.walk(target)
+        if isinstance(name, ast.Name) and name.id.isupper()
+    ]
+
+
+def _is_tried(value):
+    members = value if isinstance(value, tuple) else (value,)
+    return all(isinstance(one, int | float) and not isinstance(one, bool) for one in members)
+
+
+def changes(found):
+    """Return what is tried: a label to (module, name, other value)."""
+    return {
+        f"{module}.{name} {word}": (module, name, other)
+        for (module, name), value in found.items()
+        for word, other in _others(value)
+    }
+
+
 def _others(value):
-    if isinstance(value, bool):
-        return [("turned", not value)]
-    if isinstance(value, int | float):
-        if math.isinf(value):
-            return [("finite", 1.0)]
-        # A count stays a count.
-        half = value // 2 if isinstance(value, int) else value / 2
-        found = [("halved", half), ("doubled", value * 2), ("off", type(value)(0))]
-        return [(word, other) for word, other in found if other != value]
     if isinstance(value, tuple):
-        found = []
-        if len(value) > 1:
-            found = [("without its first", value[1:]), ("without its last", value[:-1])]
-        if all(isinstance(one, int | float) and not isinstance(one, bool) for one in value):
-            found += [
-                ("halved", tuple(one / 2 for one in value)),
-                ("doubled", tuple(one * 2 for one in value)),
-            ]
-        return found
-    if isinstance(value, dict | types.MappingProxyType):
-        numbers = {name: one for name, one in value.items() if isinstance(one, int | float)}
-        return [
-            (f"{word} at {name}", {**value, name: factor * one})
-            for name, one in numbers.items()
-            for word, factor in (("halved", 0.5), ("doubled", 2.0))
+        tried = [
+            ("halved", tuple(one / 2 for one in value)),
+            ("doubled", tuple(one * 2 for one in value)),
         ]
-    if dataclasses.is_dataclass(value):
-        return [
-            (f"{inner} {word}", dataclasses.replace(value, **{inner: other}))
-            for inner in (field.name for field in dataclasses.fields(value))
-            for word, other in _others(getattr(value, inner))
-        ]
-    if value is None:
-        return [("one", 1.0)]
-    raise TypeError(f"no rule says how to try another value than {value!r}")
+        return tried + (
+            [("without its first", value[1:]), ("without its last", value[:-1])] if len(value) > 1 else []
+        )
+    if math.isinf(value):
+        return [("finite", 1.0)]
+    # A count stays a count.
+    half = value // 2 if isinstance(value, int) else value / 2
+    found = [("halved", half), ("doubled", value * 2), ("off", type(value)(0))]
+    return [(word, other) for word, other in found if other != value]
 
 
 @contextlib.contextmanager
-def replaced(old, new):
-    """Have every module of ``skat`` use other settings: attributes, defaults of parameters, members of classes."""
-    undo = []
-
-    def put(owner, name, value):
-        undo.append((owner, name, getattr(owner, name)))
-        setattr(owner, name, value)
-
-    def swap(values):
-        return tuple(new if one is old else one for one in values)
-
-    def visit(function):
-        if function.__defaults__ and any(one is old for one in function.__defaults__):
-            put(function, "__defaults__", swap(function.__defaults__))
-        if function.__kwdefaults__ and any(one is old for one in function.__kwdefaults__.values()):
-            given = function.__kwdefaults__
-            put(function, "__kwdefaults__", {k: new if one is old else one for k, one in given.items()})
-
-    for module in _modules():
-        for name, value in list(vars(module).items()):
-            if value is old:
-                put(module, name, new)
-            elif isinstance(value, types.FunctionType) and value.__module__ == module.__name__:
-                visit(value)
-            elif isinstance(value, type) and value.__module__ == module.__name__:
-                for inner, member in list(vars(value).items()):
-                    if member is old:
-                        put(value, inner, new)
-                    elif isinstance(member, types.FunctionType):
-                        visit(member)
-    if not undo:
-        raise RuntimeError("no module of skat holds these settings, so that nothing would change")
+def replaced(module, name, other):
+    """Have the module ``skat.diagnosis.<module>``, and all that take the constant from it, use another value."""
+    owner = f"skat.diagnosis.{module}"
+    holders = [sys.modules[owner], *(one for one in _modules() if name in _taken(one, owner))]
+    before = getattr(sys.modules[owner], name)
+    for holder in holders:
+        setattr(holder, name, other)
     try:
         yield
     finally:
-        for owner, name, value in reversed(undo):
-            setattr(owner, name, value)
+        for holder in holders:
+            setattr(holder, name, before)
 
 
 def _modules():
     return [
-        module for name, module in list(sys.modules.items()) if name.partition(".")[0] == "skat" and module
+        one
+        for name, one in list(sys.modules.items())
+        if name.startswith("skat.") and hasattr(one, "__file__")
     ]
+
+
+def _taken(module, owner):
+    """Return the names that a module imports from another one."""
+    return {
+        name.name
+        for node in ast.parse(inspect.getsource(module)).body
+        if isinstance(node, ast.ImportFrom) and node.module == owner
+        for name in node.names
+    }
 
 
 def cases(cut):
     """Return a case for each change and log: "as it is" first."""
-    settings = instances()
-    if len(settings) != 1:
-        raise SystemExit(f"expected one instance of Settings in skat.diagnosis; there are {len(settings)}")
-    labels = list(changes(settings[0]))
-    if cut:
-        fields = [field.name for field in dataclasses.fields(settings[0])][:3]
-        labels = [label for label in labels if label.split()[0] in fields]
+    found = constants()
+    labels = list(changes(dict(list(found.items())[:3]) if cut else found))
     return [
         Case(f"{label} | {name}", seed, {"label": label, "log": [robot, sensor, rows, cause]})
         for label in ["as it is", *labels]
@@ -193,28 +162,18 @@ def cases(cut):
 
 
 def run(case, parameters):
-    (default,) = instances()
     robot, sensor, rows, cause = case.settings["log"]
     truth = {cause: sensors.draw(robot, cause, case.seed)} if cause else {}
     log = make_log(
         robot, truth, sensor=sensor, seed=case.seed, rows=rows, episodes=rows // 50 if robot == "puck" else 1
     )
-    line = {"label": case.settings["label"], "log": case.name.split(" | ")[1], "truth": truth}
-    simulator = tables.simulator_of(log)
-
-    def asked():
-        answer, _ = tables.ask(simulator, log.X, log.y, log.groups, seed=case.seed, parameters=parameters)
-        return {**line, **answer}
-
-    if case.settings["label"] == "as it is":
-        return asked()
-    name, value = changes(default)[case.settings["label"]]
-    try:
-        other = dataclasses.replace(default, **{name: value})
-    except (TypeError, ValueError) as error:
-        return {**line, "verdict": "refused", "causes": [], "error": f"Settings refuses it: {error}"}
-    with replaced(default, other):
-        return asked()
+    label = case.settings["label"]
+    change = contextlib.nullcontext() if label == "as it is" else replaced(*changes(constants())[label])
+    with change:
+        answer, _ = tables.ask(
+            tables.simulator_of(log), log.X, log.y, log.groups, seed=case.seed, parameters=parameters
+        )
+    return {"label": label, "log": case.name.split(" | ")[1], "truth": truth, **answer}
 
 
 def report(lines, shown):
@@ -226,12 +185,9 @@ def report(lines, shown):
     alarms = [not tables.silent(line) for line in base.values() if not line["truth"]]
     shown.share("as it is: named or alias", hits)
     shown.share("as it is: alarms", alarms, "few")
-    fields = {}
+    constants_tried = {}
     for label in dict.fromkeys(line["label"] for line in lines if line["label"] != "as it is"):
         mine = [line for line in lines if line["label"] == label and key(line) in base]
-        if mine and mine[0]["verdict"] == "refused":
-            shown.table.add_row(label, "refused", "", str(len(mine)), "")
-            continue
         changed = [_answer(line) != _answer(base[key(line)]) for line in mine]
         right = [tables.or_alias(line) for line in mine if line["truth"]]
         wrong = [not tables.silent(line) for line in mine if not line["truth"]]
@@ -244,10 +200,14 @@ def report(lines, shown):
             f"{sum(changed)} of {len(changed)} differ",
             "" if any(changed) else "does nothing",
         )
-        fields.setdefault(label.split()[0], []).append(any(changed))
-    idle = [name for name, flags in fields.items() if not any(flags)]
+        constants_tried.setdefault(label.split()[0], []).append(any(changed))
+    idle = [name for name, flags in constants_tried.items() if not any(flags)]
     shown.table.add_row(
-        "fields that change nothing", ", ".join(idle) or "none", "", f"{len(idle)} of {len(fields)}", "none"
+        "constants that change nothing",
+        ", ".join(idle) or "none",
+        "",
+        f"{len(idle)} of {len(constants_tried)}",
+        "none",
     )
 
 

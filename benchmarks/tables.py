@@ -115,33 +115,18 @@ def read(diagnosis):
                 "name": cause.name,
                 "value": float(cause.value),
                 "interval": [float(bound) for bound in cause.interval],
-                "probability": _optional(getattr(cause, "probability", None)),
-                "aliases": [_alias(alias) for alias in cause.aliases],
+                "probability": float(cause.probability),
+                "evidence": float(cause.evidence),
+                "aliases": [[alias.name, float(alias.probability)] for alias in cause.aliases],
             }
             for cause in diagnosis.causes_
         ],
         "gain": None
         if gain is None
-        else {
-            name: _optional(getattr(gain, name, None))
-            for name in ("nominal", "extended", "floor", "explained")
-        },
+        else {name: float(getattr(gain, name)) for name in ("nominal", "extended", "floor", "explained")},
         "noise": np.asarray(diagnosis.noise_, float).tolist(),
-        "velocities": getattr(diagnosis, "velocities_", None),
+        "velocities": "computed" if diagnosis.computed_velocities_ else "measured",
     }
-
-
-def _alias(alias):
-    """Return name and probability of an alias, in whatever form an engine tells it."""
-    if isinstance(alias, str):
-        return [alias, None]
-    if isinstance(alias, tuple | list):
-        return [str(alias[0]), _optional(alias[1])]
-    return [alias.name, _optional(getattr(alias, "probability", None))]
-
-
-def _optional(number):
-    return None if number is None else float(number)
 
 
 def _forget_peak():

@@ -36,8 +36,8 @@ MAX_DELAY_IN_TRANSITIONS = 5
 LARGEST_OFFSET = 1.0
 # Of factors on what a servo feeds back.
 GAIN_BOUNDS = (0.02, 20.0)
-# Simulating takes longer by the inverse of it.
-FINEST_TIMESTEP = 0.25
+# Simulating takes longer by the inverse of it. Reality has no step: a coarser bound would be an estimate's end.
+FINEST_TIMESTEP = 0.1
 # Families on joints: what edits the model (None: the stepping does it), and a typical speed, acceleration or angle that
 # makes a force of one unit of it, in SI.
 JOINT_FAMILIES: dict[str, tuple[Callable[..., Any] | None, float]] = {

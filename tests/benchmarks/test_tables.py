@@ -123,34 +123,22 @@ def test_every_cause_of_the_sensors_table_can_be_hidden_and_changes_the_data():
             assert np.any(change > 0.1 * np.resize(log.sigma, change.shape)), name
 
 
-def test_every_field_of_settings_is_tried():
-    import dataclasses
-    import typing
-
+def test_every_constant_of_the_engine_is_tried():
     import ablation
 
-    @dataclasses.dataclass(frozen=True)
-    class Inner:
-        depth: int = 3
-
-    @dataclasses.dataclass(frozen=True)
-    class Settings:
-        share: float = 0.1
-        rows: int = 20
-        strict: bool = True
-        freedoms: tuple = (3.0, 5.0)
-        word: typing.Literal["a", "b"] = "a"
-        most: float = np.inf
-        inner: Inner = Inner()
-
-    tried = ablation.changes(Settings())
-    assert {label.split()[0] for label in tried} == {field.name for field in dataclasses.fields(Settings)}
-    assert tried["share halved"] == ("share", 0.05)
-    assert tried["rows off"] == ("rows", 0)
-    assert tried["strict turned"] == ("strict", False)
-    assert tried["freedoms without its first"] == ("freedoms", (5.0,))
-    assert tried["word as 'b'"] == ("word", "b")
-    assert tried["inner depth doubled"] == ("inner", Inner(6))
+    found = ablation.constants()
+    assert found["causes", "ALIAS_FACTOR"] == 20.0
+    assert ("causes", "SENSORS") not in found  # names are no numbers
+    assert ("causes", "REFITTED") in found  # of two in one line
+    tried = ablation.changes(
+        {("a", "SHARE"): 0.1, ("a", "ROWS"): 21, ("a", "NU"): (3.0, 5.0), ("b", "MOST"): np.inf}
+    )
+    assert tried["a.SHARE halved"] == ("a", "SHARE", 0.05)
+    assert tried["a.ROWS halved"] == ("a", "ROWS", 10)
+    assert tried["a.ROWS off"] == ("a", "ROWS", 0)
+    assert tried["a.NU without its first"] == ("a", "NU", (5.0,))
+    assert tried["b.MOST finite"] == ("b", "MOST", 1.0)
+    assert {label.split()[0] for label in ablation.changes(found)} == {".".join(name) for name in found}
 
 
 def test_the_prior_of_a_draw_is_a_cauchy_within_bounds():
@@ -172,21 +160,12 @@ def test_the_prior_of_a_draw_is_a_cauchy_within_bounds():
     assert share == pytest.approx(0.1 / 1.1, abs=0.015)
 
 
-def test_settings_are_replaced_wherever_a_module_holds_them_and_put_back(monkeypatch):
-    import sys
-    import types
-
+def test_a_constant_is_replaced_wherever_a_module_takes_it_and_put_back():
     import ablation
 
-    old, new = object(), object()
-    module = types.ModuleType("skat.of_this_test")
-    exec("def by_default(settings=None, *, also=None):\n    return settings, also, SETTINGS\n", vars(module))
-    module.SETTINGS = old
-    module.by_default.__defaults__ = (old,)
-    module.by_default.__kwdefaults__ = {"also": old}
-    monkeypatch.setitem(sys.modules, module.__name__, module)
-    with ablation.replaced(old, new):
-        assert module.by_default() == (new, new, new)
-    assert module.by_default() == (old, old, old)
-    with pytest.raises(RuntimeError, match="nothing would change"), ablation.replaced(object(), new):
-        pass
+    from skat.diagnosis import doubts, log
+
+    assert log.QUATERNION is doubts.QUATERNION
+    with ablation.replaced("log", "QUATERNION", ("w",)):
+        assert doubts.QUATERNION == log.QUATERNION == ("w",)
+    assert doubts.QUATERNION == log.QUATERNION != ("w",)

@@ -48,16 +48,14 @@ def alone(log):
 
 @pytest.fixture
 def shared_calls(monkeypatch):
-    """Count the calls that go to other processes, and send small ones, too."""
+    """Count the calls that go to other processes."""
     calls = []
-    parallel = joblib.Parallel
 
     def counted(*arguments, **options):
         calls.append(options)
-        return parallel(*arguments, **options)
+        return joblib.Parallel(*arguments, **options)
 
-    monkeypatch.setattr(residuals.joblib, "Parallel", counted)
-    monkeypatch.setattr(residuals, "FEWEST_ROWS_TO_SHARE", 2000)
+    monkeypatch.setattr(statespace, "Parallel", counted)
     return calls
 
 

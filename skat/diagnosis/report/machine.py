@@ -48,6 +48,7 @@ def findings_as_data(diagnosis, *, gain=None, error_name="", **context):
             for name, one in zip(diagnosis.simulator.residual_names, diagnosis.noise_)
             if not math.isnan(one)
         },
+        "computed_velocities": diagnosis.computed_velocities_,
         "remainder": [_left(part) for part in diagnosis.remainder_.parts],
     }
     return plain(content)
