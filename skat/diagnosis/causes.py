@@ -511,7 +511,7 @@ def _ends_of_chords(simulator: Simulator, effect: Effect, dead: bool) -> Array:
     """Return the values to which chords of an effect are drawn; none where its slope will do."""
     if effect.family == "delay" and simulator.dt:
         step = simulator.dt / int(getattr(simulator, "frame_skip", 1))
-        return step * np.arange(1, int(effect.bounds[1] / step + 1e-9) + 1)
+        return np.asarray(step * np.arange(1.0, int(effect.bounds[1] / step + 1e-9) + 1), dtype=np.float64)
     if not dead:
         return np.zeros(0)
     shares = np.arange(1, CHORDS + 1) / CHORDS
