@@ -10,6 +10,7 @@ import numpy as np
 from skat.diagnosis.evidence import Gram, Priors, Weighed, weigh
 from skat.diagnosis.filtering import Array
 from skat.diagnosis.fitting import (
+    STILL,
     Columns,
     Fitted,
     coordinate,
@@ -23,6 +24,7 @@ from skat.diagnosis.fitting import (
 from skat.diagnosis.search import Ranked, search, without_weak
 from skat.diagnosis.statespace import StateSpace, derivatives
 from skat.effects import EVERY, Effect
+from skat.simulators.base import Simulator
 
 # Families that act on what a sensor reads, and so on nothing where it was not read.
 SENSORS = ("bias", "scale", "lag")
@@ -44,8 +46,10 @@ ALIAS_FACTOR = 20.0
 LIVE = 24
 # The weakest causes, so many, must bear being left out of a fit of its own, of so many turns.
 REFITTED, REFIT_TURNS = 3, 3
+# Chords of an effect that has no slope where it is neutral, to each of its bounds.
+CHORDS = 10
 # Effects whose responses make a smaller angle than this cosine may be the same: so many are fitted in a cause's place.
-ALIKE, RIVALS = 0.95, 2
+ALIKE, RIVALS = 0.8, 2
 # A bound that an estimate comes this near to, as a share of the range, holds it.
 AT_BOUND = 1e-6
 
@@ -93,6 +97,26 @@ class Found:
     ranked: Ranked
     best: Weighed
     settled: bool
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A set in which another effect stands in a cause's place, at a fit of its own.
+
+    Attributes
+    ----------
+    cause, other : int
+    members : tuple of int
+    log_odds : float
+        Of this set against that with the cause, nats.
+    values : mapping from name to value
+    """
+
+    cause: int
+    other: int
+    members: tuple[int, ...]
+    log_odds: float
+    values: Mapping[str, float]
 
 
 def find_causes(
@@ -143,6 +167,10 @@ def find_causes(
     values: dict[str, float] = dict(start or {})
     fitted: Fitted | None = None
     slopes: Array | None = None
+    first: Gram | None = None
+    rivals: list[Rival] = []
+    tried: set[tuple[int, ...]] = set()
+    bounds: dict[tuple[int, ...], float] = {}
     banned: set[int] = set()
     live: list[int] = []
     for turn in range(TURNS):
@@ -163,28 +191,43 @@ def find_causes(
         columns = gram_of(space, fitted, slopes, effects)
         members = [places[name] for name in values if name in places]
         gram = _judged(columns, priors, members if turn else None)
+        first = first or gram
         ranked = search(
             gram, priors, members, families=families, power=power, banned=sorted(banned), most=max_effects
         )
         predictive = partial(_predicted, columns, priors)
-        best, worth = without_weak(ranked, gram, priors, needed, power=power, predictive=predictive)
+        # What does as well is an alias, and no reason to go elsewhere: slopes know least of what is far away.
+        here = weigh(gram, priors, members, power=power)
+        top = here if ranked.sets[0].evidence - here.evidence < needed else ranked.sets[0]
+        best, worth = without_weak(top, gram, priors, needed, power=power, predictive=predictive)
         found = {priors.names[one]: value_at(effects[one], at) for one, at in zip(best.members, best.values)}
         deviations = _deviations(gram, priors, best.members)
-        stands = set(found) == set(values) and all(
-            abs(coordinate(effects[one], values[priors.names[one]]) - at) < STANDS_STILL * deviation
-            for one, at, deviation in zip(best.members, best.values, deviations)
+        # Where something hits, the bound and with it the values never rest: a set is done when it gains no more.
+        stands = set(found) == set(values) and (
+            fitted.bound < bounds.get(best.members, -np.inf) + STILL
+            or all(
+                abs(coordinate(effects[one], values[priors.names[one]]) - at) < STANDS_STILL * deviation
+                for one, at, deviation in zip(best.members, best.values, deviations)
+            )
         )
+        if set(found) == set(values):
+            bounds[best.members] = max(fitted.bound, bounds.get(best.members, -np.inf))
         if stands:
             refused = {one for one in best.members if is_held(effects[one], found[priors.names[one]])}
             refused |= _refused(space, fitted, effects, priors, best, worth, floor, given, needed, power)
             if not refused:
-                break
+                rivals = _rivals(space, fitted, effects, priors, (gram, first), best, floor, given, power)
+                better = max(rivals, key=lambda rival: rival.log_odds, default=None)
+                if better is None or better.log_odds <= 0 or better.members in tried:
+                    break
+                tried.add(best.members)
+                found = dict(better.values)
             banned |= refused
             found = {name: value for name, value in found.items() if places[name] not in refused}
         values = found
         live = _live(ranked, gram, best)
         stands = False
-    if fitted is None:
+    if fitted is None or first is None:
         raise RuntimeError("no relinearisation was made")
     # A search that was stopped may end at a bound, or with what was just refused.
     kept = [
@@ -195,8 +238,9 @@ def find_causes(
     ]
     found = {priors.names[one]: found[priors.names[one]] for one in kept}
     probabilities = {name: ranked.probability(place) for place, name in enumerate(priors.names)}
-    rivals = _rivals(space, fitted, effects, priors, gram, best, floor, given, power)
-    for name, others in rivals.items():
+    shares = _shares(rivals) if stands else {}
+    for one, others in shares.items():
+        name = priors.names[one]
         probabilities[name] = min(probabilities[name], 1 - sum(share for _, share in others))
     intervals = {
         priors.names[one]: (
@@ -210,7 +254,13 @@ def find_causes(
         found,
         intervals,
         {priors.names[one]: nats for one, nats in worth.items() if one in kept},
-        _with_refitted(_aliases(ranked, gram, priors, best), rivals),
+        _with_refitted(
+            _aliases(ranked, gram, priors, best),
+            {
+                priors.names[one]: tuple((priors.names[other], share) for other, share in others)
+                for one, others in shares.items()
+            },
+        ),
         probabilities,
         _also(gram, priors, effects, best, needed, families, banned, predictive),
         fitted,
@@ -248,17 +298,37 @@ def _refused(
             _part(priors, best.members),
             [best.members.index(other) for other in rest],
         )
-        values = {effects[other].name: value_at(effects[other], at) for other, at in zip(rest, start.values)}
-        for _ in range(REFIT_TURNS):
-            alone = settled(space, values, fitted, floor, given=given)
-            gram = _gram_at(space, alone, effects, priors, rest)
-            at = weigh(gram, _part(priors, rest), range(len(rest)))
-            values = {
-                effects[other].name: value_at(effects[other], place) for other, place in zip(rest, at.values)
-            }
+        alone = _refitted(space, fitted, effects, priors, rest, start.values, floor, given)
         if _evidence(space, alone, effects, priors, rest, power) + needed > whole:
             return {one}
     return set()
+
+
+def _refitted(
+    space: StateSpace,
+    fitted: Fitted,
+    effects: Sequence[Effect],
+    priors: Priors,
+    members: Sequence[int],
+    start: Array,
+    floor: Array,
+    given: Array | None,
+) -> Fitted:
+    """Return the fit of a set about a path, at a noise and at values of its own."""
+    places, alone = np.array(start, dtype=float), fitted
+    chosen = [effects[one] for one in members]
+    for _ in range(REFIT_TURNS):
+        values = {effect.name: value_at(effect, at) for effect, at in zip(chosen, places)}
+        alone = settled(space, values, alone, floor, given=given)
+        if not members:
+            break
+        gram, own = _gram_at(space, alone, effects, priors, members), _part(priors, members)
+        moved = weigh(gram, own, range(len(members)))
+        deviations = np.sqrt(np.diag(np.linalg.inv(moved.curvature)))
+        if np.all(np.abs(moved.values - places) < STANDS_STILL * deviations):
+            break
+        places = moved.values
+    return alone
 
 
 def _rivals(
@@ -266,50 +336,51 @@ def _rivals(
     fitted: Fitted,
     effects: Sequence[Effect],
     priors: Priors,
-    gram: Gram,
+    grams: Sequence[Gram],
     best: Weighed,
     floor: Array,
     given: Array | None,
     power: float,
-) -> dict[str, tuple[tuple[str, float], ...]]:
+) -> list[Rival]:
     """Return for each cause the effects that act most like it and, at fits of their own, stand for it nearly as well.
 
-    Slopes say that two effects act alike for small values; whether they do at this one, a fit must say.
+    Slopes say that two effects act alike for small values; whether they do at this one, a fit must say. Some act alike
+    only where neither is a cause yet: of two limits the lower one hides the other.
     """
     if not best.members:
-        return {}
-    sizes = np.sqrt(np.maximum(np.diag(gram.products), 1e-300))
+        return []
     whole = _evidence(space, fitted, effects, priors, best.members, power)
-    found = {}
+    found: list[Rival] = []
     for cause in best.members[:REFITTED]:
-        alike = np.abs(gram.products[cause]) / (sizes[cause] * sizes)
+        looks = np.stack([_cosines(gram, cause) for gram in grams])
+        alike = looks.max(axis=0)
         alike[list(best.members)] = 0.0
-        rivals = []
         for other in np.argsort(-alike, kind="stable")[:RIVALS]:
             if alike[other] < ALIKE:
                 break
             members = sorted({*best.members, int(other)} - {cause})
-            moved = weigh(gram, priors, members)
-            values = {
-                effects[one].name: value_at(effects[one], at) for one, at in zip(moved.members, moved.values)
-            }
-            for _ in range(REFIT_TURNS):
-                alone = settled(space, values, fitted, floor, given=given)
-                own = weigh(
-                    _gram_at(space, alone, effects, priors, members),
-                    _part(priors, members),
-                    range(len(members)),
-                )
-                values = {
-                    effects[one].name: value_at(effects[one], at) for one, at in zip(members, own.values)
-                }
-            odds = np.exp(min(_evidence(space, alone, effects, priors, members, power) - whole, 50.0))
-            if odds > 1 / ALIAS_FACTOR:
-                rivals.append((priors.names[other], float(odds)))
-        if rivals:
-            total = 1 + sum(odds for _, odds in rivals)
-            found[priors.names[cause]] = tuple((name, odds / total) for name, odds in rivals)
+            moved = weigh(grams[int(np.argmax(looks[:, other]))], priors, members)
+            alone = _refitted(space, fitted, effects, priors, members, moved.values, floor, given)
+            log_odds = _evidence(space, alone, effects, priors, members, power) - whole
+            if log_odds > -np.log(ALIAS_FACTOR):
+                found.append(Rival(cause, int(other), tuple(members), float(log_odds), dict(alone.values)))
     return found
+
+
+def _shares(rivals: Sequence[Rival]) -> dict[int, tuple[tuple[int, float], ...]]:
+    """Return for each cause its rivals and the probability of each."""
+    shares = {}
+    for cause in {rival.cause for rival in rivals}:
+        own = [rival for rival in rivals if rival.cause == cause]
+        odds = np.exp(np.minimum([rival.log_odds for rival in own], 50.0))
+        shares[cause] = tuple((rival.other, float(one / (1 + odds.sum()))) for rival, one in zip(own, odds))
+    return shares
+
+
+def _cosines(gram: Gram, one: int) -> Array:
+    """Return the cosines of the angles between an effect's response and those of all."""
+    sizes = np.sqrt(np.maximum(np.diag(gram.products), 1e-300))
+    return (np.abs(gram.products[one]) / (sizes[one] * sizes)).astype(np.float64)
 
 
 def _with_refitted(
@@ -408,32 +479,45 @@ def _predicted(columns: Columns, priors: Priors, members: Sequence[int]) -> floa
 
 
 def _with_chords(space: StateSpace, fitted: Fitted, effects: Sequence[Effect], slopes: Array) -> Array:
-    """Return the slopes, those by a delay as the chord to the whole time step that explains most.
+    """Return the slopes, those that say nothing of what lies further off as the chord to where most is explained.
 
-    What a delay does has a kink at every time step, and its slope at none says nothing of a delay of a row.
+    What a delay does has a kink at every time step: the ends of its chords are the whole ones. What has no slope at
+    all, such as a limit that is never reached, may have one further off: their ends divide the way to each bound.
     """
-    simulator = space.simulator
-    if not simulator.dt:
-        return slopes
-    step = simulator.dt / int(getattr(simulator, "frame_skip", 1))
     slopes = slopes.copy()
+    dead = ~np.any(slopes, axis=(0, 1))
     for place, effect in enumerate(effects):
-        if effect.family != "delay" or effect.name in fitted.values:
+        if effect.name in fitted.values:
             continue
-        grid = step * np.arange(1, int(effect.bounds[1] / step + 1e-9) + 1)
+        ends = _ends_of_chords(space.simulator, effect, bool(dead[place]))
+        if not len(ends):
+            continue
+        grid = np.array([coordinate(effect, float(end)) for end in ends])
         chords = np.concatenate(
             [
-                derivatives(space, fitted.linear, fitted.values, {effect.name: (effect.neutral, float(at))})
-                for at in grid
+                derivatives(space, fitted.linear, fitted.values, {effect.name: (effect.neutral, float(end))})
+                * ((end - effect.neutral) / at)
+                for end, at in zip(ends, grid)
             ],
             axis=-1,
         )
-        if not chords.size:
-            continue
         columns = gram_of(space, fitted, chords, [effect] * len(grid))
         b, G = columns.gram.projections, np.diag(columns.gram.products)
         slopes[..., place] = chords[..., int(np.argmax(b * grid - 0.5 * G * grid**2))]
     return slopes
+
+
+def _ends_of_chords(simulator: Simulator, effect: Effect, dead: bool) -> Array:
+    """Return the values to which chords of an effect are drawn; none where its slope will do."""
+    if effect.family == "delay" and simulator.dt:
+        step = simulator.dt / int(getattr(simulator, "frame_skip", 1))
+        return np.asarray(step * np.arange(1.0, int(effect.bounds[1] / step + 1e-9) + 1), dtype=np.float64)
+    if not dead:
+        return np.zeros(0)
+    shares = np.arange(1, CHORDS + 1) / CHORDS
+    low, high = (shares * coordinate(effect, bound) for bound in effect.bounds)
+    ends: Array = np.array([value_at(effect, place) for place in (*low, *high) if place], dtype=np.float64)
+    return ends
 
 
 def _deviations(gram: Gram, priors: Priors, members: Sequence[int]) -> Array:
@@ -495,7 +579,7 @@ def _also(
 ) -> dict[str, float]:
     """Return what the log shows beside the causes if the model is taken for exact."""
     ranked = search(gram, priors, best.members, families=families, banned=sorted(banned))
-    exact, _ = without_weak(ranked, gram, priors, needed, predictive=predictive)
+    exact, _ = without_weak(ranked.sets[0], gram, priors, needed, predictive=predictive)
     return {
         priors.names[one]: value_at(effects[one], at)
         for one, at in zip(exact.members, exact.values)

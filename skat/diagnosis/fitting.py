@@ -116,6 +116,10 @@ def settled(
     known = Known(floor, given)
     if start is None:
         linear = linearise(space, space.measured, values)
+        if not linear.valid.any():
+            raise RuntimeError(
+                "The simulation diverges in every row: check the units of the states and actions."
+            )
         residuals = np.where(linear.valid[:, None], linear.chains.drive[space.places], np.nan)
         typical = (1.4826 * np.nanmedian(np.abs(residuals), axis=0)) ** 2 / 2 + 1e-12 * space.spread**2
         typical = np.minimum(typical, _rough(space)) if given is None else given**2
@@ -374,7 +378,8 @@ class Columns:
         order = np.argsort(self.blocks, kind="stable")
         starts = np.searchsorted(self.blocks[order], np.arange(n_blocks))
         N = self.columns[:, chosen][order]
-        z = self.whitened[order] + N @ self.gram.origin[chosen]
+        # From neutral: what is not in the set does not act, wherever the slopes were taken.
+        z = (self.whitened + self.columns @ self.gram.origin)[order]
         b = np.add.reduceat(N * z[:, None], starts)
         G = np.stack([N[start:stop].T @ N[start:stop] for start, stop in zip(starts, [*starts[1:], len(N)])])
         values = np.zeros(len(chosen))

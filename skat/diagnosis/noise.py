@@ -194,6 +194,8 @@ def _improved(
         force_squares, force, np.broadcast_to(real[..., None], force_squares.shape)
     )
     error_nu, error_weights = _scales(error_squares, error, chains.mask)
+    if held is not None:  # A noise that is known has no outliers: what lies beyond it is the model's.
+        error_nu, error_weights = np.where(held, np.inf, error_nu), np.where(held, 1.0, error_weights)
     return Noise(force, error, force_nu, error_nu, force_weights, error_weights)
 
 

@@ -17,6 +17,7 @@ takes that little noise for granted follows a wrong model rather than its readin
 long before the horizon.
 """
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -194,7 +195,7 @@ def predicted(
     h = horizon_rows(simulator) if horizon is None else horizon
     seen = look(space, fitted, values)
     if simulator.state_names:
-        starts, h = windows(space, h)
+        starts, h = windows(space, h, n_lags=simulator.n_lags(values))
     else:
         starts, h = np.arange(len(space.X)), 1
     if not len(starts):
@@ -211,6 +212,12 @@ def predicted(
     counted = mask[rows[:, -1]]
     if not counted.any():
         raise RuntimeError("Nothing was measured at the horizon of any row.")
+    lost = np.asarray(~np.isfinite(errors[:, :, 0]).all(axis=(0, 2)))
+    if lost.any():
+        warnings.warn(
+            f"The simulation diverges in {int(lost.sum())} of {len(lost)} rows; there it counts as wholly wrong.",
+            stacklevel=2,
+        )
     variances = variances_ahead(space, seen, starts, h)[:, -1]
     with np.errstate(over="ignore"):
         squares = np.nan_to_num(errors[:, :, -1] ** 2 / variances, nan=np.inf)
@@ -271,18 +278,22 @@ def filtered(space: StateSpace, seen: Seen) -> tuple[Array, Array]:
     return states[:, :-1][space.places], covariances[:, :-1][space.places]
 
 
-def windows(space: StateSpace, horizon: int) -> tuple[Places, int]:
+def windows(space: StateSpace, horizon: int, *, n_lags: int = 0) -> tuple[Places, int]:
     """Return the rows at which predictions start, one after the other in each episode, and how many rows they run.
 
-    Where not all of a state was measured, a start lies some rows behind the beginning of its chain.
+    Where not all of a state was measured, a start lies some rows behind the beginning of its chain; where commands come
+    late, behind those of an episode in which commands from before the log act.
     """
     step = space.places[1]
     unknown = not space.mask[:, 0].all()
     first = np.flatnonzero(np.r_[True, np.diff(space.groups) != 0])
     length = np.diff(np.r_[first, len(space.groups)])
     late = min(SETTLED_ROWS, int(length.max()) - 1) if unknown else 0
-    horizon = max(1, min(horizon, int(length.max()) - late))
-    starts = np.concatenate([np.arange(begin, begin + n, horizon) for begin, n in zip(first, length)])
+    n_lags = min(n_lags, int(length.max()) - 1)
+    horizon = max(1, min(horizon, int(length.max()) - max(late, n_lags)))
+    starts = np.concatenate(
+        [np.arange(begin + n_lags, begin + n, horizon) for begin, n in zip(first, length)]
+    )
     starts = np.unique(starts + np.maximum(late - step[starts], 0))
     last = np.repeat(first + length, length)
     starts = starts[starts < len(last)]

@@ -151,7 +151,7 @@ def _family_moves(
 
 
 def without_weak(
-    ranked: Ranked,
+    best: Weighed,
     gram: Gram,
     priors: Priors,
     needed: float,
@@ -159,13 +159,14 @@ def without_weak(
     power: float = 1.0,
     predictive: Callable[[Sequence[int]], float] | None = None,
 ) -> tuple[Weighed, dict[int, float]]:
-    """Return the best set all of whose members are worth what a name needs, and what each is worth.
+    """Return what is left of a set when all of its members are worth what a name needs, and what each is worth.
 
     A member is worth what the set loses when it is dropped: of its evidence, or of what it predicts, if that is less.
 
     Parameters
     ----------
-    ranked, gram, priors
+    best : Weighed
+    gram, priors
     needed : float
         Nats.
     power : float, default=1.0
@@ -173,7 +174,6 @@ def without_weak(
     predictive : callable, optional
         ``predictive(members)`` returns what a set gains in pieces of the log with values from the others, nats.
     """
-    best = ranked.sets[0]
     while best.members:
         worth = {}
         whole = predictive(best.members) if predictive is not None else 0.0

@@ -22,12 +22,16 @@ ORDER = 6
 # Motion adds to differences, above all where something hits: noise is what the quieter quarter of the pieces has.
 PIECE, QUIET = 10, 0.25
 # Of what independent noise would leave: far from 1 for the scatter of a variance, far from 0 for a log's own rounding.
-SHARE = 0.05
+SHARE = 0.03
+# Neighbours, to each side, that may tell of a position what is motion and no noise.
+NEAR = 3
 # Rows for each regressor.
 ROWS_EACH = 4
 
 
-def is_computed(positions: Array, velocities: Array, episodes: NDArray[Any]) -> bool:
+def is_computed(
+    positions: Array, velocities: Array, episodes: NDArray[Any], others: Array | None = None
+) -> bool:
     """Return whether one joint's velocities were computed from its positions.
 
     Parameters
@@ -35,6 +39,8 @@ def is_computed(positions: Array, velocities: Array, episodes: NDArray[Any]) -> 
     positions, velocities : ndarray of shape (n_instants,)
         As measured, evenly spaced within an episode; NaN where nothing was.
     episodes : ndarray of shape (n_instants,)
+    others : ndarray of shape (n_instants, n_others), optional
+        What else tells of the motion but knows nothing of the noise of these positions: other positions, commands.
 
     Returns
     -------
@@ -69,7 +75,7 @@ def is_computed(positions: Array, velocities: Array, episodes: NDArray[Any]) -> 
     design, target = design[kept], target[kept]
     if len(target) < ROWS_EACH * design.shape[1]:
         return False
-    noise = noise_variance(positions, episodes)
+    noise = min(noise_variance(positions, episodes), _unpredictable(positions, episodes, others))
     design = np.column_stack([design - design.mean(axis=0), np.ones(len(design))])
     sizes = np.sqrt(np.mean(design**2, axis=0))
     sizes[sizes == 0] = 1.0
@@ -78,6 +84,35 @@ def is_computed(positions: Array, velocities: Array, episodes: NDArray[Any]) -> 
     own = (coefficients / sizes)[: 2 * POSITIONS + 1]
     degrees = len(target) - design.shape[1]
     return bool(np.sum(left**2) / degrees < SHARE * noise * np.sum(own**2))
+
+
+def _unpredictable(positions: Array, episodes: NDArray[Any], others: Array | None) -> float:
+    """Return the variance of what neighbours and all else tell nothing of: noise is no larger."""
+    if others is None or not others.shape[1]:
+        return np.inf
+    rows, targets = [], []
+    for episode in np.unique(episodes):
+        q, rest = positions[episodes == episode], others[episodes == episode]
+        if len(q) <= 2 * NEAR:
+            continue
+        around = np.lib.stride_tricks.sliding_window_view(q, 2 * NEAR + 1)
+        beside = np.lib.stride_tricks.sliding_window_view(rest, 2 * NEAR + 1, axis=0)
+        targets.append(around[:, NEAR])
+        rows.append(np.column_stack([np.delete(around, NEAR, axis=1), beside.reshape(len(around), -1)]))
+    if not rows:
+        return np.inf
+    design, target = np.concatenate(rows), np.concatenate(targets)
+    kept = np.isfinite(target)
+    design, target = design[kept], target[kept]
+    design = design[:, np.isfinite(design).all(axis=0)]
+    if len(target) < ROWS_EACH * design.shape[1]:
+        return np.inf
+    design = np.column_stack([design - design.mean(axis=0), np.ones(len(design))])
+    sizes = np.sqrt(np.mean(design**2, axis=0))
+    sizes[sizes == 0] = 1.0
+    coefficients, *_ = np.linalg.lstsq(design / sizes, target, rcond=None)
+    left = target - design / sizes @ coefficients
+    return float(left @ left / (len(target) - design.shape[1]))
 
 
 def noise_variance(series: Array, episodes: NDArray[Any]) -> float:
@@ -116,10 +151,18 @@ def computed_velocities(simulator: Simulator, X: Array, y: Array, groups: NDArra
     last = np.flatnonzero(np.r_[groups[1:] != groups[:-1], True])
     states = np.insert(X[:, : len(names)], last + 1, y[last], axis=0)
     episodes = np.insert(groups, last + 1, groups[last])
+    actions = np.insert(X[:, len(names) :], last + 1, X[last, len(names) :], axis=0)
+    pairs = motions(simulator)
+    places = {position: states[:, names.index(position)] for position, _ in pairs}
     return tuple(
         velocity
-        for position, velocity in motions(simulator)
-        if is_computed(states[:, names.index(position)], states[:, names.index(velocity)], episodes)
+        for position, velocity in pairs
+        if is_computed(
+            places[position],
+            states[:, names.index(velocity)],
+            episodes,
+            np.column_stack([actions, *(place for name, place in places.items() if name != position)]),
+        )
     )
 
 

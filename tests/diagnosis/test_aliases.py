@@ -111,17 +111,17 @@ def near_copies(X, truth=0.0, **copies):
 
 def test_what_hardly_differs_from_the_truth_does_not_drive_it_out():
     """One of seven models that predict the same within a tenth of the noise is always best, by next to nothing."""
-    names = ["truth", *(f"copy{k}" for k in range(6))]
+    effects = ["truth", *(f"copy{k}" for k in range(6))]
     simulator = FunctionSimulator(
         near_copies,
         input_names=("u", *(f"w{k}" for k in range(6))),
         output_names=("p",),
-        effects=[Effect(name, unit="1", neutral=0.0, bounds=(-3.0, 3.0)) for name in names],
+        effects=[Effect(name, unit="1", neutral=0.0, bounds=(-3.0, 3.0)) for name in effects],
     )
     for seed in range(30):
         rng = np.random.default_rng(seed)
         X = rng.normal(size=(300, 7))
         y = X[:, :1] + 0.1 * rng.normal(size=(300, 1))
-        diagnosis = SimulationDiagnosis(simulator, effects=names, random_state=seed, test_size=0).fit(X, y)
+        diagnosis = SimulationDiagnosis(simulator, effects=effects, random_state=seed, test_size=0).fit(X, y)
         (cause,) = diagnosis.causes_
         assert "truth" in names(cause), seed

@@ -86,7 +86,7 @@ def test_sets_come_back_from_data_simulated_with_them():
         theta[list(hidden)] = 0.5
         gram, _ = problem(rng, theta, n=400)
         given = priors(20, odds=1 / 20)
-        best, worth = without_weak(search(gram, given), gram, given, -np.log(0.01))
+        best, worth = without_weak(search(gram, given).sets[0], gram, given, -np.log(0.01))
         assert best.members == hidden
         assert set(worth) == set(hidden)
 
@@ -96,7 +96,7 @@ def test_of_nothing_nothing_is_made():
     alarms = 0
     for _ in range(150):
         gram, _ = problem(rng, np.zeros(30), n=300)
-        best, _ = without_weak(search(gram, given), gram, given, -np.log(0.01))
+        best, _ = without_weak(search(gram, given).sets[0], gram, given, -np.log(0.01))
         alarms += bool(best.members)
     assert alarms <= 3
 
