@@ -276,9 +276,6 @@ def student_log_density(squares: Array, variance: Array | float, nu: float) -> A
     It is what :math:`E[\ln N(e; 0, r/\lambda)] + E[\ln p(\lambda)] + H[q(\lambda)]` comes to at the best
     :math:`q(\lambda)`; for nu = inf, E[ln N(e; 0, r)].
     """
-    variance = np.maximum(
-        variance, np.finfo(float).tiny
-    )  # Nothing is left of a log that a model repeats exactly.
     if np.isinf(nu):
         return -0.5 * (np.log(2 * np.pi * variance) + squares / variance)
     constant = gammaln((nu + 1) / 2) - gammaln(nu / 2) - 0.5 * np.log(nu * np.pi * variance)

@@ -86,7 +86,7 @@ class Overlay:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Errors at a horizon, episodes to look at, those that the nominal model predicts worst, and how many starts diverge."""
+    """Errors at a horizon, the episodes that the nominal model predicts worst, and how many starts diverge."""
 
     gain: Gain
     overlays: tuple[Overlay, ...]
