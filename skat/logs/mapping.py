@@ -63,8 +63,14 @@ def _file(path: Path) -> dict[str, str]:
             str(path), f"is no TOML: {error}.", 'A line of it is "qpos.elbow" = "q1:deg".'
         ) from None
     columns = content.get("columns", content)
+    if not isinstance(columns, dict):
+        raise LogError(
+            str(path),
+            f"has columns = {columns!r} where a table was expected.",
+            "Write [columns] on a line of its own.",
+        )
     bad = [name for name, theirs in columns.items() if not isinstance(theirs, str | int | float)]
-    if not isinstance(columns, dict) or bad:
+    if bad:
         raise LogError(
             str(path), f"has no text for {', '.join(bad)}.", 'Put names in quotes: "qpos.elbow" = "q1:deg".'
         )
