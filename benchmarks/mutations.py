@@ -27,7 +27,7 @@ from queue import Queue
 
 ROOT = Path(__file__).resolve().parent.parent
 # Beside these is what shows and reads: it has tests of its own kind.
-NOT_NUMERICAL = {"cli", "plotting", "experiments", "datasets", "logs", "report", "envs"}
+NOT_NUMERICAL = {"cli", "plotting", "experiments", "datasets", "report", "envs"}
 OTHER_WAY = {
     ast.Lt: ast.LtE,
     ast.LtE: ast.Lt,
