@@ -9,9 +9,12 @@ are left out and said.
 
     python benchmarks/new_user.py                  # half an hour of one core: each diagnosis as it is written
     python benchmarks/new_user.py --quick          # one effect for each diagnosis
+
+The first line names the sources that were tried: a hash of the package, the pages and what is put at hand.
 """
 
 import argparse
+import hashlib
 import html.parser
 import os
 import re
@@ -81,6 +84,7 @@ def main():
         help="where to work, default a temporary folder; a wheel and an environment that are there are taken",
     )
     arguments = parser.parse_args()
+    print(f"sources {sources()}{', one effect for each diagnosis' if arguments.quick else ''}", flush=True)
     folder = arguments.folder or Path(tempfile.mkdtemp(prefix="new-user-"))
     folder.mkdir(parents=True, exist_ok=True)
     wheel = built(folder / "dist")
@@ -126,6 +130,16 @@ def main():
                 print(f"   {'FAILS' if said is None else 'opens'} {name}: {said}", flush=True)
     print("all of it runs" if not failed else f"{failed} failed")
     sys.exit(bool(failed))
+
+
+def sources():
+    """Return a hash of what is tried: the package, the pages, and the files that are put at hand."""
+    pages = [ROOT / page for page in [*PAGES, "docs/arm_logs.py", "docs/readme.py"]]
+    files = sorted(file for file in (ROOT / "skat").rglob("*") if file.is_file() and file.suffix != ".pyc")
+    digest = hashlib.sha256()
+    for file in [*files, *pages]:
+        digest.update(file.relative_to(ROOT).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
+    return digest.hexdigest()[:16]
 
 
 def built(folder):
