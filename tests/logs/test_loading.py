@@ -412,6 +412,17 @@ def test_a_root_that_is_not_in_the_log_is_welded_or_not_measured():
     assert np.isfinite(fixed.X).all()
 
 
+def test_quaternions_get_unit_length_and_keep_their_direction():
+    robot = MujocoSimulator(QUADRUPED, frame_skip=5)
+    half = np.linspace(0, 0.3, 60)
+    log = {name: np.zeros(60) for name in robot.input_names} | {"time": 0.01 * np.arange(60)}
+    log |= {"qpos.root.qw": 1.02 * np.cos(half), "qpos.root.qz": 1.02 * np.sin(half)}
+    found = load_log(log, robot)
+    column = robot.input_names.index("qpos.root.qw")
+    turned = np.column_stack([np.cos(half), 0 * half, 0 * half, np.sin(half)])
+    np.testing.assert_allclose(found.X[:, column : column + 4], turned[:-1], rtol=0, atol=1e-12)
+
+
 def test_a_constant_stands_for_commands_that_were_not_given(table, cart):
     log = load_log(table.drop(columns="ctrl.push"), cart, columns={"ctrl.*": "0"})
     assert (log.X[:, 2] == 0).all()
