@@ -188,7 +188,8 @@ class MomentTransport(BaseTransport):
             if side is None or side.n_rows < 2:
                 self._refuse_few_rows(0 if side is None else side.n_rows, name)
         self._warns, self._missing = True, None
-        sides = self._known_sides() if isinstance(self.covariance, str) else self._estimated(samples)
+        both = cast(tuple[Moments, Moments], (source, target))
+        sides = both if isinstance(self.covariance, str) else self._estimated(samples)
         self._learn(sides, _given(samples))
         self._calibrate(samples, None)
         self._warn_of_few_rows()
