@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skat.effects import Effect, checked_values
+from skat.effects import FAMILIES, Effect, checked_values
 
 
 def effect(name="mass[torso]", **changes):
@@ -119,3 +119,9 @@ def test_a_quantity_stated_in_full_is_combined_by_what_each_value_adds():
     assert not spring.is_factor
     assert spring.combined(50.0, 40.0) == 50.0
     assert spring.combined(50.0, 45.0) == 55.0
+
+
+def test_no_family_is_likelier_than_what_wears_or_was_never_measured():
+    """Masses, gains, dampings and dry friction have odds of one."""
+    assert all(0 < record.odds <= 1 for record in FAMILIES.values())
+    assert {FAMILIES[name].odds for name in ("mass", "gain", "damping", "dry_friction")} == {1.0}

@@ -49,3 +49,11 @@ def test_the_seed_draws_the_lines(script):
 def test_every_module_of_the_core_has_tests(script):
     for each in script["drawn"](ROOT, "all", 10**6):
         assert (ROOT / script["folder_of_tests"](each.path, ROOT)).exists()
+
+
+def test_tests_that_speak_of_a_module_come_first_and_none_is_left_out(script):
+    files = script["by_mention"]("skat/transport/batched.py", "tests/transport", ROOT)
+    assert files[0] == "tests/transport/test_batched.py"
+    assert sorted(files) == sorted(
+        f"tests/transport/{each.name}" for each in (ROOT / "tests/transport").glob("test_*.py")
+    )

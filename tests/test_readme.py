@@ -75,6 +75,7 @@ def test_the_elbows_friction_is_named_and_written_into_a_model_for_plain_mujoco(
 @pytest.mark.parametrize("log", LOGS)
 def test_five_lines_of_python_diagnose_and_write_model_and_report(arm, log):
     arm(".", **log)
+    Path("better.xml").write_text("<mujoco/>", "utf-8")  # The commands before them have written one.
     effects = 'effects=["dry_friction[elbow]"], ' if log else ""
     found = {}
     exec(OF_A_ROBOT.replace("random_state", f"{effects}random_state"), found)

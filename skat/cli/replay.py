@@ -1,7 +1,7 @@
 """The command ``skat replay``."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -22,6 +22,10 @@ from skat.cli.measured import (
 )
 from skat.cli.terminal import clear_errors, existing_path, output_file, print_line
 from skat.progress import progress_bars
+
+if TYPE_CHECKING:
+    from skat.logs import Log
+    from skat.simulators import MujocoSimulator
 
 BEFORE, AFTER = "as given", "extended"
 
@@ -64,7 +68,7 @@ def replay(
     motors: Motors = None,
     frame_skip: FrameSkip = None,
     force: Force = False,
-):
+) -> None:
     """See LOG move: the measured robot as a ghost beside the simulated one, before and after.
 
     The simulations get the commands of LOG and start from its first row.
@@ -121,7 +125,7 @@ def replay(
         print_line(f"Film: {film}")
 
 
-def _extended(path, log):
+def _extended(path: Path, log: "Log") -> "MujocoSimulator":
     """Return the extended model as a simulator with the log's time from row to row."""
     from skat.simulators import MujocoSimulator
 

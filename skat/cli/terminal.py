@@ -2,8 +2,11 @@
 
 import sys
 import warnings
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from os import PathLike
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, TextIO
 
 import typer
 from rich.console import Console
@@ -12,21 +15,24 @@ from rich.table import Table
 
 from skat.files import writable
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 EXIT_BAD_INPUT = 2
 
 
-def output_console():
+def output_console() -> Console:
     """Return a console on the present standard output, wide enough for a table when that is a file."""
     return _console(sys.stdout)
 
 
-def error_console():
+def error_console() -> Console:
     """Return a console on the present standard error."""
     return _console(sys.stderr)
 
 
 @contextmanager
-def clear_errors():
+def clear_errors() -> Iterator[None]:
     """End with one message and exit code 2 where the input is wrong, and show warnings as single lines."""
     console = error_console()
     try:
@@ -40,12 +46,12 @@ def clear_errors():
 
 
 @contextmanager
-def heard():
+def heard() -> Iterator[list[str]]:
     """Yield a list that the texts of warnings given within are added to; they are shown as before."""
     texts: list[str] = []
     show = warnings.showwarning
 
-    def hear(message, *others, **named):
+    def hear(message: Warning | str, *others: Any, **named: Any) -> None:
         texts.append(str(message))
         show(message, *others, **named)
 
@@ -56,7 +62,7 @@ def heard():
         warnings.showwarning = show
 
 
-def existing_file(path, what):
+def existing_file(path: str | PathLike[str], what: str) -> Path:
     """Return a path that the user named, after a check that it is a file.
 
     Raises
@@ -70,7 +76,7 @@ def existing_file(path, what):
     return Path(path)
 
 
-def existing_path(path, what):
+def existing_path(path: str | PathLike[str], what: str) -> Path:
     """Return a path that the user named, after a check that it is there; a folder is one, too.
 
     Raises
@@ -83,12 +89,12 @@ def existing_path(path, what):
     return Path(path)
 
 
-def output_file(path, *, force):
+def output_file(path: str | PathLike[str], *, force: bool) -> Path:
     """Return a path that the user named for output, after a check that nothing is lost by writing to it."""
     return writable(path, force=force, remedy="--force")
 
 
-def unused(path):
+def unused(path: str | PathLike[str]) -> Path:
     """Return the path, with a number added where a file of that name exists."""
     path, number = Path(path), 1
     candidate = path
@@ -98,7 +104,9 @@ def unused(path):
     return candidate
 
 
-def table_of(frame, *, title=None, formats=None):
+def table_of(
+    frame: "pd.DataFrame", *, title: str | None = None, formats: Mapping[str, str] | None = None
+) -> Table:
     """Return a table with the rows of a data frame.
 
     Parameters
@@ -130,21 +138,21 @@ def table_of(frame, *, title=None, formats=None):
     return table
 
 
-def print_line(text, style=None):
+def print_line(text: str, style: str | None = None) -> None:
     """Print a line on standard output as it is, however long."""
     output_console().print(text, style=style, markup=False, soft_wrap=True)
 
 
-def _cell(value, number):
+def _cell(value: object, number: str) -> str:
     if isinstance(value, float):
         return "" if value != value else format(value, number)
     return escape(str(value))
 
 
-def _console(stream):
+def _console(stream: TextIO) -> Console:
     # A pipe has no width; 160 keeps rows of a table on one line.
     return Console(file=stream, highlight=False, width=None if stream.isatty() else 160)
 
 
-def _say(console, word, colour, message):
+def _say(console: Console, word: str, colour: str, message: object) -> None:
     console.print(f"[{colour}]{word}:[/{colour}] {escape(str(message))}", soft_wrap=True)

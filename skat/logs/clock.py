@@ -5,9 +5,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from skat.logs.errors import LogError
 from skat.logs.units import BASE, LEAST_DATE
+from skat.simulators.tables import Array
 
 # A sample this far from its place on the grid, in rows, counts as on it.
 ON_GRID = 0.01
@@ -26,7 +28,7 @@ DATES = (("ns", 1e17), ("us", 1e14), ("ms", 1e11), ("s", LEAST_DATE))
 
 def in_seconds(
     values: np.ndarray, unit: str | None, where: str, origin: float | None = None
-) -> tuple[np.ndarray, str, float]:
+) -> tuple[Array, str, float]:
     """Return times in s, the unit they were in, and the origin that was subtracted, in that unit.
 
     Parameters
@@ -61,7 +63,7 @@ def in_seconds(
     return (values - origin) / factor if origin or factor != 1 else values, unit, origin
 
 
-def _guessed_unit(values):
+def _guessed_unit(values: Array) -> str:
     """Return the unit that stamps since 1970, or the distance of rows, show."""
     first = values[np.isfinite(values)][:1]
     if len(first) and abs(first[0]) >= LEAST_DATE:
@@ -76,7 +78,7 @@ def _guessed_unit(values):
     return next((name for name in ("ms", "us", "ns") if FASTEST <= usual * BASE[name][0] < SLOWEST), "s")
 
 
-def _iso(values, where):
+def _iso(values: np.ndarray, where: str) -> NDArray[np.int64]:
     """Return ns since 1970 of texts in ISO 8601."""
     try:
         stamps = pd.to_datetime(pd.Series(values), utc=True, format="ISO8601")
@@ -112,15 +114,15 @@ class Piece:
     """
 
     name: str
-    rows: np.ndarray
-    times: np.ndarray
+    rows: NDArray[np.intp]
+    times: Array
     start: float
-    slots: np.ndarray | None
+    slots: NDArray[np.int64] | None
     size: int
     spacing: float
 
 
-def usual_step(times: np.ndarray, apart: np.ndarray, where: str) -> float:
+def usual_step(times: Array, apart: NDArray[np.bool_], where: str) -> float:
     """Return the usual distance of rows, s; `apart` marks rows that begin an episode.
 
     Raises
@@ -142,12 +144,12 @@ def usual_step(times: np.ndarray, apart: np.ndarray, where: str) -> float:
 
 
 def pieces(
-    times: np.ndarray,
-    labels: np.ndarray,
+    times: Array,
+    labels: NDArray[np.intp],
     names: list[str],
     dt: float,
     where: Callable[[int], str],
-    moves: Callable[[], np.ndarray],
+    moves: Callable[[], Array],
 ) -> tuple[list[Piece], float, list[str]]:
     """Return the pieces of a log on a grid of its own step, that step, and notes.
 
@@ -237,7 +239,7 @@ def pieces(
     return found, dt, notes
 
 
-def _refined(times, groups, dt):
+def _refined(times: Array, groups: list[NDArray[np.intp]], dt: float) -> float:
     """Return the step that fits all stamps best; pieces have one step, and beginnings of their own."""
     # First by the places that neighbours show, which an inexact step does not carry away.
     for places_of in (_counted, lambda stamps, step: _on_grid(stamps, step)[1]):
@@ -254,12 +256,12 @@ def _refined(times, groups, dt):
     return dt
 
 
-def _counted(times, dt):
+def _counted(times: Array, dt: float) -> NDArray[np.int64]:
     """Return the places of samples, each counted from the one before."""
     return np.concatenate([[0], np.cumsum(np.maximum(np.rint(np.diff(times) / dt), 0))]).astype(np.int64)
 
 
-def _on_grid(times, dt):
+def _on_grid(times: Array, dt: float) -> tuple[float, NDArray[np.int64], Array]:
     """Return (start, places, distance from them in s) of the samples of a piece."""
     slots = _counted(times, dt)
     start = times[0]
@@ -271,7 +273,13 @@ def _on_grid(times, dt):
     return start, slots, times - start - slots * dt
 
 
-def _samples_jitter(times, groups, placed, dt, moves):
+def _samples_jitter(
+    times: Array,
+    groups: list[NDArray[np.intp]],
+    placed: list[tuple[float, NDArray[np.int64], Array]],
+    dt: float,
+    moves: Array,
+) -> bool:
     """Whether positions move further where stamps are further apart: the samples themselves are uneven."""
     upper = lower = 0.0
     for rows, (_, slots, _) in zip(groups, placed):
@@ -334,15 +342,15 @@ def resampled(found: list[Piece], dt: float, step: float, *, same: bool = False)
     ], f"Interpolated from {1 / dt:.6g} to {1 / step:.6g} rows per second."
 
 
-def _regridded(piece, step):
+def _regridded(piece: Piece, step: float) -> Piece:
     """Return a piece whose values are interpolated at another step, from its first sample on."""
     size = int((piece.times[-1] - piece.start) / step + ON_GRID) + 1
     return replace(piece, slots=None, size=size, spacing=step)
 
 
 def interpolated(
-    times: np.ndarray, values: np.ndarray, at: np.ndarray, dt: float, *, kinked: bool = False
-) -> tuple[np.ndarray, np.ndarray]:
+    times: Array, values: Array, at: Array, dt: float, *, kinked: bool = False
+) -> tuple[Array, Array]:
     r"""Return values between samples, by cubics through the four around, and an estimate of the error.
 
     .. math:: q(t) = \sum_{i=0}^{3} q_i \prod_{j \ne i} \frac{t - t_j}{t_i - t_j}
@@ -399,7 +407,7 @@ def interpolated(
     return smooth, np.where(np.isfinite(smooth), errors, 0.0)
 
 
-def _lagrange(nodes, at):
+def _lagrange(nodes: Array, at: Array) -> Array:
     weights = np.ones(nodes.shape)
     for i in range(nodes.shape[1]):
         for j in range(nodes.shape[1]):
@@ -408,7 +416,7 @@ def _lagrange(nodes, at):
     return weights
 
 
-def held(times: np.ndarray, values: np.ndarray, at: np.ndarray, dt: float) -> np.ndarray:
+def held(times: Array, values: Array, at: Array, dt: float) -> Array:
     """Return commands that act from their stamp to the next one, averaged over each row.
 
     Parameters
@@ -439,7 +447,7 @@ def held(times: np.ndarray, values: np.ndarray, at: np.ndarray, dt: float) -> np
     if changing.any():
         sums = np.concatenate([[0.0], np.cumsum(np.diff(times) * values[:-1])])
 
-        def integral(t):
+        def integral(t: Array) -> Array:
             place = np.clip(np.searchsorted(times, t, side="right") - 1, 0, None)
             return sums[place] + (t - times[place]) * values[place]
 

@@ -1,7 +1,7 @@
 """The error of a log that cannot be read as it is: where, what, and what to do."""
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 OPTIONS = {"rate": "--rate", "topic": "--topic", "episodes": "--episodes", "base": "--base"}
@@ -31,7 +31,7 @@ class LogError(ValueError):
 
     def __init__(
         self, where: str, problem: str, advice: str = "", *, options: Mapping[str, Any] | None = None
-    ):
+    ) -> None:
         self.where, self.problem, self.advice = where, problem, advice
         self.options = dict(options or {})
         told = [f"{where}: {problem}", advice]
@@ -39,11 +39,11 @@ class LogError(ValueError):
             told.append(f"Try load_log(..., {python_options(self.options)}), {shell_options(self.options)}.")
         super().__init__(" ".join(part for part in told if part))
 
-    def __reduce__(self):
+    def __reduce__(self) -> tuple[Callable[..., "LogError"], tuple[Any, ...]]:
         return _made, (self.where, self.problem, self.advice, self.options)
 
 
-def _made(where, problem, advice, options):
+def _made(where: str, problem: str, advice: str, options: Mapping[str, Any]) -> LogError:
     return LogError(where, problem, advice, options=options)
 
 

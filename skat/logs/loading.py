@@ -2,9 +2,10 @@
 
 from collections.abc import Mapping, Sequence
 from os import PathLike
-from typing import Any, Literal
+from typing import Any, Literal, NoReturn
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skat.episodes import FEWEST_ROWS
 from skat.logs import clock
@@ -17,6 +18,7 @@ from skat.logs.streams import Recording, Stream
 from skat.logs.suspects import in_degrees
 from skat.simulators import Simulator
 from skat.simulators.adapting import at_rate, without_root
+from skat.simulators.tables import Array
 
 # The mean transition is known better than single rows, and what it misses of a whole number of steps acts in each.
 STEP_TOLERANCE = 1e-3
@@ -115,7 +117,7 @@ def load_log(
     return log
 
 
-def _welded(simulator, record):
+def _welded(simulator: Simulator, record: Recording) -> tuple[Simulator, str]:
     """Return the simulator without its root's joint, and a note."""
     roots = simulator_inputs(simulator).roots
     if not roots:
@@ -125,7 +127,7 @@ def _welded(simulator, record):
     return without_root(simulator), "The root is welded to the world where the model has it (base: fixed)."
 
 
-def _check_base(found: Plan, simulator, base, record):
+def _check_base(found: Plan, simulator: Simulator, base: str | None, record: Recording) -> None:
     """Raise where a root's pose is lacking and nobody has said what it does."""
     roots = simulator_inputs(simulator).roots
     lacking = [name for name in roots if name in found.lacking]
@@ -139,7 +141,7 @@ def _check_base(found: Plan, simulator, base, record):
         )
 
 
-def _timed(record: Recording, found: Plan, simulator, rate, notes) -> Log:
+def _timed(record: Recording, found: Plan, simulator: Simulator, rate: float | None, notes: list[str]) -> Log:
     """Return the log on an even grid."""
     names = tuple(simulator.input_names)
     n_states = len(simulator.state_names)
@@ -169,7 +171,7 @@ def _timed(record: Recording, found: Plan, simulator, rate, notes) -> Log:
             f"Record a log with at least {FEWEST_ROWS}.",
         )
 
-    def moves():
+    def moves() -> Array:
         return np.stack([states[name][kept] for name in mine[:8]], axis=1)
 
     own, dt, said = clock.pieces(
@@ -197,7 +199,7 @@ def _timed(record: Recording, found: Plan, simulator, rate, notes) -> Log:
     return _log(record, found, simulator, grid, groups, own, errors, n_states, step, notes)
 
 
-def _main_stream(record, found, simulator):
+def _main_stream(record: Recording, found: Plan, simulator: Simulator) -> int:
     """Return the stream whose clock the log follows: the one with most of the state."""
     counts: dict[int, int] = {}
     for name, (place, _, _) in found.found.items():
@@ -205,7 +207,7 @@ def _main_stream(record, found, simulator):
     return max(counts, key=lambda place: (counts[place], -place))
 
 
-def _read(record, found) -> dict[int, dict[str, np.ndarray]]:
+def _read(record: Recording, found: Plan) -> dict[int, dict[str, np.ndarray]]:
     wanted: dict[int, list[str]] = {}
     for place, column, _ in found.found.values():
         wanted.setdefault(place, []).append(column)
@@ -216,7 +218,13 @@ def _read(record, found) -> dict[int, dict[str, np.ndarray]]:
     return {place: record.streams[place].read(list(dict.fromkeys(names))) for place, names in wanted.items()}
 
 
-def _states(record, found, data, n_states, names):
+def _states(
+    record: Recording,
+    found: Plan,
+    data: dict[int, dict[str, np.ndarray]],
+    n_states: int,
+    names: tuple[str, ...],
+) -> dict[str, Array]:
     """Return the values of each channel in the simulator's units."""
     states = {}
     for name, (place, column, unit) in found.found.items():
@@ -250,19 +258,19 @@ def _states(record, found, data, n_states, names):
     return states
 
 
-def _align(states):
+def _align(states: dict[str, Array]) -> None:
     """Give quaternions one sign from row to row, in place: between opposite ones nothing can be interpolated."""
     for name in [name for name in states if name.startswith("qpos.") and name.endswith(".qw")]:
         parts = [name[:-1] + part for part in "wxyz"]
         if not all(part in states for part in parts) or len({len(states[part]) for part in parts}) > 1:
             continue
-        turned = sum(states[part][1:] * states[part][:-1] for part in parts) < 0
+        turned = np.asarray(sum(states[part][1:] * states[part][:-1] for part in parts)) < 0
         if turned.any():
             signs = np.cumprod(np.r_[1.0, np.where(turned, -1.0, 1.0)])
             states |= {part: signs * states[part] for part in parts}
 
 
-def _is_number(cell):
+def _is_number(cell: Any) -> bool:
     try:
         float(cell if str(cell).strip() else "nan")
     except (TypeError, ValueError):
@@ -270,7 +278,9 @@ def _is_number(cell):
     return True
 
 
-def _labels(record, found, data, main, n_rows):
+def _labels(
+    record: Recording, found: Plan, data: dict[int, dict[str, np.ndarray]], main: int, n_rows: int
+) -> tuple[NDArray[np.intp], list[str]]:
     """Return the place of each row's episode in the list of their names, and that list."""
     if found.episode is None:
         return np.zeros(n_rows, dtype=np.int64), ["0"]
@@ -307,7 +317,7 @@ def _labels(record, found, data, main, n_rows):
     return np.cumsum(starts) - 1, texts
 
 
-def _no_episode(record, stream, column, row):
+def _no_episode(record: Recording, stream: Stream, column: str, row: int) -> NoReturn:
     raise LogError(
         f"{record.source}, {stream.place(row)}, column {column}",
         "is empty, and tells episodes apart.",
@@ -316,12 +326,22 @@ def _no_episode(record, stream, column, row):
     )
 
 
-def _times(record, found, data, main, labels, simulator, rate, n_rows, notes):
+def _times(
+    record: Recording,
+    found: Plan,
+    data: dict[int, dict[str, np.ndarray]],
+    main: int,
+    labels: NDArray[np.intp],
+    simulator: Simulator,
+    rate: float | None,
+    n_rows: int,
+    notes: list[str],
+) -> tuple[Array, NDArray[np.bool_], float]:
     """Return (times in s of the main stream, rows that have one, usual step)."""
     if main not in found.times:
         step = _step_without_clock(record, simulator, rate, found)
         starts = np.flatnonzero(np.r_[True, labels[1:] != labels[:-1]])
-        counted = np.arange(n_rows) - np.repeat(starts, np.diff(np.append(starts, n_rows)))
+        counted = np.arange(n_rows, dtype=np.float64) - np.repeat(starts, np.diff(np.append(starts, n_rows)))
         notes.append(
             f"The log has no times: rows are {step:g} s apart, as "
             + ("told." if rate or record.rate else "the simulator has it.")
@@ -352,7 +372,7 @@ def _times(record, found, data, main, labels, simulator, rate, n_rows, notes):
     return times, good, step
 
 
-def _step_without_clock(record, simulator, rate, found):
+def _step_without_clock(record: Recording, simulator: Simulator, rate: float | None, found: Plan) -> float:
     if rate is not None:
         return 1 / rate
     if record.rate is not None:
@@ -368,7 +388,9 @@ def _step_without_clock(record, simulator, rate, found):
     )
 
 
-def _stepped(simulator, dt, rate, record):
+def _stepped(
+    simulator: Simulator, dt: float, rate: float | None, record: Recording
+) -> tuple[Simulator, float, list[str]]:
     """Return (the simulator for rows of this log, their step in s, notes)."""
     notes: list[str] = []
     step = dt
@@ -400,7 +422,20 @@ def _stepped(simulator, dt, rate, record):
     return changed, exact, notes
 
 
-def _grid(record, found, data, states, own, kept, main, names, n_states, step, dt, clock_times):
+def _grid(
+    record: Recording,
+    found: Plan,
+    data: dict[int, dict[str, np.ndarray]],
+    states: dict[str, Array],
+    own: list[clock.Piece],
+    kept: NDArray[np.intp],
+    main: int,
+    names: tuple[str, ...],
+    n_states: int,
+    step: float,
+    dt: float,
+    clock_times: Array,
+) -> tuple[Array, NDArray[np.intp], dict[str, float]]:
     """Return (values on the grid, its episodes, squared errors of interpolation by channel)."""
     size = sum(piece.size for piece in own)
     grid = np.full((size, len(names)), np.nan)
@@ -423,7 +458,7 @@ def _grid(record, found, data, states, own, kept, main, names, n_states, step, d
                 if column >= n_states:
                     _fill(part)
                 continue
-            at = piece.start + piece.spacing * np.arange(piece.size)
+            at = piece.start + piece.spacing * np.arange(piece.size, dtype=np.float64)
             if column >= n_states:
                 if place == main:
                     stamps, commands = piece.times, values[kept[piece.rows]]
@@ -443,7 +478,9 @@ def _grid(record, found, data, states, own, kept, main, names, n_states, step, d
     return grid, groups, errors
 
 
-def _interpolate(part, stamps, samples, at, step, sums, *, kinked):
+def _interpolate(
+    part: Array, stamps: Array, samples: Array, at: Array, step: float, sums: list[float], *, kinked: bool
+) -> None:
     """Write samples at the places of a grid, as they are where they were taken there, otherwise between them."""
     good = np.isfinite(samples) & np.isfinite(stamps)
     stamps, samples = stamps[good], samples[good]
@@ -472,7 +509,7 @@ def _interpolate(part, stamps, samples, at, step, sums, *, kinked):
     sums[1] += int(finite.sum())
 
 
-def _fill(part):
+def _fill(part: Array) -> None:
     """Hold the last command where one is lost, in place."""
     lost = np.isnan(part)
     if not lost.any():
@@ -482,7 +519,14 @@ def _fill(part):
     part[:] = part[places]
 
 
-def _stream_times(record, found, data, place, main, clock_times):
+def _stream_times(
+    record: Recording,
+    found: Plan,
+    data: dict[int, dict[str, np.ndarray]],
+    place: int,
+    main: int,
+    clock_times: Array,
+) -> Array:
     if place == main:
         return clock_times
     if place not in found.times:
@@ -498,15 +542,28 @@ def _stream_times(record, found, data, place, main, clock_times):
     return clock.in_seconds(data[place][column], unit, f"{record.source}, column {column}", origin)[0]
 
 
-def _log(record, found, simulator, grid, groups, own, errors, n_states, step, notes) -> Log:
+def _log(
+    record: Recording,
+    found: Plan,
+    simulator: Simulator,
+    grid: Array,
+    groups: NDArray[np.intp],
+    own: list[clock.Piece],
+    errors: dict[str, float],
+    n_states: int,
+    step: float,
+    notes: list[str],
+) -> Log:
     """Return the log of values on a grid."""
     _normalise(grid, groups, simulator)
-    times = np.concatenate([piece.start + piece.spacing * np.arange(piece.size) for piece in own] or [[]])
+    times = np.concatenate(
+        [piece.start + piece.spacing * np.arange(piece.size) for piece in own] or [np.empty(0)]
+    )
     known = np.isfinite(grid[:, n_states:]).all(axis=1)
     if not known.all():
         notes.append(f"{int((~known).sum())} rows are left out, before the first command.")
         grid, groups, times = grid[known], groups[known], times[known]
-    measured = np.isfinite(grid[:, :n_states]).any(axis=1)
+    measured = np.any(np.isfinite(grid[:, :n_states]), axis=1)
     first = np.r_[True, groups[1:] != groups[:-1]][: len(groups)]
     seen = int((measured[:-1] & ~first[1:]).sum()) if len(grid) else 0
     if seen < FEWEST_ROWS:
@@ -552,7 +609,7 @@ def _log(record, found, simulator, grid, groups, own, errors, n_states, step, no
     )
 
 
-def _normalise(grid, groups, simulator):
+def _normalise(grid: Array, groups: NDArray[np.intp], simulator: Simulator) -> None:
     """Give quaternions unit length, in place."""
     names = list(simulator.state_names)
     for column, name in enumerate(names):
@@ -565,7 +622,7 @@ def _normalise(grid, groups, simulator):
         block[good & moved] /= length[good & moved, None]
 
 
-def _check_degrees(log, found, record):
+def _check_degrees(log: Log, found: Plan, record: Recording) -> None:
     """Raise where angles that nobody gave a unit are in degrees."""
     angles = [
         name

@@ -6,8 +6,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from skat.simulators import Simulator
+from skat.simulators.tables import Array
 
 
 @dataclass(frozen=True)
@@ -65,11 +67,11 @@ class Log:
         Where it was read from.
     """
 
-    X: np.ndarray
-    y: np.ndarray
-    groups: np.ndarray
+    X: Array
+    y: Array
+    groups: NDArray[np.intp]
     group_names: tuple[str, ...]
-    time: np.ndarray
+    time: Array
     simulator: Simulator
     matches: tuple[Match, ...] = ()
     notes: tuple[str, ...] = ()
@@ -103,7 +105,7 @@ class Log:
         return tuple(name for name, share in self.measured.items() if share == 0)
 
     @property
-    def floor(self) -> np.ndarray:
+    def floor(self) -> Array:
         """Least variance of each state channel's noise, of shape (n_states,), in the channel's unit squared.
 
         What resampling has made of it, the square of `interpolation`; 0 where the values are those of the file. No

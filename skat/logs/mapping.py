@@ -14,7 +14,7 @@ from skat.logs.log import Log
 from skat.logs.units import parsed_unit
 
 
-def read_map(maps: Sequence[str] = (), path: str | PathLike | None = None) -> dict[str, str]:
+def read_map(maps: Sequence[str] = (), path: str | PathLike[str] | None = None) -> dict[str, str]:
     """Return the mapping for `load_log`'s ``columns`` from options and a file.
 
     Parameters
@@ -53,7 +53,7 @@ def read_map(maps: Sequence[str] = (), path: str | PathLike | None = None) -> di
     return found
 
 
-def _file(path):
+def _file(path: Path) -> dict[str, str]:
     if not path.is_file():
         raise FileNotFoundError(f"There is no file {path}. Check the path; expected a map.toml.")
     try:
@@ -63,15 +63,21 @@ def _file(path):
             str(path), f"is no TOML: {error}.", 'A line of it is "qpos.elbow" = "q1:deg".'
         ) from None
     columns = content.get("columns", content)
+    if not isinstance(columns, dict):
+        raise LogError(
+            str(path),
+            f"has columns = {columns!r} where a table was expected.",
+            "Write [columns] on a line of its own.",
+        )
     bad = [name for name, theirs in columns.items() if not isinstance(theirs, str | int | float)]
-    if not isinstance(columns, dict) or bad:
+    if bad:
         raise LogError(
             str(path), f"has no text for {', '.join(bad)}.", 'Put names in quotes: "qpos.elbow" = "q1:deg".'
         )
     return {name: str(theirs) for name, theirs in columns.items()}
 
 
-def write_map(path: str | PathLike, log: Log, *, force: bool = False) -> Path:
+def write_map(path: str | PathLike[str], log: Log, *, force: bool = False) -> Path:
     """Write which column of a log stands for what, as a map.toml that `load_log` takes as ``columns``.
 
     Parameters
@@ -139,7 +145,7 @@ def without_unit(theirs: str, known: Mapping[str, Any]) -> tuple[str, str]:
     return theirs, ""
 
 
-def _is_unit(text):
+def _is_unit(text: str) -> bool:
     try:
         parsed_unit(text, limits=(0.0, 1.0))
     except ValueError as error:

@@ -1,6 +1,6 @@
 """Find out which column of a recording stands for which input of a simulator."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -177,14 +177,14 @@ def simulator_inputs(simulator: Simulator) -> Inputs:
     )
 
 
-def _range(model, joint, name):
+def _range(model: Any, joint: int, name: str) -> dict[str, tuple[float, float]]:
     if not model.jnt_limited[joint]:
         return {}
     low, high = model.jnt_range[joint]
     return {name: (float(low), float(high))}
 
 
-def _servo(model, actuator):
+def _servo(model: Any, actuator: int) -> str:
     """Return what an actuator's command is: "qpos", "qvel" or "effort"."""
     if int(model.actuator_biastype[actuator]) == 1:
         if model.actuator_biasprm[actuator, 1]:
@@ -194,7 +194,7 @@ def _servo(model, actuator):
     return "effort"
 
 
-def _check_topic(recording, topic):
+def _check_topic(recording: Recording, topic: str) -> None:
     names = [stream.name for stream in recording.streams]
     if topic not in names:
         likely = [name for name in names if topic.strip("/") in name] or names
@@ -205,7 +205,9 @@ def _check_topic(recording, topic):
         )
 
 
-def _renamed(inputs, columns, known, recording):
+def _renamed(
+    inputs: Inputs, columns: Mapping[str, str], known: Mapping[str, Column], recording: Recording
+) -> tuple[Inputs, dict[str, str]]:
     """Return the inputs with the log's names of joints (``"*.elbow": "joint3"``), and what else the user says."""
     keys, rest = dict(inputs.keys), dict(columns)
     for ours, text in columns.items():
@@ -227,7 +229,9 @@ def _renamed(inputs, columns, known, recording):
     return replace(inputs, keys=keys), rest
 
 
-def _told(columns, known, inputs, recording):
+def _told(
+    columns: Mapping[str, str], known: Mapping[str, Column], inputs: Inputs, recording: Recording
+) -> tuple[dict[str, tuple[str, str]], dict[str, str], dict[str, float], list[str]]:
     """Return ({name: (column, how)}, {name: unit}, {name: constant}, names left out) of what the user says."""
     matched: dict[str, tuple[str, str]] = {}
     units: dict[str, str] = {}
@@ -258,7 +262,7 @@ def _told(columns, known, inputs, recording):
     return matched, units, constants, left_out
 
 
-def _constant(text, known):
+def _constant(text: str, known: Mapping[str, Column]) -> float | None:
     if text in known:
         return None
     try:
@@ -267,7 +271,7 @@ def _constant(text, known):
         return None
 
 
-def _ours(pattern, inputs, recording):
+def _ours(pattern: str, inputs: Inputs, recording: Recording) -> list[str]:
     """Return the simulator's names that a pattern of the user's means."""
     if "*" not in pattern:
         if pattern not in inputs.names:
@@ -292,7 +296,14 @@ def _ours(pattern, inputs, recording):
     return names
 
 
-def _theirs(names, theirs, known, inputs, recording, ours):
+def _theirs(
+    names: list[str],
+    theirs: str,
+    known: Mapping[str, Column],
+    inputs: Inputs,
+    recording: Recording,
+    ours: str,
+) -> list[tuple[str, str, str]]:
     """Return (name, column, how) for what the user wrote."""
     if theirs in known and len(names) == 1:
         return [(names[0], theirs, "told")]
@@ -351,13 +362,13 @@ def _theirs(names, theirs, known, inputs, recording, ours):
     )
 
 
-def _bare(part):
+def _bare(part: str) -> str:
     """Return a joint's name without the words for a quantity that a file may put behind it."""
     said = reading(part)
     return " ".join(said.key) or part
 
 
-def _no_column(theirs, ours, known, recording):
+def _no_column(theirs: str, ours: str, known: Mapping[str, Column], recording: Recording) -> LogError:
     close = [column for column in known if tokens(theirs) and set(tokens(theirs)) & set(tokens(column))]
     return LogError(
         f"{recording.source}, column {theirs!r}",
@@ -366,7 +377,9 @@ def _no_column(theirs, ours, known, recording):
     )
 
 
-def _guessed(known, inputs, settled, recording, topic):
+def _guessed(
+    known: Mapping[str, Column], inputs: Inputs, settled: set[str], recording: Recording, topic: str | None
+) -> tuple[dict[str, tuple[str, str]], list[str]]:
     """Return ({name: (column, how)}, notes) for inputs that nobody told of."""
     matched: dict[str, tuple[str, str]] = {}
     notes: list[str] = []
@@ -413,7 +426,9 @@ def _guessed(known, inputs, settled, recording, topic):
     return matched, notes
 
 
-def _by_key(names, candidates, inputs, recording, kind):
+def _by_key(
+    names: list[str], candidates: list[Column], inputs: Inputs, recording: Recording, kind: str
+) -> dict[str, tuple[str, str]]:
     """Return {name: (column, how)} for columns that are named after joints."""
     matched = {}
     for name in names:
@@ -436,7 +451,7 @@ def _by_key(names, candidates, inputs, recording, kind):
     return matched
 
 
-def _by_order(names, candidates, recording):
+def _by_order(names: list[str], candidates: list[Column], recording: Recording) -> dict[str, tuple[str, str]]:
     """Return {name: (column, how)} for a numbered series with as many members as there are names."""
     series: dict[str, list[Column]] = {}
     for one in candidates:
@@ -459,7 +474,7 @@ def _by_order(names, candidates, recording):
     return {}
 
 
-def _whole_state(columns, inputs, settled):
+def _whole_state(columns: Iterable[Column], inputs: Inputs, settled: set[str]) -> dict[str, tuple[str, str]]:
     """Return matches for a vector that holds the state, or all of it but the first coordinates (as in Gymnasium)."""
     positions, velocities = inputs.kinds["qpos"], inputs.kinds["qvel"]
     if settled & {*positions, *velocities}:
@@ -480,7 +495,13 @@ def _whole_state(columns, inputs, settled):
     return {}
 
 
-def _lacking(inputs, matched, constants, known, recording):
+def _lacking(
+    inputs: Inputs,
+    matched: dict[str, tuple[str, str]],
+    constants: Mapping[str, float],
+    known: Mapping[str, Column],
+    recording: Recording,
+) -> tuple[str, ...]:
     """Return the state's names that the log lacks; raise where too much is lacking."""
     missing = {
         kind: [name for name in names if name not in matched and name not in constants]
@@ -515,7 +536,9 @@ def _lacking(inputs, matched, constants, known, recording):
     return tuple(name for kind in ("qpos", "qvel") for name in missing[kind])
 
 
-def _command_columns(known, size, matched):
+def _command_columns(
+    known: Mapping[str, Column], size: int, matched: dict[str, tuple[str, str]]
+) -> list[str]:
     """Return series and columns that could be commands: efforts, or anything of the right number."""
     taken = {column for column, _ in matched.values()}
     series: dict[str, list[Column]] = {}
@@ -526,7 +549,7 @@ def _command_columns(known, size, matched):
     return fitting or [one.name for members in series.values() for one in members]
 
 
-def _advice(known, positions, recording):
+def _advice(known: Mapping[str, Column], positions: list[str], recording: Recording) -> str:
     likely = [name for name, one in known.items() if one.said.kind in ("qpos", "state")]
     likely += [
         name
@@ -540,7 +563,9 @@ def _advice(known, positions, recording):
     )
 
 
-def _units(units, told, inputs, recording):
+def _units(
+    units: str | Mapping[str, str] | None, told: dict[str, str], inputs: Inputs, recording: Recording
+) -> dict[str, str]:
     """Return {name: unit} of what the user says; what is said with the column comes first."""
     found: dict[str, str] = {}
     if isinstance(units, str):
@@ -556,14 +581,14 @@ def _units(units, told, inputs, recording):
     return found | told
 
 
-def _takes(name, unit, inputs):
+def _takes(name: str, unit: str, inputs: Inputs) -> bool:
     """Whether a unit for all channels is meant for this one."""
     if name in inputs.roots:
         return False
     return name not in inputs.kinds["ctrl"] or inputs.servos.get(name, "effort") != "effort"
 
 
-def _unit(text, name, inputs, simulator, recording):
+def _unit(text: str, name: str, inputs: Inputs, simulator: Simulator, recording: Recording) -> Unit:
     if not text:
         return Unit("")
     where = f"{recording.source}, unit of {name}"
@@ -587,7 +612,14 @@ def _unit(text, name, inputs, simulator, recording):
     return unit
 
 
-def _times(known, streams: tuple[Stream, ...], used, columns, told_units, recording):
+def _times(
+    known: Mapping[str, Column],
+    streams: tuple[Stream, ...],
+    used: set[int],
+    columns: Mapping[str, str],
+    told_units: Mapping[str, str],
+    recording: Recording,
+) -> dict[int, tuple[str, str | None]]:
     """Return {stream: (column, unit)} of the clocks of the streams that are used."""
     if columns.get("time") == "-":
         return {}
@@ -622,7 +654,13 @@ def _times(known, streams: tuple[Stream, ...], used, columns, told_units, record
     return times if "time" not in columns else times | clock
 
 
-def _episode(known, columns, episodes, recording, used):
+def _episode(
+    known: Mapping[str, Column],
+    columns: Mapping[str, str],
+    episodes: str | None,
+    recording: Recording,
+    used: set[int],
+) -> tuple[int, str] | None:
     name = columns.get("episode") or (episodes if episodes not in (None, "gaps") else None)
     if name is not None:
         if name not in known:
@@ -643,7 +681,9 @@ def _episode(known, columns, episodes, recording, used):
     return None
 
 
-def _check_driven(known, used, simulator, recording):
+def _check_driven(
+    known: Mapping[str, Column], used: set[str], simulator: Simulator, recording: Recording
+) -> None:
     """Raise where a log has commands and its model, read from a URDF, has no actuators for them."""
     source = getattr(simulator, "model", None)
     if source is None or getattr(source, "urdf", None) is None or source.motors is not None:
@@ -658,7 +698,7 @@ def _check_driven(known, used, simulator, recording):
         )
 
 
-def _leftovers(known, used, lacking):
+def _leftovers(known: Mapping[str, Column], used: set[str], lacking: tuple[str, ...]) -> list[str]:
     unused = [column for column in known if column not in used]
     notes = []
     if unused:

@@ -1,6 +1,7 @@
 """What the name of a column says: which quantity, of which joint, in which unit."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from skat.logs.streams import ELEMENT
@@ -234,7 +235,7 @@ def reading(column: str, label: str = "", topic: str = "") -> Reading:
     return Reading(kind, of, key, series, unit, sum(word in SECOND_CHOICE for word in words))
 
 
-def _kind(words):
+def _kind(words: Sequence[str]) -> tuple[str, str]:
     of = next(
         (
             kind

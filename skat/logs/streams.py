@@ -157,9 +157,9 @@ def as_numbers(array: np.ndarray) -> np.ndarray:
     raise LogError("an array", f"holds {array.dtype}, no numbers.", "Give real numbers.")
 
 
-def _text(cell):
+def _text(cell: object) -> object:
     return cell.decode("utf-8", "replace") if isinstance(cell, bytes) else cell
 
 
-def _empty(cell):
+def _empty(cell: object) -> bool:
     return cell is None or (isinstance(cell, str | bytes) and not cell.strip())

@@ -2,15 +2,17 @@
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from skat.logs.log import Log
+from skat.logs.log import Log, Match
 from skat.logs.matching import Inputs, simulator_inputs
 from skat.simulators import Simulator
+from skat.simulators.tables import Array
 
 # Rows that stand for the log, and how many follow each other.
 ROWS, RUN = 400, 50
@@ -141,7 +143,7 @@ def in_degrees(simulator: Simulator, log: Log, *, told: frozenset[str] = frozens
     return None
 
 
-def _beyond_ranges(log, inputs: Inputs, told):
+def _beyond_ranges(log: Log, inputs: Inputs, told: Collection[str]) -> str:
     """Return what exceeds the joints' ranges by far as it is and keeps to them in degrees; "" where nothing does."""
     beyond = []
     for name in inputs.kinds["qpos"]:
@@ -164,11 +166,11 @@ def _beyond_ranges(log, inputs: Inputs, told):
     return "; ".join(beyond[:3])
 
 
-def _column(log, name):
+def _column(log: Log, name: str) -> Array:
     return log.X[:, log.simulator.input_names.index(name)]
 
 
-def _measured(log, name):
+def _measured(log: Log, name: str) -> bool:
     return log.measured.get(name, 0.0) > 0
 
 
@@ -188,7 +190,7 @@ class _Repair:
 
     kind: str
     sentence: str
-    applied: Callable[[np.ndarray, np.ndarray], None]
+    applied: Callable[[Array, Array], None]
     options: dict[str, Any] = field(default_factory=dict)
     seen_in: str = "qvel"
 
@@ -210,16 +212,21 @@ class _Sample:
     """
 
     simulator: Simulator
-    X: np.ndarray
-    y: np.ndarray
-    lagged: dict[int, tuple[np.ndarray, np.ndarray]]
+    X: Array
+    y: Array
+    lagged: dict[int, tuple[Array, Array]]
     inputs: Inputs
-    velocities: np.ndarray
-    rates: np.ndarray
-    positions: np.ndarray
+    velocities: NDArray[np.intp]
+    rates: NDArray[np.intp]
+    positions: NDArray[np.intp]
     known: frozenset[str]
 
-    def error(self, simulator, columns, repair=None):
+    def error(
+        self,
+        simulator: Simulator,
+        columns: Sequence[int] | NDArray[np.intp],
+        repair: Callable[[Array, Array], None] | None = None,
+    ) -> float:
         """Return the error of a simulator's step in some columns, with a repair."""
         X, y = self.X.copy(), self.y.copy()
         if repair is not None:
@@ -237,7 +244,7 @@ class _Sample:
         return float(np.sqrt(np.mean(np.minimum(ratios, 1e6) ** 2)))
 
 
-def _sample(simulator, log, n_rows):
+def _sample(simulator: Simulator, log: Log, n_rows: int) -> _Sample | None:
     inputs = simulator_inputs(simulator)
     names = list(simulator.input_names)
     runs = max(1, n_rows // RUN)
@@ -268,7 +275,7 @@ def _sample(simulator, log, n_rows):
     if good.sum() < FEWEST or not joints:
         return None
 
-    def places_of(chosen):
+    def places_of(chosen: Sequence[str]) -> NDArray[np.intp]:
         return np.array([names.index(name) for name in chosen], dtype=int)
 
     return _Sample(
@@ -284,7 +291,9 @@ def _sample(simulator, log, n_rows):
     )
 
 
-def _difference(X, y, follows, names, simulator, log):
+def _difference(
+    X: Array, y: Array, follows: NDArray[np.bool_], names: Sequence[str], simulator: Simulator, log: Log
+) -> None:
     """Put differences of positions where velocities were not measured, in place."""
     for position, name in enumerate(names):
         twin = f"qvel.{name.removeprefix('qpos.')}"
@@ -300,7 +309,7 @@ def _difference(X, y, follows, names, simulator, log):
         y[:, velocity] = (step + after) / 2
 
 
-def _defaults(simulator, names):
+def _defaults(simulator: Simulator, names: Sequence[str]) -> Array:
     """Return a value for each input that was not measured: the model's reference pose."""
     values = np.zeros(len(names))
     if hasattr(simulator, "compiled"):
@@ -309,7 +318,7 @@ def _defaults(simulator, names):
     return values
 
 
-def _repairs(sample, log) -> Iterator[_Repair]:
+def _repairs(sample: _Sample, log: Log) -> Iterator[_Repair]:
     """Yield what may have gone wrong."""
     names = list(sample.simulator.input_names)
     inputs = sample.inputs
@@ -339,7 +348,7 @@ def _repairs(sample, log) -> Iterator[_Repair]:
     yield from _shifts(sample)
 
 
-def _shifts(sample) -> Iterator[_Repair]:
+def _shifts(sample: _Sample) -> Iterator[_Repair]:
     """Yield the repairs of clocks that are apart: of commands, and of velocities from positions."""
     n_states = sample.y.shape[1]
     commands = list(range(n_states, sample.X.shape[1]))
@@ -361,7 +370,7 @@ def _shifts(sample) -> Iterator[_Repair]:
             )
 
 
-def _degree_repairs(sample, names, inputs):
+def _degree_repairs(sample: _Sample, names: Sequence[str], inputs: Inputs) -> Iterator[_Repair]:
     angles = [name for name in sample.simulator.angle_names if name in sample.known]
     positions = [name for name in angles if name.startswith("qpos.")]
     velocities = [name for name in angles if name.startswith("qvel.")]
@@ -400,7 +409,7 @@ def _degree_repairs(sample, names, inputs):
             yield _Repair("degrees", sentence, _scaler(columns, DEGREES), {"units": units})
 
 
-def _moved_by_told(sample, names, positions):
+def _moved_by_told(sample: _Sample, names: Sequence[str], positions: Sequence[str]) -> float | None:
     """Return how many times further positions move than velocities say; None where neither moves."""
     pairs = [(names.index(name), names.index(f"qvel.{name.removeprefix('qpos.')}")) for name in positions]
     moved = np.array([np.median(np.abs(sample.y[:, q] - sample.X[:, q])) for q, _ in pairs])
@@ -412,8 +421,8 @@ def _moved_by_told(sample, names, positions):
     return float(np.median(moved[good] / told[good])) if good.any() else None
 
 
-def _scaler(columns, factor):
-    def repair(X, y):
+def _scaler(columns: Sequence[int] | NDArray[np.intp], factor: float) -> Callable[[Array, Array], None]:
+    def repair(X: Array, y: Array) -> None:
         X[:, columns] *= factor
         states = [column for column in columns if column < y.shape[1]]
         y[:, states] *= factor
@@ -421,25 +430,27 @@ def _scaler(columns, factor):
     return repair
 
 
-def _replacer(columns, other):
+def _replacer(
+    columns: Sequence[int] | NDArray[np.intp], other: tuple[Array, Array]
+) -> Callable[[Array, Array], None]:
     """Return the repair that takes columns from other rows."""
     before, after = other
     states = [column for column in columns if column < after.shape[1]]
 
-    def repair(X, y):
+    def repair(X: Array, y: Array) -> None:
         X[:, columns] = before[:, columns]
         y[:, states] = after[:, states]
 
     return repair
 
 
-def _swap(first, second, names, theirs):
+def _swap(first: str, second: str, names: Sequence[str], theirs: Mapping[str, Match]) -> _Repair:
     pairs = [(first, second)]
     if first.startswith("qpos."):
         pairs.append((f"qvel.{first.removeprefix('qpos.')}", f"qvel.{second.removeprefix('qpos.')}"))
     pairs = [(a, b) for a, b in pairs if a in names and b in names]
 
-    def repair(X, y):
+    def repair(X: Array, y: Array) -> None:
         for a, b in pairs:
             i, j = names.index(a), names.index(b)
             X[:, [i, j]] = X[:, [j, i]]
@@ -455,11 +466,11 @@ def _swap(first, second, names, theirs):
     )
 
 
-def _with_unit(match):
+def _with_unit(match: Match) -> str:
     return f"{match.theirs}:{match.unit}" if match.unit else match.theirs
 
 
-def _sign_options(told, theirs, simulator):
+def _sign_options(told: Collection[str], theirs: Mapping[str, Match], simulator: Simulator) -> dict[str, Any]:
     columns = {}
     for name in told:
         unit = theirs[name].unit or simulator.units.get(name, "") or "x:1"

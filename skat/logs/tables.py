@@ -1,5 +1,7 @@
 """Tables of numbers in CSV, all of whose columns count: the rows that are transported."""
 
+from collections.abc import Sequence
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +11,7 @@ from skat.logs.errors import LogError
 from skat.logs.readers import csv
 
 
-def numeric_columns(path, *, beside=()):
+def numeric_columns(path: str | PathLike[str], *, beside: Sequence[str] = ()) -> pd.DataFrame:
     """Return the table in a CSV file, all of whose values are numbers.
 
     Parameters
@@ -62,14 +64,14 @@ def numeric_columns(path, *, beside=()):
     return pd.DataFrame(table, columns=list(stream.columns))
 
 
-def _is_finite(cell):
+def _is_finite(cell: str) -> bool:
     try:
         return bool(np.isfinite(float(cell)))
     except ValueError:
         return False
 
 
-def with_same_columns(table, other):
+def with_same_columns(table: pd.DataFrame, other: pd.DataFrame) -> pd.DataFrame:
     """Return a table with its columns in the order of another's.
 
     Parameters

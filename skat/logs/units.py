@@ -2,7 +2,10 @@
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+from skat.simulators.tables import Array
 
 # Factor to the SI unit, and what it measures: A angle, L length, T torque or force, S time.
 BASE = {
@@ -69,7 +72,7 @@ class Unit:
         """Whether it changes nothing."""
         return self.factor == 1.0 and self.sign == 1.0 and self.offset == 0.0 and self.origin == 0.0
 
-    def applied(self, values):
+    def applied(self, values: Array) -> Array:
         """Return values in the simulator's unit."""
         if self.plain:
             return values
@@ -103,7 +106,9 @@ def parsed_unit(text: str, *, limits: tuple[float, float] | None = None) -> Unit
     return Unit(text, factor, sign, offset, 0.0, kind)
 
 
-def _scaled(unit, text, limits):
+def _scaled(
+    unit: str, text: str, limits: Sequence[float] | None
+) -> tuple[float, str, tuple[float, float] | None]:
     """Return (factor, kind, (their lower end, ours) or None)."""
     name, *arguments = unit.split(":")
     try:
@@ -136,7 +141,9 @@ def _scaled(unit, text, limits):
     raise ValueError(f"the unit {text!r} is unknown; known: {KNOWN}.")
 
 
-def _percent(numbers, text, limits):
+def _percent(
+    numbers: list[float], text: str, limits: Sequence[float] | None
+) -> tuple[float, str, tuple[float, float] | None]:
     if len(numbers) == 4:
         low, high, *limits = numbers
     elif len(numbers) == 2:

@@ -26,7 +26,8 @@ import numpy as np
 from joblib import Parallel, delayed
 from sklearn.utils import check_random_state, check_scalar
 
-from skat.gaussian import AffineMap, optimal_map, root_of_moments, row_moments
+from skat.gaussian import AffineMap, Moments, optimal_map, root_of_moments, row_moments
+from skat.gaussian.arrays import AnyArray, Floats, Places
 from skat.metrics.marginals import halves, marginal_squares, orders
 from skat.metrics.samples import twice_the_spread, two_samples, two_weights
 from skat.metrics.wasserstein import affinity, is_large_cost, wasserstein_distance
@@ -43,7 +44,7 @@ __all__ = [
 ]
 
 
-def affinity_score(X_transported, y, *, sample_weight=None):
+def affinity_score(X_transported: AnyArray, y: AnyArray, *, sample_weight: AnyArray | None = None) -> float:
     r"""Return the paper's affinity score of transported rows and target rows.
 
     .. math:: \rho = 1 - \frac{W_2(T X, Y)}{\sqrt{2 \operatorname{tr} \Sigma(Y)}}
@@ -105,7 +106,13 @@ def affinity_score(X_transported, y, *, sample_weight=None):
     return affinity(X_transported, y, x_weight=x_weight, y_weight=y_weight)
 
 
-def affinity_at_any_size(X_transported, y, *, x_weight=None, y_weight=None):
+def affinity_at_any_size(
+    X_transported: AnyArray,
+    y: AnyArray,
+    *,
+    x_weight: AnyArray | None = None,
+    y_weight: AnyArray | None = None,
+) -> float:
     """Return the affinity score or, of more rows than a cost matrix has room for, its estimate.
 
     Parameters
@@ -140,9 +147,9 @@ class AffinityTest:
 
     score: float
     p_value: float
-    null_scores: np.ndarray = field(repr=False)
+    null_scores: Floats = field(repr=False)
 
-    def quantile(self, level):
+    def quantile(self, level: float) -> float:
         """Return the score below which a share `level` of the null scores lies.
 
         Parameters
@@ -158,16 +165,16 @@ class AffinityTest:
 
 
 def affinity_test(
-    X_transported,
-    y,
+    X_transported: AnyArray,
+    y: AnyArray,
     *,
-    paired=False,
-    in_sample=False,
-    n_fitted=None,
-    n_permutations=99,
-    n_jobs=None,
-    random_state=None,
-):
+    paired: bool = False,
+    in_sample: bool = False,
+    n_fitted: int | None = None,
+    n_permutations: int = 99,
+    n_jobs: int | None = None,
+    random_state: int | np.random.RandomState | None = None,
+) -> AffinityTest:
     r"""Test whether transported rows and target rows come from one law, by the affinity score.
 
     Under the null hypothesis the labels *source* and *target* carry no information. Rows that are not paired
@@ -262,8 +269,15 @@ def affinity_test(
 
 
 def debiased_affinity_score(
-    X_transported, y, *, in_sample=False, n_repeats=5, n_block_rows=1000, n_jobs=None, random_state=None
-):
+    X_transported: AnyArray,
+    y: AnyArray,
+    *,
+    in_sample: bool = False,
+    n_repeats: int = 5,
+    n_block_rows: int = 1000,
+    n_jobs: int | None = None,
+    random_state: int | np.random.RandomState | None = None,
+) -> float:
     r"""Return the affinity score less what two samples of one law would lose.
 
     .. math::
@@ -342,7 +356,9 @@ def debiased_affinity_score(
     return _signed_score(np.mean(squares), twice_the_spread(y))
 
 
-def affinity_upper_bound(X_transported, y, *, random_state=None):
+def affinity_upper_bound(
+    X_transported: AnyArray, y: AnyArray, *, random_state: int | np.random.RandomState | None = None
+) -> float:
     r"""Return an upper bound of the affinity, from one-dimensional marginals.
 
     For an orthonormal basis :math:`u_1, \dots, u_d` every coupling has
@@ -435,21 +451,21 @@ class AffinityEstimate:
     n_block_rows: int
     n_blocks: int
 
-    def __float__(self):
+    def __float__(self) -> float:
         return self.score
 
 
 def affinity_estimate(
-    X_transported,
-    y,
+    X_transported: AnyArray,
+    y: AnyArray,
     *,
-    paired=False,
-    in_sample=False,
-    n_block_rows=500,
-    n_blocks=12,
-    n_jobs=None,
-    random_state=None,
-):
+    paired: bool = False,
+    in_sample: bool = False,
+    n_block_rows: int = 500,
+    n_blocks: int = 12,
+    n_jobs: int | None = None,
+    random_state: int | np.random.RandomState | None = None,
+) -> AffinityEstimate:
     r"""Estimate the affinity score of two populations from many rows, with memory linear in their number.
 
     The exact score of 100,000 rows would need 80 GB and hours, and would still be far below the population's
@@ -547,7 +563,7 @@ def affinity_estimate(
     )
 
 
-def _null_score(X, y, paired, in_sample, seed):
+def _null_score(X: Floats, y: Floats, paired: bool, in_sample: bool, seed: int) -> float:
     rng = np.random.default_rng(seed)
     shuffle = _swapped_pairs if paired else _dealt_out_anew
     if not in_sample:
@@ -557,35 +573,37 @@ def _null_score(X, y, paired, in_sample, seed):
     return affinity(_refitted(source, y), _refitted(target, y))
 
 
-def _loosened(X, y, paired, rng):
+def _loosened(X: Floats, y: Floats, paired: bool, rng: np.random.Generator) -> Floats:
     """Return fitted rows whose moments differ from those of y as two samples do, by a bootstrap."""
     y_weight = rng.exponential(size=len(y))
     x_weight = y_weight if paired else rng.exponential(size=len(X))
     return _affine_map(row_moments(y, y_weight), row_moments(X, x_weight))(X)
 
 
-def _swapped_pairs(X, y, rng):
+def _swapped_pairs(X: Floats, y: Floats, rng: np.random.Generator) -> tuple[Floats, Floats]:
     swap = rng.random(len(X))[:, np.newaxis] < 0.5
     return np.where(swap, y, X), np.where(swap, X, y)
 
 
-def _dealt_out_anew(X, y, rng):
+def _dealt_out_anew(X: Floats, y: Floats, rng: np.random.Generator) -> tuple[Floats, Floats]:
     pooled = np.vstack([X, y])
     order = rng.permutation(len(pooled))
     return pooled[order[: len(X)]], pooled[order[len(X) :]]
 
 
-def _refitted(source, target):
+def _refitted(source: Floats, target: Floats) -> Floats:
     """Return the source rows carried to the target rows by the affine transport between them."""
     return _affine_map(row_moments(source), row_moments(target))(source)
 
 
-def _affine_map(source, target):
+def _affine_map(source: Moments, target: Moments) -> AffineMap:
     coef = optimal_map(root_of_moments(source), root_of_moments(target))
     return AffineMap(coef, source.mean, target.mean)
 
 
-def _splits(n_source, n_target, n_block_rows, n_splits, rng):
+def _splits(
+    n_source: int, n_target: int, n_block_rows: int, n_splits: int, rng: np.random.RandomState
+) -> list[tuple[Places, Places]]:
     """Return pairs of row numbers, each two blocks long, disjoint as long as there are rows.
 
     With equal numbers of rows both sides get the same numbers, so that pairs stay together.
@@ -600,13 +618,13 @@ def _splits(n_source, n_target, n_block_rows, n_splits, rng):
     return splits
 
 
-def _debiased_square(X, y, in_sample):
+def _debiased_square(X: Floats, y: Floats, in_sample: bool) -> float:
     """Return D of two blocks a side."""
     between, within = _block_squares(halves(X), halves(y), in_sample)
     return between - within
 
 
-def _bracketing_squares(X, y, paired, in_sample):
+def _bracketing_squares(X: Floats, y: Floats, paired: bool, in_sample: bool) -> tuple[float, float]:
     """Return U and D of two blocks a side."""
     X, y = halves(X), halves(y)
     between, within = _block_squares(X, y, in_sample)
@@ -616,20 +634,20 @@ def _bracketing_squares(X, y, paired, in_sample):
     return plain, between - within
 
 
-def _block_squares(X, y, in_sample):
+def _block_squares(X: Floats, y: Floats, in_sample: bool) -> tuple[float, float]:
     """Return the mean squared distances between and within; rows of the same number never meet."""
     between = (_square(X[0], y[1], in_sample) + _square(X[1], y[0], in_sample)) / 2
     within = (_square(X[0], X[1], in_sample) + _square(y[0], y[1], in_sample)) / 2
     return between, within
 
 
-def _square(source, target, refit=False):
+def _square(source: Floats, target: Floats, refit: bool = False) -> float:
     return wasserstein_distance(_refitted(source, target) if refit else source, target) ** 2
 
 
-def _score(square, spread):
+def _score(square: float, spread: float) -> float:
     return 1.0 - float(np.sqrt(max(square, 0.0) / spread))
 
 
-def _signed_score(square, spread):
+def _signed_score(square: float, spread: float) -> float:
     return 1.0 - float(np.sign(square) * np.sqrt(abs(square) / spread))

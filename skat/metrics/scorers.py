@@ -1,8 +1,13 @@
 """Scorers of fitted transports for scikit-learn's model selection."""
 
+from collections.abc import Callable
+from typing import Any, Self, SupportsFloat
+
 import numpy as np
+from sklearn.base import BaseEstimator
 from sklearn.utils.metadata_routing import UNCHANGED, MetadataRequest
 
+from skat.gaussian.arrays import AnyArray, Flags, Floats
 from skat.gaussian.backends import on_host
 from skat.metrics.affinity import affinity_at_any_size, affinity_score
 from skat.metrics.domains import domain_signs
@@ -11,7 +16,14 @@ from skat.metrics.samples import one_sample, row_weight, two_samples
 __all__ = ["affinity_scorer", "paired_error_scorer"]
 
 
-def paired_error_scorer(estimator, X, y=None, *, sample_weight=None, sample_domain=None):
+def paired_error_scorer(
+    estimator: BaseEstimator,
+    X: AnyArray,
+    y: AnyArray | None = None,
+    *,
+    sample_weight: AnyArray | None = None,
+    sample_domain: AnyArray | None = None,
+) -> float:
     r"""Score a fitted transport by the mean distance between transported rows and their partners, negated.
 
     .. math:: -\frac1n \sum_k \|T(x_k) - y_k\|
@@ -72,7 +84,7 @@ def paired_error_scorer(estimator, X, y=None, *, sample_weight=None, sample_doma
     return -float(np.average(errors, weights=row_weight(sample_weight, len(errors))))
 
 
-def _routing_of_pairs():
+def _routing_of_pairs() -> MetadataRequest:
     routing = MetadataRequest(owner="paired_error_scorer")
     routing.score.add_request(param="sample_domain", alias=True)
     return routing
@@ -82,7 +94,9 @@ def _routing_of_pairs():
 setattr(paired_error_scorer, "get_metadata_routing", _routing_of_pairs)  # noqa: B010
 
 
-def affinity_scorer(score=affinity_score, *, source_domain=None, **options):
+def affinity_scorer(
+    score: Callable[..., SupportsFloat] = affinity_score, *, source_domain: object = None, **options: Any
+) -> "_AffinityScorer":
     """Return a scorer of fitted transports by an affinity score.
 
     For ``scoring=affinity_scorer()``. It calls ``estimator.transform(X)`` and compares the result with `y`.
@@ -133,17 +147,27 @@ def affinity_scorer(score=affinity_score, *, source_domain=None, **options):
 
 
 class _AffinityScorer:
-    def __init__(self, score, options, source_domain):
+    def __init__(
+        self, score: Callable[..., SupportsFloat], options: dict[str, Any], source_domain: object
+    ) -> None:
         self._score = score
         self._options = options
         self._source_domain = source_domain
-        self._requested = {}
+        self._requested: dict[str, bool | str | None] = {}
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         options = "".join(f", {name}={value!r}" for name, value in self._options.items())
         return f"affinity_scorer({getattr(self._score, '__name__', self._score)}{options})"
 
-    def __call__(self, estimator, X, y=None, *, sample_weight=None, sample_domain=None):
+    def __call__(
+        self,
+        estimator: BaseEstimator,
+        X: AnyArray,
+        y: AnyArray | None = None,
+        *,
+        sample_weight: AnyArray | None = None,
+        sample_domain: AnyArray | None = None,
+    ) -> float:
         options = dict(self._options)
         if sample_domain is None:
             carried = _carried(estimator, X)
@@ -166,13 +190,15 @@ class _AffinityScorer:
             return float(affinity_at_any_size(*two_samples(carried, y)))
         return float(self._score(carried, y, **options))
 
-    def set_score_request(self, *, sample_weight=UNCHANGED, sample_domain=UNCHANGED):
+    def set_score_request(
+        self, *, sample_weight: bool | str | None = UNCHANGED, sample_domain: bool | str | None = UNCHANGED
+    ) -> Self:
         """Ask for `sample_weight`, or not for `sample_domain`, in metadata routing."""
         requests = {"sample_weight": sample_weight, "sample_domain": sample_domain}
         self._requested |= {name: wanted for name, wanted in requests.items() if wanted is not UNCHANGED}
         return self
 
-    def get_metadata_routing(self):
+    def get_metadata_routing(self) -> MetadataRequest:
         """Return what `set_score_request` asked for."""
         routing = MetadataRequest(owner=self)
         for name, alias in {"sample_weight": None, "sample_domain": True, **self._requested}.items():
@@ -180,14 +206,16 @@ class _AffinityScorer:
         return routing
 
 
-def _by_domain(estimator, X, sample_domain, source_domain=None):
+def _by_domain(
+    estimator: BaseEstimator, X: AnyArray, sample_domain: AnyArray, source_domain: object = None
+) -> tuple[Floats, Floats, Flags]:
     """Return the rows in NumPy, the same carried over, and which of them are source rows."""
     rows, labels = one_sample(X, "X"), on_host(sample_domain)
     is_source = domain_signs(labels, len(rows), source_domain) > 0
     return rows, one_sample(_carried(estimator, X, sample_domain=labels), "X_transported"), is_source
 
 
-def _carried(estimator, X, **keywords):
+def _carried(estimator: BaseEstimator, X: AnyArray, **keywords: AnyArray) -> AnyArray:
     if not hasattr(estimator, "transform"):
         raise TypeError(
             f"the scorer compares estimator.transform(X) with y, but {type(estimator).__name__} cannot "

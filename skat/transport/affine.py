@@ -1,6 +1,7 @@
 """The optimal affine map between two normal approximations, as an estimator."""
 
-from skat.gaussian import AffineMap, coefficient_distance, optimal_map, root_of_moments
+from skat.gaussian import AffineMap, Moments, coefficient_distance, optimal_map, root_of_moments
+from skat.gaussian.arrays import Floats
 from skat.gaussian.maps import reached_part
 from skat.transport.moment_transport import MomentTransport, Solution
 
@@ -83,7 +84,7 @@ class AffineTransport(MomentTransport):
     array([[9.]])
     """
 
-    def _solve(self, source, target, scale):
+    def _solve(self, source: Moments, target: Moments, scale: Floats) -> Solution:
         source_root, target_root = root_of_moments(source), root_of_moments(target)
         coef = optimal_map(source_root, target_root, reach=self._reaches)
         rank, unreached = target_root.shape[1], 0.0
@@ -91,9 +92,9 @@ class AffineTransport(MomentTransport):
             rank, unreached = reached_part(coef, source_root, target_root)
         return Solution(AffineMap.between(coef, source, target), rank, unreached)
 
-    def _solve_back(self, source, target, scale):
+    def _solve_back(self, source: Moments, target: Moments, scale: Floats) -> AffineMap:
         coef = optimal_map(root_of_moments(target), root_of_moments(source))
         return AffineMap.between(coef, target, source)
 
-    def _distance(self, source, target, affine):
+    def _distance(self, source: Moments, target: Moments, affine: AffineMap) -> float:
         return coefficient_distance(source, target, affine.coef)

@@ -11,6 +11,7 @@ from skat.gaussian import (
     root_of_factor,
     spectrum,
 )
+from skat.gaussian.arrays import Floats
 from skat.gaussian.maps import reached_part
 
 __all__ = ["Alignment", "look_shuffled", "raw_alignment", "whitened_alignment"]
@@ -38,23 +39,23 @@ class Alignment:
         Share of the target's variance that the map does not reach.
     """
 
-    coef: np.ndarray
-    inverse_coef: np.ndarray | None
-    rotation: np.ndarray
+    coef: Floats
+    inverse_coef: Floats | None
+    rotation: Floats
     rank: int
     unreached: float = 0.0
 
 
 def whitened_alignment(
-    source_factor,
-    target_factor,
+    source_factor: Floats,
+    target_factor: Floats,
     *,
-    source_root=None,
-    target_root=None,
-    source_rounding=None,
-    target_rounding=None,
-    reach=False,
-):
+    source_root: Floats | None = None,
+    target_root: Floats | None = None,
+    source_rounding: Floats | None = None,
+    target_rounding: Floats | None = None,
+    reach: bool = False,
+) -> Alignment:
     r"""Return the map of least squared error over the pairs that carries one covariance exactly to the other.
 
     .. math:: T = C_t^{1/2} Q C_s^{-1/2}, \quad
@@ -108,16 +109,16 @@ def whitened_alignment(
 
 
 def raw_alignment(
-    source_factor,
-    target_factor,
+    source_factor: Floats,
+    target_factor: Floats,
     *,
-    source_root=None,
-    target_root=None,
-    source_rounding=None,
-    target_rounding=None,
-    mean_product=0.0,
-    reach=False,
-):
+    source_root: Floats | None = None,
+    target_root: Floats | None = None,
+    source_rounding: Floats | None = None,
+    target_rounding: Floats | None = None,
+    mean_product: Floats | float = 0.0,
+    reach: bool = False,
+) -> Alignment:
     r"""Return the map of Algorithm 1: rotate by the polar factor of the cross-covariance, then transport.
 
     .. math:: T = A(R C_s R^T, C_t) R, \quad C_{ts} = U w V^T, \quad R = U V^T
@@ -167,7 +168,7 @@ def raw_alignment(
     return Alignment(carry @ rotation, inverse, rotation, rank, unreached)
 
 
-def look_shuffled(source_factor, target_factor, n_rows):
+def look_shuffled(source_factor: Floats, target_factor: Floats, n_rows: float) -> bool:
     r"""Whether pairs are no more correlated than shuffled ones.
 
     The statistic is Pillai's trace, the sum of the squared canonical correlations. For orthogonal projections
@@ -195,14 +196,16 @@ def look_shuffled(source_factor, target_factor, n_rows):
     return bool(np.square(target_scores.T @ source_scores).sum() < least <= min(p, q))
 
 
-def _basis(factor):
+def _basis(factor: Floats) -> Floats:
     """Return orthonormal columns that span those of a factor."""
     if root_of_factor(factor).shape[1] == factor.shape[1]:
         return np.linalg.qr(factor)[0]
     return _principal(factor)[0]
 
 
-def _principal(factor, root=None, rounding=None):
+def _principal(
+    factor: Floats, root: Floats | None = None, rounding: Floats | None = None
+) -> tuple[Floats, Floats, Floats]:
     """Return scores, standard deviations and principal directions of a factor, or of another root of it."""
     if root is not None:
         directions, spread = spectrum(root)

@@ -1,11 +1,11 @@
 """What all transports share: whose rows are whose, whether they can be used, and the interface."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import NoReturn, Self
 
 import numpy as np
 from sklearn.base import BaseEstimator, OneToOneFeatureMixin, TransformerMixin
-from sklearn.utils import assert_all_finite, check_array
+from sklearn.utils import Tags, assert_all_finite, check_array
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from skat._compat import (
@@ -19,6 +19,7 @@ from skat._compat import (
     is_numpy_namespace,
     supported_float_dtypes,
 )
+from skat.gaussian.arrays import AnyArray
 from skat.gaussian.backends import is_dask, on_host
 from skat.metrics.affinity import affinity_at_any_size
 from skat.metrics.domains import domain_signs
@@ -41,10 +42,10 @@ class Samples:
         Whether both came as one array.
     """
 
-    source: Any
-    target: Any
-    source_weight: Any = None
-    target_weight: Any = None
+    source: AnyArray
+    target: AnyArray
+    source_weight: AnyArray = None
+    target_weight: AnyArray = None
     stacked: bool = False
 
 
@@ -60,7 +61,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         "source_domain": "no_validation",
     }
 
-    def __init__(self, *, unlabelled="raise", source_domain=None):
+    def __init__(self, *, unlabelled: str = "raise", source_domain: object = None) -> None:
         self.unlabelled = unlabelled
         self.source_domain = source_domain
 
@@ -71,7 +72,13 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
     __metadata_request__transform = {"sample_domain": True}
     __metadata_request__score = {"sample_domain": True}
 
-    def fit(self, X, y=None, sample_weight=None, sample_domain=None):
+    def fit(
+        self,
+        X: AnyArray,
+        y: AnyArray | None = None,
+        sample_weight: AnyArray | None = None,
+        sample_domain: AnyArray | None = None,
+    ) -> Self:
         """Learn the map from source rows to target rows.
 
         Parameters
@@ -109,7 +116,13 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         self._fit(samples)
         return self
 
-    def fit_transform(self, X, y=None, sample_weight=None, sample_domain=None):
+    def fit_transform(
+        self,
+        X: AnyArray,
+        y: AnyArray | None = None,
+        sample_weight: AnyArray | None = None,
+        sample_domain: AnyArray | None = None,
+    ) -> AnyArray:
         """Fit, and return the rows of `X` with its source rows carried over.
 
         Parameters
@@ -126,7 +139,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         self.fit(X, y, **{name: value for name, value in given.items() if value is not None})
         return self.transform(X, **({} if sample_domain is None else {"sample_domain": sample_domain}))
 
-    def transform(self, X, sample_domain=None):
+    def transform(self, X: AnyArray, sample_domain: AnyArray | None = None) -> AnyArray:
         """Carry source rows over.
 
         Parameters
@@ -169,7 +182,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
             return self._carry(X)
         return self._carry(X, keep=self._domain(sample_domain, X) < 0)
 
-    def inverse_transform(self, X):
+    def inverse_transform(self, X: AnyArray) -> AnyArray:
         """Carry target rows back.
 
         Parameters
@@ -190,7 +203,13 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         self._check_is_fitted()
         return self._carry_back(self._rows(X, "X", reset=False))
 
-    def score(self, X, y=None, sample_weight=None, sample_domain=None):
+    def score(
+        self,
+        X: AnyArray,
+        y: AnyArray | None = None,
+        sample_weight: AnyArray | None = None,
+        sample_domain: AnyArray | None = None,
+    ) -> float:
         r"""Return the affinity of the carried source rows and the target rows.
 
         .. math:: \rho = 1 - \frac{W_2(T X, Y)}{\sqrt{2 \operatorname{tr} \Sigma(Y)}}
@@ -216,7 +235,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         weights = {"x_weight": samples.source_weight, "y_weight": samples.target_weight}
         return affinity_at_any_size(carried, target, **weights)
 
-    def __sklearn_tags__(self):
+    def __sklearn_tags__(self) -> Tags:
         tags = super().__sklearn_tags__()
         tags.target_tags.required = True
         tags.target_tags.two_d_labels = True
@@ -224,19 +243,28 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         tags.transformer_tags.preserves_dtype = ["float64", "float32"]
         return tags
 
-    def _check_is_fitted(self):
+    def _check_is_fitted(self) -> None:
         check_is_fitted(self, "wasserstein_distance_")
 
-    def _see_columns(self, X, rows):
+    def _see_columns(self, X: AnyArray, rows: AnyArray) -> None:
         """Look at the container as given, while its column names are at hand."""
 
-    def _refuse_few_rows(self, n_rows, name):
+    def _refuse_few_rows(self, n_rows: int, name: str) -> NoReturn:
         raise ValueError(
             f"{type(self).__name__} needs at least 2 rows of each domain to see them vary; the {name} has "
             f"{n_rows} sample(s), n_samples = {n_rows}. Give more rows."
         )
 
-    def _samples(self, X, y, sample_weight, sample_domain, *, reset, either=False):
+    def _samples(
+        self,
+        X: AnyArray,
+        y: AnyArray | None,
+        sample_weight: AnyArray | None,
+        sample_domain: AnyArray | None,
+        *,
+        reset: bool,
+        either: bool = False,
+    ) -> Samples:
         """Return the rows of both domains, validated but for being finite."""
         if sample_domain is not None:
             rows = self._rows(X, "X", reset=reset)
@@ -259,7 +287,9 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         target = self._target(y)
         return self._weighted(source, target, sample_weight)
 
-    def _weighted(self, source, target, sample_weight):
+    def _weighted(
+        self, source: AnyArray | None, target: AnyArray | None, sample_weight: AnyArray | None
+    ) -> Samples:
         """Return samples with their weights; either side may be None."""
         if not isinstance(sample_weight, tuple) and sample_weight is not None:
             if source is not None and target is not None and not same_length(source, target):
@@ -277,15 +307,17 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
             source, target, _checked_weight(source_weight, source), _checked_weight(target_weight, target)
         )
 
-    def _split(self, X, sample_weight, sample_domain, *, either):
+    def _split(
+        self, X: AnyArray, sample_weight: AnyArray | None, sample_domain: AnyArray | None, *, either: bool
+    ) -> Samples:
         """Return the samples of stacked rows."""
         domain = self._domain(sample_domain, X)
         weight = _checked_weight(sample_weight, X)
         if is_dask(X):
             one = 1.0 if weight is None else weight
             return Samples(X, X, (domain > 0) * one, (domain < 0) * one, stacked=True)
-        parts: list[Any] = []
-        weights: list[Any] = []
+        parts: list[AnyArray | None] = []
+        weights: list[AnyArray | None] = []
         xp, _, _ = get_namespace_and_device(X)
         for name, mask in (("source (positive)", domain > 0), ("target (negative)", domain < 0)):
             if not mask.any() and not either:
@@ -304,7 +336,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         source, target = parts
         return Samples(source, target, weights[0], weights[1], stacked=True)
 
-    def _domain(self, sample_domain, X):
+    def _domain(self, sample_domain: AnyArray, X: AnyArray) -> AnyArray:
         """Return a number for each row, positive for source rows and negative for target rows."""
         if is_dask(sample_domain):
             if self.source_domain is not None:
@@ -313,7 +345,9 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         n_rows = None if is_dask(X) else X.shape[0]
         return domain_signs(on_host(sample_domain), n_rows, self.source_domain)
 
-    def _refuse_flat_target(self, y, source=None, sample_weight=None):
+    def _refuse_flat_target(
+        self, y: AnyArray, source: AnyArray | None = None, sample_weight: AnyArray | None = None
+    ) -> NoReturn:
         """Raise for a y of one dimension; but first for what is wrong with the source, if anything is."""
         if source is not None and not is_dask(source):
             if source.shape[0] < 2:
@@ -328,7 +362,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
             f"shape {shape}. If these are labels and X holds both domains, pass sample_domain=... too."
         )
 
-    def _target(self, y):
+    def _target(self, y: AnyArray) -> AnyArray:
         if is_flat(y):
             self._refuse_flat_target(y)
         self._check_target_names(y)
@@ -340,7 +374,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
             )
         return y
 
-    def _check_target_names(self, y):
+    def _check_target_names(self, y: AnyArray) -> None:
         ours = getattr(self, "feature_names_in_", None)
         names = feature_names(y._meta if is_dask(y) and hasattr(y, "_meta") else y)
         if ours is None or names is None or list(ours) == list(names):
@@ -356,7 +390,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
             f"unexpected: {sorted(set(names) - set(ours))}."
         )
 
-    def _rows(self, X, name, *, reset):
+    def _rows(self, X: AnyArray, name: str, *, reset: bool | None) -> AnyArray:
         """Return rows as 2-D floats, whether finite or not; `reset` None leaves the features alone."""
         if is_dask(X):
             return self._dask_rows(X, name, reset=reset)
@@ -366,7 +400,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
             return check_array(X, input_name=name, estimator=self, **options)
         return validate_data(self, X, reset=reset, **options)
 
-    def _dask_rows(self, X, name, *, reset):
+    def _dask_rows(self, X: AnyArray, name: str, *, reset: bool | None) -> AnyArray:
         if X.ndim != 2:
             raise ValueError(f"{name} must be 2-D; it is a dask {type(X).__name__} of {X.ndim} dimensions.")
         if reset is not None:
@@ -375,7 +409,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
             check_n_features(self, np.empty((1, X.shape[1])), reset=reset)
         return X
 
-    def _refuse_infinite(self, *named_rows):
+    def _refuse_infinite(self, *named_rows: tuple[AnyArray, str]) -> NoReturn:
         """Raise on NaN or infinity in rows, given as (rows, name), or say that their squares overflow."""
         for rows, name in named_rows:
             if rows is not None and not is_dask(rows):
@@ -389,19 +423,19 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         raise ValueError(f"the squares of {names} exceed the range of float64. Choose larger units.")
 
 
-def is_flat(y):
+def is_flat(y: AnyArray) -> bool:
     """Whether a target is of one dimension, as labels are."""
     shape = y.shape if hasattr(y, "shape") else np.asarray(y).shape
     return len(shape) == 1
 
 
-def same_length(source, target):
+def same_length(source: AnyArray, target: AnyArray) -> bool:
     """Whether two sets of rows are of one number, or may be: dask does not always know."""
     lengths = (source.shape[0], target.shape[0])
     return not all(isinstance(length, int | np.integer) for length in lengths) or lengths[0] == lengths[1]
 
 
-def _checked_weight(weight, rows):
+def _checked_weight(weight: AnyArray | None, rows: AnyArray | None) -> AnyArray | None:
     """Return weights as a float array in NumPy (or lazily, for dask), or None."""
     if weight is None or rows is None or is_dask(weight):
         return weight

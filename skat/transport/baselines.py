@@ -2,18 +2,24 @@
 
 import warnings
 from numbers import Integral, Real
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import KDTree
-from sklearn.base import BaseEstimator, TransformerMixin
+from sklearn.base import BaseEstimator, RegressorMixin, TransformerMixin
 
 from skat._compat import Interval
-from skat.gaussian import AffineMap, coral_map, root_of_moments, spectrum
+from skat.gaussian import AffineMap, Moments, coral_map, root_of_moments, spectrum
+from skat.gaussian.arrays import AnyArray, Floats
 from skat.gaussian.backends import on_host
 from skat.metrics.wasserstein import optimal_plan
 from skat.transport.affine import AffineTransport
-from skat.transport.base import BaseTransport
+from skat.transport.base import BaseTransport, Samples
 from skat.transport.moment_transport import MomentTransport, Solution
+
+if TYPE_CHECKING:
+    from sklearn.pipeline import Pipeline
 
 __all__ = ["CORAL", "ExactTransport", "IdentityTransport", "KernelAlignment"]
 
@@ -44,14 +50,14 @@ class IdentityTransport(MomentTransport):
     metric_scale = None
     _parameter_constraints = BaseTransport._parameter_constraints
 
-    def __init__(self, *, unlabelled="raise", source_domain=None):
+    def __init__(self, *, unlabelled: str = "raise", source_domain: object = None) -> None:
         BaseTransport.__init__(self, unlabelled=unlabelled, source_domain=source_domain)
 
-    def _solve(self, source, target, scale):
+    def _solve(self, source: Moments, target: Moments, scale: Floats) -> Solution:
         origin = np.zeros(source.n_features)
         return Solution(AffineMap(np.eye(source.n_features), origin, origin), source.n_features)
 
-    def _solve_back(self, source, target, scale):
+    def _solve_back(self, source: Moments, target: Moments, scale: Floats) -> AffineMap:
         return self._solve(source, target, scale).affine
 
 
@@ -92,10 +98,10 @@ class CORAL(MomentTransport):
     metric_scale = None
     _parameter_constraints = BaseTransport._parameter_constraints
 
-    def __init__(self, *, unlabelled="raise", source_domain=None):
+    def __init__(self, *, unlabelled: str = "raise", source_domain: object = None) -> None:
         BaseTransport.__init__(self, unlabelled=unlabelled, source_domain=source_domain)
 
-    def _solve(self, source, target, scale):
+    def _solve(self, source: Moments, target: Moments, scale: Floats) -> Solution:
         source_root, target_root = root_of_moments(source), root_of_moments(target)
         rank = min(source_root.shape[1], target_root.shape[1])
         unreached = 0.0
@@ -105,7 +111,7 @@ class CORAL(MomentTransport):
         affine = AffineMap.between(coral_map(source_root, target_root), source, target)
         return Solution(affine, rank, unreached)
 
-    def _solve_back(self, source, target, scale):
+    def _solve_back(self, source: Moments, target: Moments, scale: Floats) -> AffineMap:
         solution = self._solve(target, source, scale)
         if root_of_moments(source).shape[1] > solution.rank:
             raise np.linalg.LinAlgError("the target has the lower rank.")
@@ -145,10 +151,10 @@ class ExactTransport(BaseTransport):
            [5.5]])
     """
 
-    def __init__(self, *, unlabelled="raise", source_domain=None):
+    def __init__(self, *, unlabelled: str = "raise", source_domain: object = None) -> None:
         BaseTransport.__init__(self, unlabelled=unlabelled, source_domain=source_domain)
 
-    def _fit(self, samples):
+    def _fit(self, samples: Samples) -> None:
         source = self._finite(on_host(samples.source), "X")
         target = self._finite(on_host(samples.target), "X" if samples.stacked else "y")
         self.coupling_, self.wasserstein_distance_ = optimal_plan(
@@ -157,18 +163,20 @@ class ExactTransport(BaseTransport):
         self._there = _images(source, target, self.coupling_)
         self._back = _images(target, source, self.coupling_.T)
 
-    def _finite(self, rows, name="X"):
+    def _finite(self, rows: AnyArray, name: str = "X") -> Floats:
         if not np.isfinite(rows).all():
             self._refuse_infinite((rows, name))
         return np.asarray(rows, dtype=np.float64)
 
-    def _carry(self, X, keep=None):
+    def _carry(self, X: AnyArray, keep: AnyArray | None = None) -> AnyArray:
         return self._moved(X, *self._there, keep=keep)
 
-    def _carry_back(self, X):
+    def _carry_back(self, X: AnyArray) -> AnyArray:
         return self._moved(X, *self._back)
 
-    def _moved(self, X, fitted, images, *, keep=None):
+    def _moved(
+        self, X: AnyArray, fitted: Floats, images: Floats, *, keep: AnyArray | None = None
+    ) -> NDArray[np.floating[Any]]:
         """Return rows moved as the nearest fitted row is."""
         X = on_host(X)
         rows = self._finite(X)
@@ -179,7 +187,7 @@ class ExactTransport(BaseTransport):
         return moved.astype(np.float32 if X.dtype == np.float32 else np.float64)
 
 
-def _images(source, target, plan):
+def _images(source: Floats, target: Floats, plan: Floats) -> tuple[Floats, Floats]:
     """Return the distinct source rows that have weight, and the mean of the target rows each is sent to."""
     rows, place = np.unique(source, axis=0, return_inverse=True)
     origin = target[0]
@@ -247,14 +255,20 @@ class KernelAlignment(BaseTransport):
     }
 
     def __init__(
-        self, n_components=100, *, gamma=None, random_state=None, unlabelled="raise", source_domain=None
-    ):
+        self,
+        n_components: int = 100,
+        *,
+        gamma: float | None = None,
+        random_state: int | np.random.RandomState | None = None,
+        unlabelled: str = "raise",
+        source_domain: object = None,
+    ) -> None:
         super().__init__(unlabelled=unlabelled, source_domain=source_domain)
         self.n_components = n_components
         self.gamma = gamma
         self.random_state = random_state
 
-    def _fit(self, samples):
+    def _fit(self, samples: Samples) -> None:
         source, target = (
             _finite_rows(self, rows, name)
             for rows, name in ((samples.source, "X"), (samples.target, "X" if samples.stacked else "y"))
@@ -263,7 +277,7 @@ class KernelAlignment(BaseTransport):
             raise ValueError("a kernel alignment takes no weights. Leave sample_weight out.")
         self._there, self.wasserstein_distance_ = self._learned(source, target)
 
-    def _learned(self, source, target):
+    def _learned(self, source: Floats, target: Floats) -> "tuple[Pipeline, float]":
         from sklearn.covariance import LedoitWolf
         from sklearn.kernel_approximation import Nystroem
         from sklearn.linear_model import RidgeCV
@@ -286,14 +300,14 @@ class KernelAlignment(BaseTransport):
         back = RidgeCV(np.logspace(-8, 2, 11)).fit(features.transform(target), target)
         return make_pipeline(features, align, _Predicting(back)), align.wasserstein_distance_
 
-    def _carry(self, X, keep=None):
+    def _carry(self, X: AnyArray, keep: AnyArray | None = None) -> AnyArray:
         rows = _finite_rows(self, X, "X")
         carried = self._there.transform(rows).reshape(rows.shape)
         if keep is not None:
             carried = np.where(np.asarray(keep)[:, np.newaxis], rows, carried)
         return carried.astype(np.float32 if on_host(X).dtype == np.float32 else np.float64)
 
-    def _carry_back(self, X):
+    def _carry_back(self, X: AnyArray) -> AnyArray:
         raise np.linalg.LinAlgError(
             "the images of a kernel alignment have no inverse. Fit one with the two domains exchanged."
         )
@@ -302,20 +316,20 @@ class KernelAlignment(BaseTransport):
 class _Predicting(TransformerMixin, BaseEstimator):
     """Transform by what a fitted regressor predicts."""
 
-    def __init__(self, regressor):
+    def __init__(self, regressor: RegressorMixin) -> None:
         self.regressor = regressor
 
-    def fit(self, X, y=None):
+    def fit(self, X: AnyArray, y: AnyArray | None = None) -> Self:
         return self
 
-    def transform(self, X):
+    def transform(self, X: AnyArray) -> AnyArray:
         return self.regressor.predict(X)
 
-    def __sklearn_is_fitted__(self):
+    def __sklearn_is_fitted__(self) -> bool:
         return True
 
 
-def _finite_rows(transport, rows, name):
+def _finite_rows(transport: BaseTransport, rows: AnyArray, name: str) -> Floats:
     rows = np.asarray(on_host(rows), dtype=np.float64)
     if not np.isfinite(rows).all():
         transport._refuse_infinite((rows, name))

@@ -3,8 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from skat.gaussian import optimal_map, root_of_moments, row_moments
+from skat.gaussian.arrays import Flags, Floats
 
 __all__ = ["BatchedMaps", "fit_batched"]
 
@@ -23,11 +25,11 @@ class BatchedMaps:
     source_mean, target_mean : ndarray of shape (n_maps, n_features)
     """
 
-    coef: np.ndarray
-    source_mean: np.ndarray
-    target_mean: np.ndarray
+    coef: Floats
+    source_mean: Floats
+    target_mean: Floats
 
-    def __call__(self, X):
+    def __call__(self, X: ArrayLike) -> Floats:
         """Carry rows over, each stack by its own map.
 
         Parameters
@@ -48,7 +50,7 @@ class BatchedMaps:
         return centred @ self.coef.transpose(0, 2, 1) + self.target_mean[:, np.newaxis]
 
 
-def fit_batched(X, y):
+def fit_batched(X: ArrayLike, y: ArrayLike) -> BatchedMaps:
     """Return the maps of `AffineTransport` for many problems of one size, solved together.
 
     Parameters
@@ -106,7 +108,7 @@ def fit_batched(X, y):
     return BatchedMaps(coef, source_mean, target_mean)
 
 
-def _stack(rows, name):
+def _stack(rows: ArrayLike, name: str) -> Floats:
     rows = np.asarray(rows, dtype=np.float64)
     if rows.ndim != 3 or not rows.size:
         raise ValueError(f"{name} must be of shape (n_maps, n_rows, n_features); its shape is {rows.shape}.")
@@ -116,13 +118,13 @@ def _stack(rows, name):
     return rows
 
 
-def _moments(rows):
+def _moments(rows: Floats) -> tuple[Floats, Floats]:
     mean = rows.mean(axis=1)
     centred = rows - mean[:, np.newaxis]
     return mean, centred.transpose(0, 2, 1) @ centred / rows.shape[1]
 
 
-def _well_conditioned(covariance):
+def _well_conditioned(covariance: Floats) -> Flags:
     """Return which covariances have a correlation matrix far from singular."""
     variance = np.diagonal(covariance, axis1=1, axis2=2)
     varies = (variance > 0).all(axis=1)

@@ -1,8 +1,12 @@
 """Transport of some columns given the others, as an estimator."""
 
 import numpy as np
+from numpy.typing import ArrayLike
+from sklearn.base import BaseEstimator
 
 from skat._compat import StrOptions, column_indices
+from skat.gaussian import AffineMap, Moments
+from skat.gaussian.arrays import AnyArray, Floats
 from skat.transport.moment_transport import MomentTransport, Solution
 from skat.transport.regression import conditional_map
 
@@ -70,16 +74,16 @@ class ConditionalAffineTransport(MomentTransport):
     def __init__(
         self,
         *,
-        context,
-        covariance="empirical",
-        mean="empirical",
-        metric_scale=None,
-        shrinkage=None,
-        rank_deficient="reach",
-        outside="ignore",
-        unlabelled="raise",
-        source_domain=None,
-    ):
+        context: object,
+        covariance: str | BaseEstimator = "empirical",
+        mean: str = "empirical",
+        metric_scale: str | ArrayLike | None = None,
+        shrinkage: str | None = None,
+        rank_deficient: str = "reach",
+        outside: str = "ignore",
+        unlabelled: str = "raise",
+        source_domain: object = None,
+    ) -> None:
         super().__init__(
             covariance=covariance,
             mean=mean,
@@ -92,7 +96,7 @@ class ConditionalAffineTransport(MomentTransport):
         self.context = context
         self.shrinkage = shrinkage
 
-    def _check_parameters(self):
+    def _check_parameters(self) -> None:
         super()._check_parameters()
         if self.shrinkage == "source" and self.covariance != "empirical":
             raise ValueError(
@@ -100,7 +104,7 @@ class ConditionalAffineTransport(MomentTransport):
                 f'covariance={self.covariance!r} they would be drawn twice. Use covariance="empirical".'
             )
 
-    def _see_columns(self, X, rows):
+    def _see_columns(self, X: AnyArray, rows: AnyArray) -> None:
         """Resolve the context while the container with its names is at hand."""
         context = self.context(X) if callable(self.context) else self.context
         n_features = rows.shape[1]
@@ -134,11 +138,11 @@ class ConditionalAffineTransport(MomentTransport):
             )
         self._context = tuple(chosen.tolist())
 
-    def _solve(self, source, target, scale):
+    def _solve(self, source: Moments, target: Moments, scale: Floats) -> Solution:
         context = np.array(self._context)
         return Solution(
             *conditional_map(source, target, context, shrinkage=self.shrinkage, reach=self._reaches)
         )
 
-    def _solve_back(self, source, target, scale):
+    def _solve_back(self, source: Moments, target: Moments, scale: Floats) -> AffineMap:
         return conditional_map(target, source, np.array(self._context))[0]

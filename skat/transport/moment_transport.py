@@ -3,19 +3,21 @@
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal, NoReturn, Self, cast
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.stats import binom
-from sklearn.base import clone
+from sklearn.base import BaseEstimator, clone
 from sklearn.exceptions import NotFittedError
 from sklearn.utils.validation import has_fit_parameter
 
 from skat._compat import HasMethods, StrOptions
 from skat.gaussian import AffineMap, Moments, covariance_root, distance_of_roots, root_of_moments, spectrum
+from skat.gaussian.arrays import AnyArray, Flags, Floats
 from skat.gaussian.backends import apply_map, is_dask, moments_of, on_host, to_namespace
 from skat.gaussian.maps import EPS
-from skat.transport.base import BaseTransport, is_flat
+from skat.transport.base import BaseTransport, Samples, is_flat
 from skat.transport.shift import MOST_CALIBRATING_ROWS, Distances, Support
 from skat.transport.shrinkage import mean_drawn_towards, shrunk_towards
 
@@ -45,7 +47,7 @@ class Solution:
     affine: AffineMap
     rank: int
     unreached: float = 0.0
-    attributes: Mapping[str, np.ndarray] = field(default_factory=dict)
+    attributes: Mapping[str, Floats] = field(default_factory=dict)
 
 
 class MomentTransport(BaseTransport):
@@ -65,24 +67,25 @@ class MomentTransport(BaseTransport):
         "outside": [StrOptions({"ignore", "warn", "raise"})],
     }
     _moments: Any = None
-    _missing: Any = None
+    _missing: str | None = None
     mean = "empirical"
     rank_deficient = "raise"
     outside = "ignore"
-    _support: Any = None
-    _distances: Any = None
+    _support: Support | None = None
+    _distances: Distances | None = None
+    _back: AffineMap | None = None
 
     def __init__(
         self,
         *,
-        covariance="empirical",
-        mean="empirical",
-        metric_scale=None,
-        rank_deficient="raise",
-        outside="ignore",
-        unlabelled="raise",
-        source_domain=None,
-    ):
+        covariance: str | BaseEstimator = "empirical",
+        mean: str = "empirical",
+        metric_scale: str | ArrayLike | None = None,
+        rank_deficient: str = "raise",
+        outside: str = "ignore",
+        unlabelled: str = "raise",
+        source_domain: object = None,
+    ) -> None:
         self.mean = mean
         self.outside = outside
         super().__init__(unlabelled=unlabelled, source_domain=source_domain)
@@ -91,10 +94,17 @@ class MomentTransport(BaseTransport):
         self.rank_deficient = rank_deficient
 
     @property
-    def _reaches(self):
+    def _reaches(self) -> bool:
         return self.rank_deficient == "reach"
 
-    def partial_fit(self, X=None, y=None, sample_weight=None, sample_domain=None, half_life=None):
+    def partial_fit(
+        self,
+        X: AnyArray | None = None,
+        y: AnyArray | None = None,
+        sample_weight: AnyArray | None = None,
+        sample_domain: AnyArray | None = None,
+        half_life: float | None = None,
+    ) -> Self:
         """Add rows of either domain, or of both.
 
         The map is the one that `fit` would find on all rows so far. It exists once both domains have rows and
@@ -146,7 +156,15 @@ class MomentTransport(BaseTransport):
             self._calibrate(samples, self._distances)
         return self
 
-    def _part(self, X, y, sample_weight, sample_domain, *, reset):
+    def _part(
+        self,
+        X: AnyArray | None,
+        y: AnyArray | None,
+        sample_weight: AnyArray | None,
+        sample_domain: AnyArray | None,
+        *,
+        reset: bool,
+    ) -> Samples:
         """Return validated samples of which either side may be missing."""
         if X is None:
             if is_flat(y):
@@ -162,7 +180,7 @@ class MomentTransport(BaseTransport):
             self._see_columns(X, source)
         return self._weighted(source, None, sample_weight)
 
-    def _fit(self, samples):
+    def _fit(self, samples: Samples) -> None:
         self._check_parameters()
         self._moments = self._collect(samples)
         source, target = self._sides()
@@ -170,13 +188,14 @@ class MomentTransport(BaseTransport):
             if side is None or side.n_rows < 2:
                 self._refuse_few_rows(0 if side is None else side.n_rows, name)
         self._warns, self._missing = True, None
-        sides = (source, target) if isinstance(self.covariance, str) else self._estimated(samples)
+        both = cast(tuple[Moments, Moments], (source, target))
+        sides = both if isinstance(self.covariance, str) else self._estimated(samples)
         self._learn(sides, _given(samples))
         self._calibrate(samples, None)
         self._warn_of_few_rows()
         self._warn_of_unreached()
 
-    def _check_parameters(self):
+    def _check_parameters(self) -> None:
         """Look at what `_parameter_constraints` cannot say."""
         if isinstance(self.covariance, type):
             raise ValueError(
@@ -184,25 +203,29 @@ class MomentTransport(BaseTransport):
                 f"{self.covariance.__name__}()."
             )
 
-    def _sets_of_rows(self, samples):
+    def _sets_of_rows(self, samples: Samples) -> list[tuple[AnyArray | None, AnyArray | None]]:
         """Return the sets of rows, with weights, whose moments the map is a function of."""
         return [(samples.source, samples.source_weight), (samples.target, samples.target_weight)]
 
-    def _collect(self, samples):
+    def _collect(self, samples: Samples) -> tuple[Moments | None, ...]:
         moments = tuple(moments_of(self._sets_of_rows(samples)))
         if not all(part is None or part.is_finite for part in moments):
             self._refuse_infinite((samples.source, "X"), (samples.target, "X" if samples.stacked else "y"))
         return moments
 
-    def _sides(self):
+    def _sides(self) -> tuple[Moments | None, Moments | None]:
         """Return the moments of source and target."""
         return self._moments
 
-    def _pairs(self):
+    def _known_sides(self) -> tuple[Moments, Moments]:
+        """Return the moments of source and target, of both of which there are rows."""
+        return cast(tuple[Moments, Moments], self._sides())
+
+    def _pairs(self) -> Moments | None:
         """Return the moments of rows in pairs, the source's columns first, or None without pairs."""
         return None
 
-    def _learn_if_possible(self, like):
+    def _learn_if_possible(self, like: AnyArray) -> None:
         """Learn the map from what partial_fit has collected, or note why there is none yet."""
         self._forget()
         self._warns = False
@@ -216,13 +239,13 @@ class MomentTransport(BaseTransport):
             self._forget()
             self._missing = str(error)
 
-    def _forget(self):
+    def _forget(self) -> None:
         self._missing = None
         for name in list(vars(self)):
             if name.endswith("_") and name not in ("n_features_in_", "feature_names_in_"):
                 delattr(self, name)
 
-    def _check_is_fitted(self):
+    def _check_is_fitted(self) -> None:
         if self._missing is not None:
             raise NotFittedError(
                 f"this {type(self).__name__} has no map yet: {self._missing.removesuffix('.')}. "
@@ -230,14 +253,14 @@ class MomentTransport(BaseTransport):
             )
         super()._check_is_fitted()
 
-    def _estimated(self, samples):
+    def _estimated(self, samples: Samples) -> tuple[Moments, Moments]:
         """Return the sides with mean and covariance by a scikit-learn covariance estimator."""
         parts = (
             (samples.source, samples.source_weight, "source"),
             (samples.target, samples.target_weight, "target"),
         )
         sides = []
-        for (rows, weight, _), moments in zip(parts, self._sides()):
+        for (rows, weight, _), moments in zip(parts, self._known_sides()):
             if is_dask(rows):
                 raise ValueError(
                     f"covariance={self.covariance!r} needs all rows in memory. "
@@ -255,13 +278,13 @@ class MomentTransport(BaseTransport):
             factor = covariance_root(estimator.covariance_).T
             # What varies is the estimator's to say, not the rows' rounding.
             sides.append(Moments(moments.n_rows, 1.0, 1.0, mean, np.zeros_like(mean), factor=factor, eps=0.0))
-        return tuple(sides)
+        return sides[0], sides[1]
 
-    def _learn(self, sides, like):
+    def _learn(self, sides: tuple[Moments, Moments], like: AnyArray) -> None:
         """Set the fitted attributes, as arrays of the library that `like` is of."""
         source, target = sides
         if self.mean == "shrunk":
-            n_source, n_target = (side.effective_n_rows for side in self._sides())
+            n_source, n_target = (side.effective_n_rows for side in self._known_sides())
             target, self.mean_shrinkage_ = mean_drawn_towards(
                 target, source, n_target, n_source, self._pairs()
             )
@@ -288,7 +311,7 @@ class MomentTransport(BaseTransport):
             setattr(self, name, to_namespace(value, like))
         self.wasserstein_distance_ = self._distance(scaled[0], scaled[1], affine)
 
-    def __getstate__(self):
+    def __getstate__(self) -> dict[str, Any]:
         state = super().__getstate__()
         if "coef_" in state and state["coef_"] is self._map.coef:
             # The map writes down half of it where it is symmetric.
@@ -300,35 +323,35 @@ class MomentTransport(BaseTransport):
                 state["_learned"] = (None, None, self._learned[2])
         return state
 
-    def __setstate__(self, state):
+    def __setstate__(self, state: dict[str, Any]) -> None:
         super().__setstate__(state)
         if state.get("coef_", self) is None:
             self.coef_ = self._map.coef
         if "_map" in state and self._is_empirical:
-            self._learned = (*self._sides(), self._learned[2])
+            self._learned = (*self._known_sides(), self._learned[2])
 
     @property
-    def _is_empirical(self):
+    def _is_empirical(self) -> bool:
         return isinstance(self.covariance, str) and self.covariance == self.mean == "empirical"
 
     @property
-    def source_covariance_(self):
+    def source_covariance_(self) -> AnyArray:
         """Covariance of the source rows, as estimated."""
         return to_namespace(self._learned_side(0).covariance, self.coef_)
 
     @property
-    def target_covariance_(self):
+    def target_covariance_(self) -> AnyArray:
         """Covariance of the target rows, as estimated."""
         return to_namespace(self._learned_side(1).covariance, self.coef_)
 
-    def _learned_side(self, side):
+    def _learned_side(self, side: Literal[0, 1]) -> Moments:
         if not hasattr(self, "coef_"):
             raise AttributeError(
                 f"this {type(self).__name__} has not been fitted and knows no covariance yet."
             )
         return self._learned[side]
 
-    def support_distance(self, X):
+    def support_distance(self, X: AnyArray) -> Floats:
         """Return how far rows are from the source rows that were fitted, in standard deviations.
 
         Parameters
@@ -347,7 +370,7 @@ class MomentTransport(BaseTransport):
             self._refuse_infinite((rows, "X"))
         return self._fitted_support().distance(rows)
 
-    def in_support(self, X, *, level=LEVEL):
+    def in_support(self, X: AnyArray, *, level: float = LEVEL) -> Flags:
         """Return which rows lie where the fitted source rows do.
 
         Parameters
@@ -371,13 +394,13 @@ class MomentTransport(BaseTransport):
         distances = self.support_distance(X)
         return distances <= self._fitted_support().radius(level)
 
-    def _fitted_support(self):
+    def _fitted_support(self) -> Support:
         if self._support is None:
             support = Support.of(self._learned[0])
             self._support = support if self._distances is None else support.calibrated(self._distances)
         return self._support
 
-    def _calibrate(self, samples, earlier):
+    def _calibrate(self, samples: Samples, earlier: Distances | None) -> None:
         """Look at some of the fitted rows, and before them at the distances of rows that came earlier."""
         self._distances = self._support = None
         if is_dask(samples.source):
@@ -395,14 +418,14 @@ class MomentTransport(BaseTransport):
             distances = Support.of(source).left_out(rows, source, weight)
         self._distances = Distances.of(distances, earlier)
 
-    def _scaled(self):
+    def _scaled(self) -> tuple[Moments, Moments]:
         """Return the moments in units of the metric's scale."""
         source, target, scale = self._learned
         if self.metric_scale is None:
             return source, target
         return source.scaled(1 / scale), target.scaled(1 / scale)
 
-    def _scale_of(self, target):
+    def _scale_of(self, target: Moments) -> Floats:
         """Return the metric's lengths."""
         if self.metric_scale is None:
             return np.ones(target.n_features)
@@ -417,10 +440,10 @@ class MomentTransport(BaseTransport):
             )
         return scale
 
-    def _distance(self, source, target, affine):
+    def _distance(self, source: Moments, target: Moments, affine: AffineMap) -> float:
         return distance_of_roots(source.mean - target.mean, root_of_moments(source), root_of_moments(target))
 
-    def _warn_of_few_rows(self):
+    def _warn_of_few_rows(self) -> None:
         source, target, _ = self._learned
         n_rows = min(source.n_rows, target.n_rows)
         if n_rows <= self.n_features_in_ and self.rank_ < self.n_features_in_:
@@ -433,7 +456,7 @@ class MomentTransport(BaseTransport):
                 stacklevel=4,
             )
 
-    def _warn_of_unreached(self):
+    def _warn_of_unreached(self) -> None:
         if self.unreached_ > 0:
             warnings.warn(
                 f"{100 * self.unreached_:.2g} % of the target's variance cannot be reached: the target varies where "
@@ -442,7 +465,7 @@ class MomentTransport(BaseTransport):
                 stacklevel=4,
             )
 
-    def _look_outside(self, X, keep):
+    def _look_outside(self, X: AnyArray, keep: AnyArray | None) -> None:
         """Warn or raise where more rows lie outside the support than the level lets expect."""
         if self.outside == "ignore" or is_dask(X):
             return
@@ -464,11 +487,11 @@ class MomentTransport(BaseTransport):
             raise ValueError(message)
         warnings.warn(message, UserWarning, stacklevel=4)
 
-    def _carry(self, X, keep=None):
+    def _carry(self, X: AnyArray, keep: AnyArray | None = None) -> AnyArray:
         self._look_outside(X, keep)
         return apply_map(self._map, X, keep=keep, check=self._refuse_rows)
 
-    def _carry_back(self, X):
+    def _carry_back(self, X: AnyArray) -> AnyArray:
         if self._back is None:
             scale = self._learned[2]
             try:
@@ -481,11 +504,11 @@ class MomentTransport(BaseTransport):
             self._back = affine if self.metric_scale is None else affine.scaled(scale)
         return apply_map(self._back, X, check=self._refuse_rows)
 
-    def _refuse_rows(self, rows):
+    def _refuse_rows(self, rows: AnyArray) -> NoReturn:
         self._refuse_infinite((rows, "X"))
 
 
-def _merged(first, second, half_life):
+def _merged(first: Moments | None, second: Moments | None, half_life: float | None) -> Moments | None:
     if first is None or second is None:
         return second if first is None else first
     if half_life is not None:
@@ -493,7 +516,7 @@ def _merged(first, second, half_life):
     return first + second
 
 
-def _share_outside(source, target):
+def _share_outside(source: Moments, target: Moments) -> float:
     """Return the share of the target's variance in directions in which the source does not vary."""
     directions = spectrum(root_of_moments(source))[0]
     if directions.shape[1] == source.n_features:
@@ -504,5 +527,5 @@ def _share_outside(source, target):
     return share if share > len(directions) * EPS else 0.0
 
 
-def _given(samples):
+def _given(samples: Samples) -> AnyArray:
     return samples.target if samples.source is None else samples.source

@@ -3,12 +3,15 @@
 import warnings
 
 import numpy as np
+from numpy.typing import ArrayLike
+from sklearn.base import BaseEstimator
 
 from skat._compat import StrOptions
-from skat.gaussian import AffineMap, root_of_moments
+from skat.gaussian import AffineMap, Moments, root_of_moments
+from skat.gaussian.arrays import AnyArray, Floats
 from skat.gaussian.backends import beside
-from skat.transport.alignment import look_shuffled, raw_alignment, whitened_alignment
-from skat.transport.base import same_length
+from skat.transport.alignment import Alignment, look_shuffled, raw_alignment, whitened_alignment
+from skat.transport.base import Samples, same_length
 from skat.transport.moment_transport import MomentTransport, Solution
 
 __all__ = ["ProcrustesAffineTransport"]
@@ -77,16 +80,16 @@ class ProcrustesAffineTransport(MomentTransport):
     def __init__(
         self,
         *,
-        alignment="whitened",
-        center=True,
-        covariance="empirical",
-        mean="empirical",
-        metric_scale=None,
-        rank_deficient="raise",
-        outside="ignore",
-        unlabelled="raise",
-        source_domain=None,
-    ):
+        alignment: str = "whitened",
+        center: bool = True,
+        covariance: str | BaseEstimator = "empirical",
+        mean: str = "empirical",
+        metric_scale: str | ArrayLike | None = None,
+        rank_deficient: str = "raise",
+        outside: str = "ignore",
+        unlabelled: str = "raise",
+        source_domain: object = None,
+    ) -> None:
         super().__init__(
             covariance=covariance,
             mean=mean,
@@ -99,7 +102,7 @@ class ProcrustesAffineTransport(MomentTransport):
         self.alignment = alignment
         self.center = center
 
-    def _check_parameters(self):
+    def _check_parameters(self) -> None:
         super()._check_parameters()
         if not self.center and self.alignment != "raw":
             raise ValueError(
@@ -107,7 +110,7 @@ class ProcrustesAffineTransport(MomentTransport):
                 'covariances, which are centred. Use center=True or alignment="raw".'
             )
 
-    def _sets_of_rows(self, samples):
+    def _sets_of_rows(self, samples: Samples) -> list[tuple[AnyArray | None, AnyArray | None]]:
         """Return the pairs, as rows of twice the columns."""
         if samples.source is None or samples.target is None:
             raise ValueError(
@@ -127,28 +130,28 @@ class ProcrustesAffineTransport(MomentTransport):
             raise ValueError("a pair has one weight: give one array of weights, not two that differ.")
         return [(beside(samples.source, samples.target), samples.source_weight)]
 
-    def _sides(self):
+    def _sides(self) -> tuple[Moments | None, Moments | None]:
         (pairs,) = self._moments
         if pairs is None:
             return None, None
         n_features = pairs.n_features // 2
         return pairs.columns(slice(0, n_features)), pairs.columns(slice(n_features, None))
 
-    def _pairs(self):
+    def _pairs(self) -> Moments | None:
         return self._moments[0]
 
-    def _solve(self, source, target, scale):
+    def _solve(self, source: Moments, target: Moments, scale: Floats) -> Solution:
         alignment = self._aligned(source, target, scale, warn=self._warns)
         affine = AffineMap.between(alignment.coef, source, target)
         return Solution(affine, alignment.rank, alignment.unreached, {"rotation_": alignment.rotation})
 
-    def _solve_back(self, source, target, scale):
+    def _solve_back(self, source: Moments, target: Moments, scale: Floats) -> AffineMap:
         alignment = self._aligned(source, target, scale, warn=False)
         if alignment.inverse_coef is None:
             raise np.linalg.LinAlgError("the target has the lower rank")
         return AffineMap.between(alignment.inverse_coef, target, source)
 
-    def _aligned(self, source, target, scale, *, warn):
+    def _aligned(self, source: Moments, target: Moments, scale: Floats, *, warn: bool) -> Alignment:
         (pairs,) = self._moments
         n_features = source.n_features
         factor = pairs.covariance_factor() / np.concatenate([scale, scale])

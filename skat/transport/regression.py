@@ -3,6 +3,7 @@
 import numpy as np
 
 from skat.gaussian import AffineMap, Moments, optimal_map, root_of_factor, root_of_moments
+from skat.gaussian.arrays import Flags, Floats
 from skat.gaussian.maps import EPS, reached_part
 from skat.gaussian.moments import triangle
 from skat.transport.shrinkage import shrunk_towards
@@ -13,7 +14,9 @@ __all__ = ["conditional_map", "regression", "ridge_regression"]
 PENALTIES = np.concatenate([[0.0], np.logspace(-4, 4, 33)])
 
 
-def conditional_map(source, target, context, *, shrinkage=None, reach=False):
+def conditional_map(
+    source: Moments, target: Moments, context: Flags, *, shrinkage: str | None = None, reach: bool = False
+) -> tuple[AffineMap, int, float]:
     r"""Return the map that leaves the context untouched and transports the rest given it, and its rank.
 
     With :math:`z \mid c \sim (m + B c, D)` in each domain,
@@ -71,7 +74,7 @@ def conditional_map(source, target, context, *, shrinkage=None, reach=False):
     return AffineMap(coef, source.mean, image, untouched=context), int(context.sum()) + rank, float(unreached)
 
 
-def regression(moments, context):
+def regression(moments: Moments, context: Flags) -> tuple[Floats, Floats]:
     """Return the slope of the other columns on the context, and a root of the residuals' covariance.
 
     Parameters
@@ -106,7 +109,7 @@ def regression(moments, context):
     return slope, root_of_factor(residual, np.sqrt(np.square(response).sum(axis=0)), rounding)
 
 
-def ridge_regression(moments, context, prior):
+def ridge_regression(moments: Moments, context: Flags, prior: Floats) -> tuple[Floats, Floats, float]:
     r"""Return the slope of the other columns on the context, drawn towards one known beforehand.
 
     .. math:: B = B_0 + \Delta, \quad \Delta = \arg\min_\Delta \sum_k \|z_k - B_0 c_k - \Delta c_k\|^2
@@ -166,7 +169,9 @@ def ridge_regression(moments, context, prior):
     return slope, residual * np.sqrt(n_rows / np.maximum(n_rows - used, 1.0)), float(used.max())
 
 
-def _drawn_to_source(source, target, context, source_slope, source_root, reach):
+def _drawn_to_source(
+    source: Moments, target: Moments, context: Flags, source_slope: Floats, source_root: Floats, reach: bool
+) -> tuple[Floats, Floats]:
     """Return slope and root of the residuals' covariance of the target, drawn towards the source's."""
     slope, residual, freedom = ridge_regression(target, context, source_slope)
     # The source's residuals have used up a degree of freedom for each column of the context.

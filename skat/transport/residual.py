@@ -1,6 +1,7 @@
 """A regression of what a transport leaves, with a weight that falls to zero where it does not help."""
 
 import warnings
+from typing import Self
 
 import numpy as np
 from scipy.linalg import solve
@@ -8,8 +9,9 @@ from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.utils.validation import has_fit_parameter
 
 from skat._compat import HasMethods
+from skat.gaussian.arrays import AnyArray, Flags, Floats, Places
 from skat.gaussian.backends import is_dask, on_host
-from skat.transport.base import BaseTransport, same_length
+from skat.transport.base import BaseTransport, Samples, same_length
 from skat.transport.procrustes import ProcrustesAffineTransport
 
 __all__ = ["KernelRidgeCV", "ResidualTransport"]
@@ -84,13 +86,21 @@ class ResidualTransport(BaseTransport):
         "cv": ["cv_object"],
     }
 
-    def __init__(self, transport=None, regressor=None, *, cv=3, unlabelled="raise", source_domain=None):
+    def __init__(
+        self,
+        transport: BaseTransport | None = None,
+        regressor: BaseEstimator | None = None,
+        *,
+        cv: object = 3,
+        unlabelled: str = "raise",
+        source_domain: object = None,
+    ) -> None:
         super().__init__(unlabelled=unlabelled, source_domain=source_domain)
         self.transport = transport
         self.regressor = regressor
         self.cv = cv
 
-    def _fit(self, samples):
+    def _fit(self, samples: Samples) -> None:
         from sklearn.model_selection import check_cv
 
         if is_dask(samples.source) or is_dask(samples.target):
@@ -127,7 +137,7 @@ class ResidualTransport(BaseTransport):
         if self.weights_.any():
             self.regressor_ = _fitted(regressor, X, residuals, weight)
 
-    def _carry(self, X, keep=None):
+    def _carry(self, X: AnyArray, keep: AnyArray | None = None) -> AnyArray:
         rows = np.asarray(on_host(X), dtype=np.float64)
         if not np.isfinite(rows).all():
             self._refuse_infinite((rows, "X"))
@@ -139,17 +149,17 @@ class ResidualTransport(BaseTransport):
             carried = np.where(np.asarray(keep)[:, np.newaxis], rows, carried)
         return carried.astype(np.float32 if on_host(X).dtype == np.float32 else np.float64)
 
-    def support_distance(self, X):
+    def support_distance(self, X: AnyArray) -> Floats:
         """Return how far rows are from the fitted ones, as of `transport_`."""
         self._check_is_fitted()
         return self.transport_.support_distance(X)
 
-    def in_support(self, X, *, level=0.99):
+    def in_support(self, X: AnyArray, *, level: float = 0.99) -> Flags:
         """Return which rows lie where the fitted ones do, as of `transport_`."""
         self._check_is_fitted()
         return self.transport_.in_support(X, level=level)
 
-    def _carry_back(self, X):
+    def _carry_back(self, X: AnyArray) -> AnyArray:
         raise np.linalg.LinAlgError(
             "a transport that a regression corrects has no inverse. Take that of transport_, or fit one with the "
             "two domains exchanged."
@@ -168,7 +178,7 @@ class KernelRidgeCV(RegressorMixin, BaseEstimator):
         Of the length and the penalty chosen, fitted to all rows.
     """
 
-    def fit(self, X, y, sample_weight=None):
+    def fit(self, X: Floats, y: Floats, sample_weight: AnyArray | None = None) -> Self:
         """Fit the regression to rows of shape (n_rows, n_features) and as many outputs."""
         from sklearn.kernel_ridge import KernelRidge
         from sklearn.pipeline import make_pipeline
@@ -188,12 +198,14 @@ class KernelRidgeCV(RegressorMixin, BaseEstimator):
         self.model_.fit(X, y, **{f"{name}__sample_weight": sample_weight for name in names})
         return self
 
-    def predict(self, X):
+    def predict(self, X: Floats) -> Floats:
         """Return the outputs of rows."""
         return self.model_.predict(X)
 
 
-def _errors_by_penalty(X, y, weight, train, test, gammas):
+def _errors_by_penalty(
+    X: Floats, y: Floats, weight: Floats, train: Places, test: Places, gammas: Floats
+) -> Floats:
     """Return the weighted mean squared error on the rows of one fold, by length and penalty."""
     from sklearn.metrics import euclidean_distances
     from sklearn.preprocessing import StandardScaler
@@ -214,7 +226,7 @@ def _errors_by_penalty(X, y, weight, train, test, gammas):
     return errors
 
 
-def _weights(residuals, predictions, weight):
+def _weights(residuals: Floats, predictions: Floats, weight: Floats | None) -> Floats:
     """Return the weight of each column's prediction: of least squared error, less its own uncertainty."""
     weight = np.ones(len(residuals)) if weight is None else weight / weight.mean()
     product = weight @ (residuals * predictions)
@@ -227,7 +239,7 @@ def _weights(residuals, predictions, weight):
     return np.clip(drawn, 0.0, 1.0)
 
 
-def _fitted(estimator, X, y, weight):
+def _fitted(estimator: BaseEstimator, X: Floats, y: Floats, weight: Floats | None) -> BaseEstimator:
     with warnings.catch_warnings():
         # The fit to all rows has said that they are few.
         warnings.filterwarnings("ignore", message=".*rows cannot show how", category=UserWarning)
@@ -239,18 +251,18 @@ def _fitted(estimator, X, y, weight):
         return estimator.fit(X, y, **_given(weight))
 
 
-def _given(weight):
+def _given(weight: Floats | None) -> dict[str, Floats]:
     return {} if weight is None else {"sample_weight": weight}
 
 
-def _part(weight, rows):
+def _part(weight: Floats | None, rows: Places) -> Floats | None:
     return None if weight is None else weight[rows]
 
 
-def _rows_of(predictions, n_features):
+def _rows_of(predictions: AnyArray, n_features: int) -> Floats:
     return np.asarray(predictions, dtype=np.float64).reshape(-1, n_features)
 
 
-def _deviations(rows):
+def _deviations(rows: Floats) -> Floats:
     deviation = rows.std(axis=0)
     return np.where(deviation > 0, deviation, 1.0)

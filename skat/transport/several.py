@@ -1,10 +1,14 @@
 """Several source domains at once: a map for each, directly or by way of their barycentre."""
 
+from collections.abc import Hashable
+from typing import NoReturn, Self
+
 import numpy as np
 from sklearn.base import clone
 
 from skat._compat import HasMethods, StrOptions, safe_indexing
 from skat.gaussian import AffineMap, covariance_root, optimal_map, row_moments
+from skat.gaussian.arrays import AnyArray, Flags, Floats, Places
 from skat.gaussian.backends import is_dask, on_host
 from skat.transport.affine import AffineTransport
 from skat.transport.base import BaseTransport
@@ -64,7 +68,14 @@ class MultiSourceTransport(BaseTransport):
         "unlabelled": [StrOptions({"raise", "target"})],
     }
 
-    def __init__(self, transport=None, *, by="each", target_domain=None, unlabelled="raise"):
+    def __init__(
+        self,
+        transport: BaseTransport | None = None,
+        *,
+        by: str = "each",
+        target_domain: object = None,
+        unlabelled: str = "raise",
+    ) -> None:
         self.transport = transport
         self.by = by
         self.target_domain = target_domain
@@ -72,7 +83,13 @@ class MultiSourceTransport(BaseTransport):
 
     source_domain = None
 
-    def fit(self, X, y=None, sample_weight=None, sample_domain=None):
+    def fit(
+        self,
+        X: AnyArray,
+        y: AnyArray | None = None,
+        sample_weight: AnyArray | None = None,
+        sample_domain: AnyArray | None = None,
+    ) -> Self:
         """Learn the maps.
 
         Parameters
@@ -141,7 +158,7 @@ class MultiSourceTransport(BaseTransport):
         self.wasserstein_distance_ = float(np.sqrt(np.average(np.square(distances), weights=sizes)))
         return self
 
-    def transform(self, X, sample_domain=None):
+    def transform(self, X: AnyArray, sample_domain: AnyArray | None = None) -> AnyArray:
         """Carry the rows of each source domain over by its own map.
 
         Parameters
@@ -189,11 +206,17 @@ class MultiSourceTransport(BaseTransport):
                 carried[mask] = on_host(transport.transform(moved))
         return carried
 
-    def inverse_transform(self, X):
+    def inverse_transform(self, X: AnyArray) -> NoReturn:
         """Raise: a target row comes from no domain in particular."""
         raise ValueError("target rows have one origin for each source domain. Use transports_[label].")
 
-    def score(self, X, y=None, sample_weight=None, sample_domain=None):
+    def score(
+        self,
+        X: AnyArray,
+        y: AnyArray | None = None,
+        sample_weight: AnyArray | None = None,
+        sample_domain: AnyArray | None = None,
+    ) -> float:
         """Return the mean affinity of the carried rows of each source domain and the target rows.
 
         Parameters
@@ -221,7 +244,7 @@ class MultiSourceTransport(BaseTransport):
             sizes.append(mask.sum())
         return float(np.average(scores, weights=sizes))
 
-    def _labels(self, sample_domain, rows):
+    def _labels(self, sample_domain: AnyArray, rows: AnyArray) -> list[Hashable]:
         """Return the label of each row's source domain, None for target rows."""
         labels = on_host(sample_domain)
         if labels.ndim != 1 or len(labels) != len(rows):
@@ -236,7 +259,9 @@ class MultiSourceTransport(BaseTransport):
             return [None if label < 0 else label for label in labels]
         return [None if label in ("real", "target", "measured") else label for label in labels]
 
-    def _to_barycentre(self, rows, members, weight):
+    def _to_barycentre(
+        self, rows: AnyArray, members: dict[Hashable, Flags], weight: Floats | None
+    ) -> dict[Hashable, AffineMap]:
         """Return the map of each source to the barycentre of them all."""
         import ot
 
@@ -261,6 +286,13 @@ class MultiSourceTransport(BaseTransport):
         }
 
 
-def _fitted(transport, source, target, weight, source_rows, target_rows):
+def _fitted(
+    transport: BaseTransport,
+    source: AnyArray,
+    target: AnyArray,
+    weight: Floats | None,
+    source_rows: Flags | Places,
+    target_rows: Flags,
+) -> BaseTransport:
     given = {} if weight is None else {"sample_weight": (weight[source_rows], weight[target_rows])}
     return clone(transport).fit(source, target, **given)

@@ -1,11 +1,15 @@
 """Rows outside of what was fitted: how far they are, whether they belong, and weights that make up for a shift."""
 
 from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import bandwidth, solve_triangular
+from sklearn.base import ClassifierMixin
 
-from skat.gaussian import root_of_moments, spectrum
+from skat.gaussian import Moments, root_of_moments, spectrum
+from skat.gaussian.arrays import AnyArray, Floats, Places
 from skat.gaussian.maps import EPS
 from skat.metrics.samples import two_samples
 
@@ -30,30 +34,30 @@ class Distances:
         In standard deviations.
     """
 
-    values: np.ndarray
+    values: NDArray[np.float32]
 
     @classmethod
-    def of(cls, values, earlier=None):
+    def of(cls, values: Floats, earlier: Self | None = None) -> Self:
         """Return distances after others that came earlier."""
         seen = values if earlier is None else np.concatenate([earlier.values, values])
         return cls(seen[-MOST_CALIBRATING_ROWS:].astype(np.float32))
 
     @property
-    def quantiles(self):
+    def quantiles(self) -> NDArray[np.float32]:
         """What is usual: distances at the levels ``LEVELS``."""
         return np.sort(self.values)[_places(len(self.values))]
 
-    def __getstate__(self):
+    def __getstate__(self) -> dict[str, Any]:
         # A tenth of the numbers, and all that is asked of them.
         return {"quantiles": self.quantiles, "n_rows": len(self.values)}
 
-    def __setstate__(self, state):
+    def __setstate__(self, state: dict[str, Any]) -> None:
         ranks = np.arange(state["n_rows"])
         values = np.interp(ranks, _places(len(ranks)), state["quantiles"]).astype(np.float32)
         vars(self)["values"] = values
 
 
-def _places(n_rows):
+def _places(n_rows: int) -> Places:
     """Return where in order the distances of so many rows are those at the levels."""
     # Of one more row than there are, as in conformal prediction; of too few rows for a level the farthest.
     places = np.minimum(np.ceil(LEVELS * (n_rows + 1)).astype(int), n_rows) - 1
@@ -79,13 +83,13 @@ class Support:
         Distances at the levels ``LEVELS``; None where there are no rows to see them from.
     """
 
-    mean: np.ndarray
-    scale: np.ndarray
-    root: np.ndarray
-    quantiles: np.ndarray | None = None
+    mean: Floats
+    scale: Floats
+    root: Floats
+    quantiles: NDArray[np.float32] | None = None
 
     @classmethod
-    def of(cls, moments, rows=None, weight=None):
+    def of(cls, moments: Moments, rows: Floats | None = None, weight: Floats | None = None) -> Self:
         """Return the support of rows with these moments, calibrated by some of them.
 
         Parameters
@@ -105,17 +109,17 @@ class Support:
             return support
         return support.calibrated(Distances.of(support.left_out(rows, moments, weight)))
 
-    def calibrated(self, distances):
+    def calibrated(self, distances: Distances) -> Self:
         """Return the support with what is usual taken from `Distances` of rows that are usual."""
         return replace(self, quantiles=distances.quantiles)
 
-    def distance(self, rows):
+    def distance(self, rows: Floats) -> Floats:
         """Return the Mahalanobis distance of rows; infinite off the plane in which the fitted rows lie."""
         starts = range(0, len(rows), ROWS_AT_A_TIME)
         blocks = [self._distance(rows[start : start + ROWS_AT_A_TIME]) for start in starts]
         return np.concatenate(blocks) if blocks else np.empty(0)
 
-    def _distance(self, rows):
+    def _distance(self, rows: Floats) -> Floats:
         centred = (np.asarray(rows, dtype=np.float64) - self.mean) / self.scale
         if self.root.shape[1] == len(self.root) and bandwidth(self.root)[1] == 0:
             return np.linalg.norm(
@@ -129,7 +133,7 @@ class Support:
         distances[off > 1e3 * np.sqrt(EPS) * np.maximum(size, 1.0)] = np.inf
         return distances
 
-    def left_out(self, rows, moments, weight=None):
+    def left_out(self, rows: Floats, moments: Moments, weight: Floats | None = None) -> Floats:
         """Return the distance of fitted rows in the covariance of the others.
 
         Parameters
@@ -150,7 +154,7 @@ class Support:
         rest = np.maximum(1.0 - share * (1.0 + squares), EPS)
         return np.sqrt(squares / rest)
 
-    def radius(self, level):
+    def radius(self, level: float) -> float:
         """Return the distance that a share `level` of rows of the fitted law does not exceed."""
         if not 0.0 < level < 1.0:
             raise ValueError(f"level must be a share between 0 and 1, as 0.99; it is {level!r}.")
@@ -162,7 +166,9 @@ class Support:
         return float(self.quantiles[np.searchsorted(LEVELS, level - 1e-12)])
 
 
-def importance_weights(X, y, *, classifier=None, cv=5):
+def importance_weights(
+    X: AnyArray, y: AnyArray, *, classifier: ClassifierMixin | None = None, cv: object = 5
+) -> Floats:
     r"""Return weights that make rows of one sample count as if they came from the law of another.
 
     .. math:: w(x) = \frac{p_y(x)}{p_x(x)} \propto \frac{\Pr(y \mid x)}{\Pr(x \mid x)}

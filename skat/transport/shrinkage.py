@@ -5,12 +5,15 @@ from dataclasses import replace
 import numpy as np
 
 from skat.gaussian import check_that_source_reaches_target, root_of_moments, spectrum
+from skat.gaussian.arrays import Floats
 from skat.gaussian.moments import Moments
 
 __all__ = ["mean_drawn_towards", "shrinkage_intensity", "shrunk_towards"]
 
 
-def shrunk_towards(target, source, pairs=None, *, reach=False):
+def shrunk_towards(
+    target: Moments, source: Moments, pairs: Moments | None = None, *, reach: bool = False
+) -> tuple[Moments, float]:
     r"""Return target moments with the covariance shrunk towards the source's, and by how much.
 
     In coordinates that whiten the source, so that nothing depends on units, the root of the target's
@@ -73,7 +76,9 @@ def shrunk_towards(target, source, pairs=None, *, reach=False):
     return moments, intensity
 
 
-def mean_drawn_towards(target, source, n_target, n_source, pairs=None):
+def mean_drawn_towards(
+    target: Moments, source: Moments, n_target: float, n_source: float, pairs: Moments | None = None
+) -> tuple[Moments, float]:
     r"""Return target moments with the mean drawn towards the source's, and by how much.
 
     In coordinates that whiten the source, so that nothing depends on units, with the difference :math:`d` of the means
@@ -122,7 +127,7 @@ def mean_drawn_towards(target, source, n_target, n_source, pairs=None):
     return replace(target, mean=target.mean - intensity * (directions @ (spread * whitened))), intensity
 
 
-def shrinkage_intensity(values, n_rows, explained=None):
+def shrinkage_intensity(values: Floats, n_rows: float, explained: Floats | None = None) -> float:
     r"""Return the weight of the identity that makes the expected squared error of a root least.
 
     .. math:: \lambda = \frac{\operatorname{E} \|\hat R - R\|^2}{\operatorname{E} \|\hat R - I\|^2}, \quad
@@ -160,7 +165,7 @@ def shrinkage_intensity(values, n_rows, explained=None):
         return 1.0
     if distance == 0:
         return 0.0
-    shared = 0.0
+    shared: Floats | float = 0.0
     if explained is not None:
         shared = np.outer(explained.diagonal(), explained.diagonal()) + np.square(explained)
     eigenvalues = np.square(values)
@@ -177,7 +182,7 @@ def shrinkage_intensity(values, n_rows, explained=None):
     return float(min(1.0, max(error, 0.0) / distance))
 
 
-def _explained(cosines, n_rows):
+def _explained(cosines: Floats, n_rows: float) -> Floats:
     """Return P of `shrinkage_intensity` from products of orthonormal scores, less what chance explains."""
     freedom, n_source = n_rows - 1, len(cosines)
     if freedom <= n_source:

@@ -1,9 +1,16 @@
 """Cross-validation over stacked rows that scores target rows only."""
 
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Self
+
 import numpy as np
 from sklearn.utils.metadata_routing import UNCHANGED, MetadataRequest
 
+from skat.gaussian.arrays import AnyArray, Places
 from skat.metrics.domains import domain_signs
+
+if TYPE_CHECKING:
+    from sklearn.model_selection import BaseCrossValidator
 
 __all__ = ["TargetRows"]
 
@@ -41,20 +48,39 @@ class TargetRows:
     [0 2 1 3 5] [4]
     """
 
-    def __init__(self, cv=5, *, sample_domain=None, source_domain=None, paired=False):
+    def __init__(
+        self,
+        cv: object = 5,
+        *,
+        sample_domain: AnyArray | None = None,
+        source_domain: object = None,
+        paired: bool = False,
+    ) -> None:
         self.cv = cv
         self.sample_domain = sample_domain
         self.source_domain = source_domain
         self.paired = paired
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         return f"TargetRows({self.cv!r})"
 
-    def get_n_splits(self, X=None, y=None, groups=None, sample_domain=None):
+    def get_n_splits(
+        self,
+        X: AnyArray | None = None,
+        y: AnyArray | None = None,
+        groups: AnyArray | None = None,
+        sample_domain: AnyArray | None = None,
+    ) -> int:
         """Return the number of folds."""
         return self._cv(None).get_n_splits(X, y, groups)
 
-    def split(self, X, y=None, groups=None, sample_domain=None):
+    def split(
+        self,
+        X: AnyArray,
+        y: AnyArray | None = None,
+        groups: AnyArray | None = None,
+        sample_domain: AnyArray | None = None,
+    ) -> Iterator[tuple[Places, Places]]:
         """Yield row numbers to train on and target row numbers to validate on.
 
         Parameters
@@ -96,12 +122,12 @@ class TargetRows:
         for train, test in self._cv(y).split(np.empty((len(target), 1)), y, groups):
             yield _alternating(source[train] if self.paired else source, target[train]), target[test]
 
-    def _cv(self, y):
+    def _cv(self, y: AnyArray | None) -> "BaseCrossValidator":
         from sklearn.model_selection import check_cv
 
         return check_cv(self.cv, y)
 
-    def get_metadata_routing(self):
+    def get_metadata_routing(self) -> MetadataRequest:
         """Ask for `groups` and `sample_domain` where they are given."""
         routing = MetadataRequest(owner=self)
         wanted = {"groups": getattr(self, "_groups", None), "sample_domain": True}
@@ -109,14 +135,14 @@ class TargetRows:
             routing.split.add_request(param=name, alias=alias)
         return routing
 
-    def set_split_request(self, *, groups=UNCHANGED):
+    def set_split_request(self, *, groups: bool | str | None = UNCHANGED) -> Self:
         """Ask for `groups`, or not, in metadata routing."""
         if groups is not UNCHANGED:
             self._groups = groups
         return self
 
 
-def _alternating(first, second):
+def _alternating(first: Places, second: Places) -> Places:
     """Return the numbers of both, each in its order, so that any part from the front holds them in proportion."""
     places = np.concatenate([(np.arange(len(part)) + 0.5) / max(len(part), 1) for part in (first, second)])
     return np.concatenate([first, second])[np.argsort(places, kind="stable")]

@@ -274,6 +274,8 @@ def test_a_bad_map_is_told(tmp_path):
         read_map(path=text(tmp_path, "qpos = ", "map.toml"))
     with pytest.raises(LogError, match="has no text for time"):
         read_map(path=text(tmp_path, "[columns]\ntime = [1]", "map.toml"))
+    with pytest.raises(LogError, match=r"columns = 3 where a table was expected.*\[columns\]"):
+        read_map(path=text(tmp_path, "columns = 3", "map.toml"))
 
 
 def test_no_pickle_is_ever_run(tmp_path, arm):

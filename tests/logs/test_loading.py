@@ -212,6 +212,31 @@ def test_gaps_become_episodes(cart):
     assert log.group_names == ("0", "0 (2)")
 
 
+def test_a_lone_row_between_gaps_is_no_episode(cart):
+    long = smooth(100)
+    long.loc[60:, "time"] += 3.0
+    long.loc[61:, "time"] += 3.0
+    log = load_log(long, cart)
+    np.testing.assert_array_equal(log.groups, [0] * 59 + [1] * 38)
+    assert log.group_names == ("0", "0 (3)")
+
+
+def test_a_single_stamp_that_is_late_moves_no_other(cart):
+    late = smooth(101)
+    late.loc[50, "time"] += 0.006
+    log = load_log(late, cart)
+    assert any("time stamps jitter" in note for note in log.notes)
+    np.testing.assert_allclose(log.time, smooth(101)["time"][:-1], rtol=0, atol=1e-4)
+
+
+def test_what_was_told_is_marked_so_and_what_was_found_by_its_name(table, cart):
+    how = {match.name: match.how for match in load_log(table, cart).matches}
+    assert (how["time"], how["episode"]) == ("by its name", "by its name")
+    told = load_log(table, cart, columns={"time": "time", "episode": "episode"})
+    how = {match.name: match.how for match in told.matches}
+    assert (how["time"], how["episode"]) == ("told", "told")
+
+
 def test_a_clock_that_starts_anew_begins_an_episode(table, cart):
     table["time"] %= 5
     log = load_log(table.drop(columns="episode"), cart)
@@ -410,6 +435,17 @@ def test_a_root_that_is_not_in_the_log_is_welded_or_not_measured():
     fixed = load_log(log, robot, base="fixed")
     assert fixed.simulator.input_names == ("qpos.hip", "qvel.hip", "ctrl.hip")
     assert np.isfinite(fixed.X).all()
+
+
+def test_quaternions_get_unit_length_and_keep_their_direction():
+    robot = MujocoSimulator(QUADRUPED, frame_skip=5)
+    half = np.linspace(0, 0.3, 60)
+    log = {name: np.zeros(60) for name in robot.input_names} | {"time": 0.01 * np.arange(60)}
+    log |= {"qpos.root.qw": 1.02 * np.cos(half), "qpos.root.qz": 1.02 * np.sin(half)}
+    found = load_log(log, robot)
+    column = robot.input_names.index("qpos.root.qw")
+    turned = np.column_stack([np.cos(half), 0 * half, 0 * half, np.sin(half)])
+    np.testing.assert_allclose(found.X[:, column : column + 4], turned[:-1], rtol=0, atol=1e-12)
 
 
 def test_a_constant_stands_for_commands_that_were_not_given(table, cart):

@@ -44,6 +44,13 @@ def test_a_sign_is_told_and_the_options_put_it_right(arm, frame):
     np.testing.assert_array_equal(load_log(theirs, arm, **suspect.options).X, load_log(frame, arm).X)
 
 
+def test_a_mistake_is_told_of_a_log_that_begins_at_rest(arm, frame):
+    still = pd.DataFrame(0.0, index=range(60), columns=frame.columns).assign(time=np.arange(60) * 0.01)
+    moving = frame.assign(**{name: -frame[name] for name in ("qpos.elbow", "qvel.elbow")})
+    log = load_log(pd.concat([still.assign(episode=0.0), moving.assign(episode=1.0)]), arm)
+    assert first(log).sentence == "qpos.elbow and qvel.elbow have the opposite sign"
+
+
 def test_commands_that_are_late_are_told(arm, frame):
     theirs = frame.assign(**{name: frame[name].shift(2).bfill() for name in ("ctrl.elbow", "ctrl.shoulder")})
     suspect = first(load_log(theirs, arm))

@@ -72,3 +72,9 @@ def test_a_lopsided_force_limit_bounds_as_its_larger_side_does():
         for limit in ('forcerange="-10 54"', 'forcerange="-54 54"')
     )
     assert lopsided == even
+
+
+def test_a_motor_may_be_turned_round_at_any_strength_that_it_may_have_the_right_way():
+    for name in ("gain[wrist]", "gain[all]"):
+        low, high = effects_of()[name].bounds
+        assert low == -high

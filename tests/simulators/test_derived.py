@@ -301,3 +301,12 @@ def test_bounds_and_a_total_of_masses_are_those_of_the_compiler(fused, tmp_path,
     simulator.to_mjcf(tmp_path / "same.xml")
     same = stepped((tmp_path / "same.xml").read_text(), row, 20)
     np.testing.assert_allclose(same, stepped(text, row, 20), rtol=1e-9, atol=1e-9)
+
+
+def test_an_explicit_inertia_grows_with_the_square_of_a_links_length():
+    arm = """<mujoco><worldbody><body name="link"><joint axis="0 1 0"/>
+      <inertial pos=".2 0 0" mass="2" diaginertia=".03 .02 .015"/><geom size=".05" pos=".4 0 0"/>
+    </body></worldbody></mujoco>"""
+    longer = MujocoSimulator(arm).compiled({"length[link]": 1.5})
+    np.testing.assert_allclose(longer.body_inertia[1], 1.5**2 * np.array([0.03, 0.02, 0.015]), rtol=1e-12)
+    assert longer.body_mass[1] == 2

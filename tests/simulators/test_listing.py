@@ -107,3 +107,20 @@ def test_delay_that_ends_within_the_first_time_step_is_written_beside(tmp_path, 
     assert ("delay" in path.read_text().partition("<actuator>")[2]) == written
     told = [one["name"] for file in beside for one in json.loads(file.read_text())["effects"]]
     assert told == ["delay[action]"] * (not written)
+
+
+@pytest.mark.parametrize(
+    ("actuator", "default", "asked"),
+    [
+        ('<motor name="drive" joint="x"/>', "gain[drive]", "bias[ctrl.drive]"),
+        ('<position name="drive" joint="x" kp="9"/>', "offset[drive]", "scale[ctrl.drive]"),
+    ],
+)
+def test_a_command_is_scaled_or_shifted_only_where_nothing_else_does_the_same(actuator, default, asked):
+    """A motor's gain scales its command, and a servo's offset shifts it."""
+    simulator = MujocoSimulator(hinged(rest=f"<actuator>{actuator}</actuator>"))
+    listed = {effect.name for effect in simulator.effects()}
+    every = {effect.name for effect in simulator.effects(also="all")}
+    assert default in listed
+    assert {name for name in every if "ctrl.drive" in name} == {asked}
+    assert asked not in listed

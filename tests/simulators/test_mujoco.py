@@ -2,7 +2,10 @@
 
 import copy
 import json
+import os
 import pickle
+import subprocess
+import sys
 
 import mujoco
 import numpy as np
@@ -476,3 +479,21 @@ def test_missing_asset_is_named(tmp_path):
     text = '<mujoco><asset><mesh name="a" file="gone.stl"/></asset><worldbody/></mujoco>'
     with pytest.raises(FileNotFoundError, match=r"refers to the file 'gone.stl'"):
         MujocoSimulator(text)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_a_forked_process_simulates_as_its_parent_does():
+    """The threads of the parent's batches are not in the child, which would wait for them."""
+    code = """
+import os, signal, sys
+import numpy as np
+from skat.simulators import make_simulator
+simulator = make_simulator("hopper")
+rows = np.random.default_rng(0).normal(scale=0.1, size=(300, len(simulator.input_names)))
+here = simulator.predict(rows)
+if (child := os.fork()) == 0:
+    signal.alarm(30)
+    os._exit(not np.array_equal(simulator.predict(rows), here))
+sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+    assert subprocess.run([sys.executable, "-W", "ignore", "-c", code]).returncode == 0

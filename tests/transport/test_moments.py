@@ -97,6 +97,17 @@ def test_ill_conditioned_rows_are_held_as_a_factor_and_others_as_a_product():
     assert smallest == pytest.approx(np.linalg.svd(centred, compute_uv=False)[-1] / np.sqrt(60_000), rel=1e-9)
 
 
+def test_so_are_those_of_many_columns_of_which_two_nearly_agree():
+    rng = np.random.default_rng(0)
+    centred = rng.normal(size=(500, 402))
+    axes = np.linalg.qr(centred - centred.mean(axis=0))[0]
+    for condition, is_factor in ((1.6e6, True), (0.6e6, False)):
+        correlation = (condition - 1) / (condition + 1)
+        twin = correlation * axes[:, 0] + np.sqrt(1 - correlation**2) * axes[:, 401]
+        moments = row_moments(np.column_stack([axes[:, :400], twin]))
+        assert (moments.factor is not None) == is_factor
+
+
 def test_sets_far_apart_merge_into_a_factor():
     rng = np.random.default_rng(0)
     parts = [rng.normal(size=(30_000, 30)) + shift for shift in (0.0, 1e6)]

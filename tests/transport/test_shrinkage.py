@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from skat import AffineTransport, ConditionalAffineTransport, ProcrustesAffineTransport
 from skat.gaussian import transport_map
 from skat.gaussian.moments import row_moments
-from skat.transport.shrinkage import shrinkage_intensity, shrunk_towards
+from skat.transport.shrinkage import _explained, shrinkage_intensity, shrunk_towards
 from tests.transport.reference import relative_error
 
 
@@ -249,3 +249,10 @@ def test_of_pairs_only_what_partners_do_not_share_shrinks_the_mean():
     )
     again = pickle.loads(pickle.dumps(paired))
     np.testing.assert_array_equal(again.transform(X), paired.transform(X))
+
+
+def test_what_pairs_explain_is_the_share_of_variance_adjusted_for_chance():
+    """Of one column on one, by the textbook: 1 - (1 - R^2) (n - 1) / (n - 2)."""
+    for cosine, expected in ((0.8, 1 - (1 - 0.64) * 11 / 10), (0.1, 0.0)):
+        assert _explained(np.array([[cosine]]), 12) == pytest.approx(expected, rel=1e-12)
+    assert _explained(np.array([[1.0]]), 2) == 0.0

@@ -5,6 +5,7 @@ import pytest
 import scipy.linalg
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sklearn.dummy import DummyRegressor
 from sklearn.kernel_ridge import KernelRidge
 from sklearn.linear_model import LinearRegression
 from sklearn.model_selection import GridSearchCV
@@ -332,6 +333,15 @@ def test_a_residual_regression_bends_the_map_where_pairs_show_it_and_is_left_out
     nothing = ResidualTransport(IdentityTransport()).fit(X, X + rng.normal(size=X.shape))
     assert nothing.weights_.max() < 0.5
     assert np.abs(nothing.transform(fresh) - fresh).mean() < 0.1
+
+
+def test_a_regression_that_predicts_nothing_weighs_nothing():
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(60, 2))
+    silent = DummyRegressor(strategy="constant", constant=np.zeros(2))
+    fitted = ResidualTransport(regressor=silent).fit(X, X + rng.normal(size=X.shape))
+    assert fitted.weights_.tolist() == [0.0, 0.0]
+    assert fitted.regressor_ is None
 
 
 def test_the_kernel_ridge_of_residuals_is_the_one_that_a_grid_search_finds():

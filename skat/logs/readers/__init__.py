@@ -1,8 +1,10 @@
 """One reader a format; `recording` finds the one that a source needs."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from skat.logs.errors import LogError
 from skat.logs.readers import torch
@@ -97,7 +99,9 @@ def _tables(paths: dict[str, Path], where: str, *, folder: bool = False) -> Reco
         stream = recording(path).streams[0]
         columns = {f"{name}.{column}": column for column in stream.columns}
 
-        def read(wanted, stream=stream, columns=columns):
+        def read(
+            wanted: Sequence[str], stream: Stream = stream, columns: dict[str, str] = columns
+        ) -> dict[str, np.ndarray]:
             found = stream.read([columns[one] for one in wanted])
             return {one: found[columns[one]] for one in wanted}
 
@@ -113,7 +117,7 @@ def _tables(paths: dict[str, Path], where: str, *, folder: bool = False) -> Reco
     return Recording(where, tuple(streams))
 
 
-def _placed(path, stream):
+def _placed(path: Path, stream: Stream) -> Callable[[int], str]:
     return lambda row: f"{path.name}, {stream.place(row)}"
 
 
@@ -164,53 +168,53 @@ def file_kind(path: Path) -> str:
     return "csv"
 
 
-def _csv(path, topic):
+def _csv(path: Path, topic: str | None) -> Recording:
     from skat.logs.readers import csv
 
     return csv.read(path)
 
 
-def _parquet(path, topic):
+def _parquet(path: Path, topic: str | None) -> Recording:
     from skat.logs.readers import parquet
 
     return parquet.read(path)
 
 
-def _npz(path, topic):
+def _npz(path: Path, topic: str | None) -> Recording:
     from skat.logs.readers import npz
 
     return npz.read(path)
 
 
-def _torch(path, topic):
+def _torch(path: Path, topic: str | None) -> Recording:
     return torch.read(path)
 
 
-def _hdf5(path, topic):
+def _hdf5(path: Path, topic: str | None) -> Recording:
     from skat.logs.readers import hdf5
 
     return hdf5.read(path, topic)
 
 
-def _bags(path, topic):
+def _bags(path: Path, topic: str | None) -> Recording:
     from skat.logs.readers import bags
 
     return bags.read(path)
 
 
-def _mcap(path, topic):
+def _mcap(path: Path, topic: str | None) -> Recording:
     from skat.logs.readers import mcap
 
     return mcap.read(path)
 
 
-def _lerobot(path, topic):
+def _lerobot(path: Path, topic: str | None) -> Recording:
     from skat.logs.readers import lerobot
 
     return lerobot.read(path)
 
 
-def _minari(path, topic):
+def _minari(path: Path, topic: str | None) -> Recording:
     from skat.logs.readers import minari
 
     return minari.read(path)

@@ -1,11 +1,17 @@
 """rosbag2 (SQLite and MCAP storage, with or without metadata.yaml) and ROS 1 bags, by rosbags."""
 
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from skat.logs.errors import LogError
-from skat.logs.readers.messages import LARGEST_MESSAGE, messages_recording
+from skat.logs.readers.messages import LARGEST_MESSAGE, Message, messages_recording
 from skat.logs.streams import Recording, required
+
+if TYPE_CHECKING:
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys.store import Typestore
 
 
 def read(path: Path) -> Recording:
@@ -23,14 +29,14 @@ def read(path: Path) -> Recording:
     return messages_recording(str(path), types, lambda topics: _messages(paths, path, topics))
 
 
-def _files(path):
+def _files(path: Path) -> list[Path]:
     """Return what rosbags is to open: a folder with its description, or the files in it."""
     if path.is_file() or (path / "metadata.yaml").is_file():
         return [path]
     return sorted(path.glob("*.db3")) or sorted(path.glob("*.mcap"))
 
 
-def _messages(paths, path, topics):
+def _messages(paths: list[Path], path: Path, topics: set[str] | None) -> Iterator[Message]:
     """Yield (topic, stamp, message) of the topics; types that no definition is known of are passed over."""
     with _opened(paths, path) as reader:
         chosen = [one for one in reader.connections if topics is None or one.topic in topics]
@@ -58,7 +64,7 @@ def _messages(paths, path, topics):
 
 
 @cache
-def _usual_types():
+def _usual_types() -> "Typestore":
     """Return the types of messages in bags that hold no definitions, as older ones do."""
     from rosbags.typesys import Stores, get_typestore
 
@@ -68,10 +74,10 @@ def _usual_types():
 class _opened:
     """rosbags' reader, whose errors are those of a log."""
 
-    def __init__(self, paths, path):
+    def __init__(self, paths: list[Path], path: Path) -> None:
         self.paths, self.path = paths, path
 
-    def __enter__(self):
+    def __enter__(self) -> "AnyReader":
         from rosbags.highlevel import AnyReader
 
         try:
@@ -81,11 +87,11 @@ class _opened:
             raise _damaged(self.path, error) from None
         return self.reader
 
-    def __exit__(self, *exception):
+    def __exit__(self, *exception: object) -> None:
         self.reader.close()
 
 
-def _damaged(path, error, topic=""):
+def _damaged(path: Path, error: Exception | str, topic: str = "") -> LogError:
     told = " ".join(str(error).split())[:200] or type(error).__name__
     return LogError(
         f"{path}, {topic}" if topic else str(path),

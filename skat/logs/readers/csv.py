@@ -6,14 +6,16 @@ import json
 import re
 import warnings
 import zlib
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import pandas as pd
 
 from skat.logs.errors import LogError
 from skat.logs.streams import MOST_COLUMNS, Recording, Stream
+from skat.simulators.tables import Array
 
 ROWS_AT_ONCE = 200_000
 # Pandas 3 reads numbers to the last digit by itself, and warns of being told to.
@@ -58,7 +60,7 @@ def read(path: Path) -> Recording:
     )
 
 
-def _check_first_line(path):
+def _check_first_line(path: Path) -> None:
     """Raise where the first line holds no names: pandas would make some up, or change those that come twice."""
     try:
         with _opened(path) as file:
@@ -93,10 +95,10 @@ def line_of(path: Path, row: int) -> int:
     return row + 2
 
 
-def _columns(path, sizes, wanted):
+def _columns(path: Path, sizes: dict[str, int], wanted: Sequence[str]) -> dict[str, np.ndarray]:
     """Return the wanted columns, read in chunks; elements of a list come out of its cells."""
     whole = {name.rsplit("[", 1)[0] if name not in sizes else name for name in wanted}
-    parts: dict[str, list] = {name: [] for name in wanted}
+    parts: dict[str, list[np.ndarray]] = {name: [] for name in wanted}
     start = 0
     for chunk in _frame(path, usecols=lambda name: str(name).strip() in whole, chunksize=ROWS_AT_ONCE):
         for name in whole:
@@ -111,13 +113,13 @@ def _columns(path, sizes, wanted):
     return {name: _concatenated(pieces) for name, pieces in parts.items()}
 
 
-def _concatenated(pieces):
+def _concatenated(pieces: list[np.ndarray]) -> np.ndarray:
     if len({piece.dtype.kind for piece in pieces}) > 1:
         pieces = [piece.astype(object) for piece in pieces]
     return pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
 
 
-def _numbers(column):
+def _numbers(column: pd.Series) -> np.ndarray:
     """Return floats where each cell is a number or empty; otherwise the texts, stripped."""
     if column.dtype.kind in "fiub":
         return column.to_numpy(dtype=float)
@@ -131,7 +133,7 @@ def _numbers(column):
     return texts.to_numpy(dtype=object)
 
 
-def _lists(column, size, path, name, start):
+def _lists(column: pd.Series, size: int, path: Path, name: str, start: int) -> Array:
     values = np.full((len(column), size), np.nan)
     for row, cell in enumerate(column.fillna("").astype(str)):
         if not cell.strip():
@@ -150,14 +152,14 @@ def _lists(column, size, path, name, start):
     return values
 
 
-def _parsed(cell):
+def _parsed(cell: str) -> list[Any]:
     inner = cell.strip()[1:-1]
     if "," in inner:
         return json.loads(f"[{inner}]")
     return inner.split()
 
 
-def _size(column):
+def _size(column: pd.Series) -> int:
     """Return how many numbers the cells of a column hold; 0 where they are plain."""
     cells = [cell for cell in column.fillna("").astype(str) if cell.strip()]
     if not cells or not all(LIST.match(cell) for cell in cells):
@@ -168,7 +170,7 @@ def _size(column):
         return 0
 
 
-def _frame(path, **options):
+def _frame(path: Path, **options: Any) -> Any:
     """Return a data frame, or an iterator of them, whose errors are those of a log."""
     try:
         with warnings.catch_warnings():
@@ -208,7 +210,7 @@ READ_ERRORS = (
 )
 
 
-def _chunks(path, frames):
+def _chunks(path: Path, frames: Any) -> Iterator[pd.DataFrame]:
     with frames:
         while True:
             try:
@@ -224,7 +226,7 @@ def _chunks(path, frames):
             yield chunk
 
 
-def _no_table(path, error):
+def _no_table(path: Path, error: BaseException) -> LogError:
     if isinstance(error, EOFError | zlib.error | gzip.BadGzipFile) and _is_gzip(path):
         return LogError(str(path), f"is cut or damaged: {error}.", "Copy the file anew.")
     try:
@@ -240,7 +242,7 @@ def _no_table(path, error):
     )
 
 
-def _other_mark(line):
+def _other_mark(line: str) -> str:
     """Return what to do about a line that is separated by another mark; "" where it is not."""
     if "," in line.strip(";\t| ") and ";" not in line and "\t" not in line:
         return ""
@@ -252,18 +254,18 @@ def _other_mark(line):
     return ""
 
 
-def _is_gzip(path):
+def _is_gzip(path: Path) -> bool:
     with path.open("rb") as file:
         return file.read(2) == b"\x1f\x8b"
 
 
-def _opened(path):
+def _opened(path: Path) -> IO[str]:
     if _is_gzip(path):
         return gzip.open(path, "rt", errors="replace", newline="")
     return path.open(errors="replace", newline="")
 
 
-def _is_number(text):
+def _is_number(text: str) -> bool:
     try:
         float(text)
     except ValueError:

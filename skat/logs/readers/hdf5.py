@@ -1,6 +1,9 @@
 """HDF5: data sets of one length are columns; groups of the same data sets are episodes."""
 
+from collections.abc import Sequence
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 
@@ -46,9 +49,9 @@ def read(path: Path, topic: str | None = None) -> Recording:
         prefix = topic.strip("/") + "/"
         inside = {name: shape for name, shape in shapes.items() if name.startswith(prefix)}
         if not inside:
-            groups = sorted({name.rpartition("/")[0] for name in shapes} - {""})
+            there = sorted({name.rpartition("/")[0] for name in shapes} - {""})
             raise LogError(
-                str(path), f"has no group {topic!r}.", f"It has: {', '.join(groups[:12]) or 'none'}."
+                str(path), f"has no group {topic!r}.", f"It has: {', '.join(there[:12]) or 'none'}."
             )
         shapes = inside
     if not shapes:
@@ -73,7 +76,7 @@ def read(path: Path, topic: str | None = None) -> Recording:
     shown = {column: column.removeprefix(prefix) for column in columns}
     theirs = {short: column for column, short in shown.items()}
 
-    def read_columns(wanted):
+    def read_columns(wanted: Sequence[str]) -> dict[str, np.ndarray]:
         try:
             with h5py.File(path, "r") as file:
                 return {name: _column(file, parts, wide, theirs[name], groups) for name in wanted}
@@ -85,11 +88,11 @@ def read(path: Path, topic: str | None = None) -> Recording:
     return Recording(str(path), (Stream("", tuple(shown.values()), read_columns),))
 
 
-def _shapes(h5py, file, path):
+def _shapes(h5py: ModuleType, file: Any, path: Path) -> dict[str, tuple[int, ...]]:
     """Return the shape of each data set of numbers or texts, by name."""
     shapes: dict[str, tuple[int, ...]] = {}
 
-    def walk(group, prefix, depth):
+    def walk(group: Any, prefix: str, depth: int) -> None:
         for name in group:
             link = group.get(name, getlink=True)
             if not isinstance(link, h5py.HardLink) or depth > DEEPEST or len(shapes) > MOST_COLUMNS:
@@ -119,7 +122,7 @@ def _shapes(h5py, file, path):
     return shapes
 
 
-def _episodes(shapes):
+def _episodes(shapes: dict[str, tuple[int, ...]]) -> list[tuple[str, dict[str, tuple[int, ...]]]]:
     """Return [(group, {name in it: shape})] where groups hold the same data sets: episodes, in natural order."""
     by_group: dict[str, dict[str, tuple[int, ...]]] = {}
     for name, shape in shapes.items():
@@ -133,7 +136,13 @@ def _episodes(shapes):
     return [(name, by_group[name]) for name in names]
 
 
-def _column(file, parts, wide, name, groups):
+def _column(
+    file: Any,
+    parts: list[tuple[str, dict[str, tuple[int, ...]]]],
+    wide: dict[str, int],
+    name: str,
+    groups: list[tuple[str, dict[str, tuple[int, ...]]]],
+) -> np.ndarray:
     if groups and name == "episode":
         first = next(iter(wide))
         return np.concatenate([np.full(inside[first][0], group, dtype=object) for group, inside in parts])
@@ -150,6 +159,6 @@ def _column(file, parts, wide, name, groups):
     return pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
 
 
-def _damaged(path, error):
+def _damaged(path: Path, error: BaseException) -> LogError:
     told = " ".join(str(error).split())[:200]
     return LogError(str(path), f"is cut or damaged, or no HDF5 file: {told}.", "Copy the file anew.")

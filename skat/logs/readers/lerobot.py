@@ -51,7 +51,7 @@ def read(path: Path) -> Recording:
     )
 
 
-def _names(feature):
+def _names(feature: object) -> list[str]:
     """Return the names of a feature's elements: a list, or a list or mapping in a mapping."""
     names = feature.get("names") if isinstance(feature, dict) else None
     while isinstance(names, dict) and names:

@@ -1,11 +1,12 @@
 """MCAP files with messages of ROS 2, JSON or protobuf."""
 
 import json
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 from skat.logs.errors import LogError
-from skat.logs.readers.messages import LARGEST_MESSAGE, messages_recording
+from skat.logs.readers.messages import LARGEST_MESSAGE, Message, messages_recording
 from skat.logs.streams import Recording, required
 
 
@@ -30,14 +31,14 @@ def read(path: Path) -> Recording:
     return messages_recording(str(path), types, lambda topics: _messages(path, topics))
 
 
-def _summary(path):
+def _summary(path: Path) -> Any:
     from mcap.reader import make_reader
 
     with path.open("rb") as file:
         return make_reader(file).get_summary()
 
 
-def _messages(path, topics):
+def _messages(path: Path, topics: set[str] | None) -> Iterator[Message]:
     from mcap.exceptions import McapError
     from mcap.reader import make_reader
 
@@ -71,13 +72,13 @@ def _messages(path, topics):
             yield channel.topic, message.log_time, decoded
 
 
-def _factories():
+def _factories() -> list[Any]:
     ros2 = required("mcap_ros2.decoder", "An MCAP file of ROS 2")
     protobuf = required("mcap_protobuf.decoder", "An MCAP file of protobuf")
     return [ros2.DecoderFactory(), protobuf.DecoderFactory()]
 
 
-def _decoder(factories, channel, schema):
+def _decoder(factories: list[Any], channel: Any, schema: Any) -> Callable[[bytes], Any] | None:
     if channel.message_encoding == "json":
         return _json
     for factory in factories:
@@ -87,12 +88,12 @@ def _decoder(factories, channel, schema):
     return None
 
 
-def _json(data):
+def _json(data: bytes) -> dict[str, Any]:
     value = json.loads(data)
     return value if isinstance(value, dict) else {"data": value}
 
 
-def _damaged(path, error, topic=""):
+def _damaged(path: Path, error: Exception, topic: str = "") -> LogError:
     told = " ".join(str(error).split())[:200] or type(error).__name__
     return LogError(
         f"{path}, {topic}" if topic else str(path),

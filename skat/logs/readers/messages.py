@@ -1,7 +1,7 @@
 """Messages of any type as rows of numbers: fields by their names, arrays beside names of joints by those."""
 
 from array import array
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -83,7 +83,12 @@ def messages_recording(
     return Recording(source, tuple(streams), notes=tuple(notes))
 
 
-def _reader(messages, topic, columns, origin):
+def _reader(
+    messages: Callable[[set[str] | None], Iterable[Message]],
+    topic: str,
+    columns: dict[str, str],
+    origin: dict[str, int],
+) -> Callable[[Sequence[str]], dict[str, np.ndarray]]:
     return lambda wanted: collected(messages({topic}), {name: columns[name] for name in wanted}, origin)
 
 
@@ -116,7 +121,7 @@ def fields(message: Any) -> dict[str, float]:
     return found
 
 
-def _walk(path, value, names, found, depth):
+def _walk(path: str, value: Any, names: list[str] | None, found: dict[str, float], depth: int) -> None:
     if len(found) > MOST_FIELDS or depth > DEEPEST:
         return
     if isinstance(value, bool | np.bool_):
@@ -137,14 +142,14 @@ def _walk(path, value, names, found, depth):
             _walk(f"{path}.{key}" if path else str(key), part, names, found, depth + 1)
 
 
-def _float(value):
+def _float(value: Any) -> float:
     try:
         return float(value)
     except OverflowError:
         return float("nan")
 
 
-def _elements(path, value, names, found, depth):
+def _elements(path: str, value: Any, names: list[str] | None, found: dict[str, float], depth: int) -> None:
     if len(value) > MOST_FIELDS:
         return
     labels = names if names is not None and len(names) == len(value) else range(len(value))
@@ -155,13 +160,13 @@ def _elements(path, value, names, found, depth):
             _walk(f"{path}[{label}]", element, None, found, depth + 1)
 
 
-def _is_sequence(value):
+def _is_sequence(value: Any) -> bool:
     if isinstance(value, list | tuple | np.ndarray):
         return not (isinstance(value, np.ndarray) and value.ndim == 0)
     return hasattr(value, "__len__") and hasattr(value, "__getitem__") and not hasattr(value, "keys")
 
 
-def _parts(value):
+def _parts(value: Any) -> dict[str, Any]:
     """Return the fields of a message by name, whichever library has decoded it."""
     if isinstance(value, dict):
         return value
@@ -176,7 +181,7 @@ def _parts(value):
     }
 
 
-def _stamp(parts):
+def _stamp(parts: Mapping[str, Any]) -> int | None:
     """Return ns where the fields are those of a time stamp, of ROS 1, ROS 2 or protobuf."""
     for seconds, rest in (("sec", "nanosec"), ("secs", "nsecs"), ("sec", "nsec"), ("seconds", "nanos")):
         if set(parts) == {seconds, rest}:
@@ -187,7 +192,7 @@ def _stamp(parts):
     return None
 
 
-def _names(parts):
+def _names(parts: Mapping[str, Any]) -> list[str] | None:
     for key in NAMES:
         names = parts.get(key)
         if names is None or isinstance(names, str | bytes) or not _is_sequence(names) or not len(names):

@@ -1,7 +1,10 @@
 """Minari data sets on disk: observations and actions, which are matched by the model's degrees of freedom."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 
@@ -51,12 +54,12 @@ def read(path: Path) -> Recording:
     )
 
 
-def _damaged(path, error):
+def _damaged(path: Path, error: Exception) -> LogError:
     told = f"{type(error).__name__} {str(error)[:150]}".strip()
     return LogError(str(path), f"is no Minari data set, or damaged: {told}.", "Copy it anew.")
 
 
-def _from_hdf5(path):
+def _from_hdf5(path: Path) -> list[dict[str, np.ndarray]]:
     """Return the episodes in a file, without Minari, which would import what the data set names as its environment."""
     h5py = required("h5py", "A Minari data set in HDF5")
     episodes = []
@@ -75,7 +78,7 @@ def _from_hdf5(path):
     return episodes
 
 
-def _plain(h5py, group, name):
+def _plain(h5py: ModuleType, group: Any, name: str) -> Any:
     """Return a data set's numbers, or a mapping of those in a group; links to other files are passed over."""
     if not isinstance(group.get(name, getlink=True), h5py.HardLink):
         return {}
@@ -86,7 +89,7 @@ def _plain(h5py, group, name):
     return item[()] if whole else {}
 
 
-def _from_minari(folder, metadata):
+def _from_minari(folder: Path, metadata: Mapping[str, Any]) -> list[dict[str, np.ndarray]]:
     """Return the episodes of a data set in Minari's other format.
 
     Where a description lacks its spaces Minari makes the environment that it names, which can be any program.
@@ -102,7 +105,7 @@ def _from_minari(folder, metadata):
     return [_flat(episode) for episode in minari.MinariDataset(folder).iterate_episodes()]
 
 
-def _check_arrow(folder):
+def _check_arrow(folder: Path) -> None:
     """Raise where a table is damaged: Arrow ends the process where it works with offsets that lead out of a buffer."""
     dataset = required("pyarrow.dataset", "A Minari data set in Arrow")
     for file in sorted(folder.rglob("*.arrow")):
@@ -110,7 +113,7 @@ def _check_arrow(folder):
             batch.validate(full=True)
 
 
-def _flat(episode):
+def _flat(episode: Any) -> dict[str, np.ndarray]:
     n_rows = len(episode.rewards) + 1
     found: dict[str, np.ndarray] = {}
     _flatten("observations", episode.observations, n_rows, found)
@@ -120,7 +123,7 @@ def _flat(episode):
     return found
 
 
-def _flatten(name, value, n_rows, found):
+def _flatten(name: str, value: Any, n_rows: int, found: dict[str, np.ndarray]) -> None:
     if isinstance(value, dict):
         for key, inner in value.items():
             _flatten(f"{name}.{key}", inner, n_rows, found)

@@ -33,7 +33,7 @@ def read(path: Path) -> Recording:
     return Recording(str(path), (arrays_stream(arrays, str(path)),))
 
 
-def _arrays(path):
+def _arrays(path: Path) -> dict[str, np.ndarray]:
     with path.open("rb") as file:
         if file.read(6) == b"\x93NUMPY":
             raise ValueError("a single .npy array has no names for its columns; save an .npz")
@@ -44,7 +44,7 @@ def _arrays(path):
         return {name: stored[name] for name in stored.files if isinstance(stored[name], np.ndarray)}
 
 
-def _check_size(archive, entry, path):
+def _check_size(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, path: Path) -> None:
     """Raise where a header announces more numbers than the file holds: a damaged one could ask for all memory."""
     with archive.open(entry) as member:
         version = np.lib.format.read_magic(member)

@@ -1,12 +1,17 @@
 """Parquet, column by column."""
 
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
+from types import ModuleType
+from typing import Any, TypeVar
 
 import numpy as np
 
 from skat.logs.errors import LogError
 from skat.logs.streams import MOST_COLUMNS, Recording, Stream, as_numbers, plain_array, required
+
+T = TypeVar("T")
 
 # Rows that say how long the lists of a column are.
 FIRST_ROWS = 10
@@ -33,7 +38,7 @@ def parquet_stream(paths: list[Path], labels: dict[str, list[str]] | None = None
     """
     parquet = required("pyarrow.parquet", "A Parquet file")
     sizes, rows = _sizes(parquet, paths[0]), 0
-    counts = [_guarded(path, lambda path=path: parquet.ParquetFile(path).metadata.num_rows) for path in paths]
+    counts = [_guarded(path, partial(_n_rows, parquet, path)) for path in paths]
     rows = sum(counts)
     if rows == 0:
         raise LogError(str(paths[0]), "has no rows.", "Record a log with at least 20 rows.")
@@ -50,17 +55,21 @@ def parquet_stream(paths: list[Path], labels: dict[str, list[str]] | None = None
             str(paths[0]), f"has {len(columns)} columns.", "Give a table with a column for each channel."
         )
 
-    def read_columns(wanted):
+    def read_columns(wanted: Sequence[str]) -> dict[str, np.ndarray]:
         return _columns(parquet, paths, sizes, wanted)
 
     return Stream("", tuple(columns), read_columns, "row {}".format, named)
 
 
-def _sizes(parquet, path):
+def _n_rows(parquet: ModuleType, path: Path) -> int:
+    return int(parquet.ParquetFile(path).metadata.num_rows)
+
+
+def _sizes(parquet: ModuleType, path: Path) -> dict[str, int]:
     """Return of each column how many numbers a cell holds; 0 where it is plain."""
     arrow = required("pyarrow", "A Parquet file")
 
-    def look():
+    def look() -> dict[str, int]:
         file = parquet.ParquetFile(path)
         sizes: dict[str, int] = {}
         for field in file.schema_arrow:
@@ -83,13 +92,15 @@ def _sizes(parquet, path):
     return _guarded(path, look)
 
 
-def _columns(parquet, paths, sizes, wanted):
+def _columns(
+    parquet: ModuleType, paths: list[Path], sizes: dict[str, int], wanted: Sequence[str]
+) -> dict[str, np.ndarray]:
     whole = sorted({name if name in sizes else name.rsplit("[", 1)[0] for name in wanted})
     parts: dict[str, list[np.ndarray]] = {name: [] for name in wanted}
     for path in paths:
         # Column by column: of a wide or long file no more than one stands in memory twice.
         for name in whole:
-            array = _guarded(path, lambda path=path, name=name: _column(parquet, path, name, sizes[name]))
+            array = _guarded(path, partial(_column, parquet, path, name, sizes[name]))
             if not sizes[name]:
                 parts[name].append(array)
                 continue
@@ -99,7 +110,7 @@ def _columns(parquet, paths, sizes, wanted):
     return {name: pieces[0] if len(pieces) == 1 else np.concatenate(pieces) for name, pieces in parts.items()}
 
 
-def _column(parquet, path, name, size) -> Any:
+def _column(parquet: ModuleType, path: Path, name: str, size: int) -> Any:
     column = parquet.ParquetFile(path).read(columns=[name]).column(0).combine_chunks()
     if not size:
         return as_numbers(plain_array(column.to_numpy(zero_copy_only=False)))
@@ -120,7 +131,7 @@ def _column(parquet, path, name, size) -> Any:
     return flat.astype(float).reshape(-1, size)
 
 
-def _guarded(path, read):
+def _guarded(path: Path, read: Callable[[], T]) -> T:
     """Return what a function of pyarrow returns; a damaged file is an error of the log."""
     arrow = required("pyarrow", "A Parquet file")
     try:
