@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.linalg import bandwidth, lapack, solve_triangular
+from scipy.linalg import bandwidth, blas, lapack, solve_triangular
 
 from skat.gaussian.moments import triangle
 from skat.gaussian.threads import shared
@@ -60,8 +60,9 @@ class AffineMap:
         :math:`m_t`.
     untouched : ndarray of bool of shape (n_features,) or None
         Columns that the map leaves as they are, to the last bit.
-    is_tame : bool
-        Whether rows of float32 can be carried in float32 arithmetic; see `tame`.
+    is_tame : bool or None
+        Whether rows of float32 can be carried in float32 arithmetic; see `tame`. None is not known, and they are
+        not.
 
     Examples
     --------
@@ -74,7 +75,7 @@ class AffineMap:
     source_mean: np.ndarray
     target_mean: np.ndarray
     untouched: np.ndarray | None = None
-    is_tame: bool = False
+    is_tame: bool | None = None
 
     @classmethod
     def between(cls, coef: Any, source: Any, target: Any) -> Any:
@@ -105,7 +106,7 @@ class AffineMap:
         AffineMap
         """
         terms = np.square(self.coef) @ source.variance
-        carried = np.square(self.coef @ source.covariance_factor().T).sum(axis=1)
+        carried = np.square(self.coef @ source.covariance_factor.T).sum(axis=1)
         return replace(self, is_tame=bool((terms <= MOST_CANCELLED * carried).all()))
 
     def __getstate__(self) -> dict[str, Any]:
@@ -326,7 +327,7 @@ def root_of_moments(moments: Any, scale: Any = None) -> Any:
     ndarray of shape (n_features, rank)
         A matrix of full column rank whose product with its transpose is the covariance.
     """
-    factor, rounding = moments.covariance_factor(), moments.rounding
+    factor, rounding = moments.covariance_factor, moments.rounding
     if moments.scatter is not None:
         deviation = np.sqrt(moments.variance)
         varies = deviation > 0
@@ -414,10 +415,11 @@ def optimal_map(source_root: Any, target_root: Any, *, reach: bool = False) -> A
 
 def _half_of_well_conditioned_map(source_root: Any, target_root: Any) -> Any:
     """Return G with G G^T the map, or None where a plain product of the roots would lose digits."""
-    core = target_root.T @ source_root
-    if len(core) > 256:
+    are_triangles = len(source_root) > 256 and not any(bandwidth(root)[1] for root in (source_root, target_root))
+    if are_triangles:
+        core = blas.dtrmm(1.0, target_root, source_root, lower=1, trans_a=1)
         squares, right = np.linalg.eigh(core.T @ core)
-        if squares[0] > 1e-5 * squares[-1] and bandwidth(source_root)[1] == 0:
+        if squares[0] > 1e-5 * squares[-1]:
             return solve_triangular(
                 source_root,
                 right * squares**0.25,
@@ -426,7 +428,7 @@ def _half_of_well_conditioned_map(source_root: Any, target_root: Any) -> Any:
                 overwrite_b=True,
                 check_finite=False,
             )
-    left, values, _ = np.linalg.svd(core)
+    left, values, _ = np.linalg.svd(target_root.T @ source_root)
     if values[-1] > 1e-4 * values[0]:
         return target_root @ (left / np.sqrt(values))
     return None
@@ -572,6 +574,6 @@ def coefficient_distance(source: Any, target: Any, coef: Any) -> float:
     spread = source.variance.sum() + target.variance.sum()
     unaligned = spread - 2 * np.vdot(coef, source.covariance)
     if source.n_features <= 256 or unaligned < 1e-3 * spread:
-        factor = source.covariance_factor()
+        factor = source.covariance_factor
         unaligned = np.square(factor @ coef.T - factor).sum()
     return float(np.sqrt(np.square(source.mean - target.mean).sum() + unaligned))

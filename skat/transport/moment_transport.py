@@ -277,7 +277,7 @@ class MomentTransport(BaseTransport):
         solution = self._solve(*scaled, scale)
         affine, self.rank_ = solution.affine, solution.rank
         self.unreached_ = max(outside, solution.unreached)
-        self._map = (affine if self.metric_scale is None else affine.scaled(scale)).tame(source)
+        self._map = affine if self.metric_scale is None else affine.scaled(scale)
         for name, value in {
             "coef_": self._map.coef,
             "intercept_": self._map.intercept,
@@ -466,6 +466,8 @@ class MomentTransport(BaseTransport):
 
     def _carry(self, X, keep=None):
         self._look_outside(X, keep)
+        if self._map.is_tame is None and str(getattr(X, "dtype", None)) == "float32":
+            self._map = self._map.tame(self._learned[0])
         return apply_map(self._map, X, keep=keep, check=self._refuse_rows)
 
     def _carry_back(self, X):
@@ -498,7 +500,7 @@ def _share_outside(source, target):
     directions = spectrum(root_of_moments(source))[0]
     if directions.shape[1] == source.n_features:
         return 0.0
-    factor = target.covariance_factor()
+    factor = target.covariance_factor
     outside = factor - (factor @ directions) @ directions.T
     share = float(np.square(outside).sum() / np.square(factor).sum())
     return share if share > len(directions) * EPS else 0.0

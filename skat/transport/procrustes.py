@@ -151,7 +151,7 @@ class ProcrustesAffineTransport(MomentTransport):
     def _aligned(self, source, target, scale, *, warn):
         (pairs,) = self._moments
         n_features = source.n_features
-        factor = pairs.covariance_factor() / np.concatenate([scale, scale])
+        factor = pairs.covariance_factor / np.concatenate([scale, scale])
         source_part, target_part = factor[:, :n_features], factor[:, n_features:]
         if warn and look_shuffled(source_part, target_part, pairs.effective_n_rows):
             warnings.warn(

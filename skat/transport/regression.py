@@ -88,7 +88,7 @@ def regression(moments, context):
     ndarray of shape (n_rest, residual_rank)
         Root of the residuals' covariance.
     """
-    factor = moments.covariance_factor()
+    factor = moments.covariance_factor
     n_context = int(context.sum())
     ordered = triangle(np.hstack([factor[:, context], factor[:, ~context]]))
     predictors, response = ordered[:, :n_context], ordered[:, n_context:]
@@ -139,7 +139,7 @@ def ridge_regression(moments, context, prior):
     .. [1] Golub, Heath and Wahba (1979). Generalized cross-validation as a method for choosing a good ridge
        parameter. Technometrics 21(2).
     """
-    factor = moments.covariance_factor()
+    factor = moments.covariance_factor
     n_rows, n_context = moments.effective_n_rows, int(context.sum())
     ordered = triangle(np.hstack([factor[:, context], factor[:, ~context]]))
     predictors, response = ordered[:, :n_context], ordered[:, n_context:]

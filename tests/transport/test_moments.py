@@ -92,7 +92,7 @@ def test_ill_conditioned_rows_are_held_as_a_factor_and_others_as_a_product():
     rows[:, 1] = rows[:, 0] + 1e-5 * rows[:, 1]
     moments = row_moments(rows)
     assert moments.scatter is None
-    smallest = np.linalg.svd(moments.covariance_factor(), compute_uv=False)[-1]
+    smallest = np.linalg.svd(moments.covariance_factor, compute_uv=False)[-1]
     centred = rows - rows.mean(axis=0)
     assert smallest == pytest.approx(np.linalg.svd(centred, compute_uv=False)[-1] / np.sqrt(60_000), rel=1e-9)
 
@@ -108,7 +108,7 @@ def test_sets_far_apart_merge_into_a_factor():
     rows = np.vstack(parts)
     centred = rows - rows.mean(axis=0)
     expected = np.linalg.svd(centred, compute_uv=False)[-1] / np.sqrt(len(rows))
-    assert np.linalg.svd(both.covariance_factor(), compute_uv=False)[-1] == pytest.approx(expected, rel=1e-7)
+    assert np.linalg.svd(both.covariance_factor, compute_uv=False)[-1] == pytest.approx(expected, rel=1e-7)
 
 
 def test_not_a_number_shows():
