@@ -415,7 +415,9 @@ def optimal_map(source_root: Any, target_root: Any, *, reach: bool = False) -> A
 
 def _half_of_well_conditioned_map(source_root: Any, target_root: Any) -> Any:
     """Return G with G G^T the map, or None where a plain product of the roots would lose digits."""
-    are_triangles = len(source_root) > 256 and not any(bandwidth(root)[1] for root in (source_root, target_root))
+    are_triangles = len(source_root) > 256 and not any(
+        bandwidth(root)[1] for root in (source_root, target_root)
+    )
     if are_triangles:
         core = blas.dtrmm(1.0, target_root, source_root, lower=1, trans_a=1)
         squares, right = np.linalg.eigh(core.T @ core)
@@ -551,7 +553,13 @@ def distance_of_roots(mean_difference: Any, source_root: Any, target_root: Any) 
     source_root, target_root = (
         np.pad(root, ((0, 0), (0, rank - root.shape[1]))) for root in (source_root, target_root)
     )
-    left, _, right = np.linalg.svd(target_root.T @ source_root)
+    core = target_root.T @ source_root
+    if len(core) > 256:
+        spread = np.square(source_root).sum() + np.square(target_root).sum()
+        square = spread - 2 * np.linalg.svd(core, compute_uv=False).sum()
+        if square > 1e-3 * spread:
+            return float(np.sqrt(np.square(mean_difference).sum() + square))
+    left, _, right = np.linalg.svd(core)
     unaligned = source_root - target_root @ (left @ right)
     return float(np.hypot(np.linalg.norm(mean_difference), np.linalg.norm(unaligned)))
 

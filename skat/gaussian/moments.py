@@ -361,7 +361,9 @@ def _scatter_about(rows: Any, weight: Any, shift: Any) -> Any:
     n_rows, n_features = rows.shape
     blocks = _blocks(n_rows, n_features)
     ones = np.ones(blocks[0].stop)
-    as_they_are = isinstance(rows, np.ndarray) and rows.dtype == np.float64 and weight is None and not shift.any()
+    as_they_are = (
+        isinstance(rows, np.ndarray) and rows.dtype == np.float64 and weight is None and not shift.any()
+    )
     buffer = None if as_they_are else np.empty((len(ones), n_features))
     scatter, total = np.zeros((n_features, n_features)), np.zeros(n_features)
     for block in blocks:

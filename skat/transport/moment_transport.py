@@ -1,8 +1,7 @@
 """Transports by an affine map that is a function of the two domains' moments."""
 
 import warnings
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -38,14 +37,11 @@ class Solution:
         Rank of its linear part.
     unreached : float
         Share of the target's variance that the carried rows do not have, for the source does not vary there.
-    attributes : mapping of str to ndarray
-        What else the estimator shows of it.
     """
 
     affine: AffineMap
     rank: int
     unreached: float = 0.0
-    attributes: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 class MomentTransport(BaseTransport):
@@ -283,7 +279,6 @@ class MomentTransport(BaseTransport):
             "intercept_": self._map.intercept,
             "source_mean_": source.mean,
             "target_mean_": target.mean,
-            **solution.attributes,
         }.items():
             setattr(self, name, to_namespace(value, like))
         self.wasserstein_distance_ = self._distance(scaled[0], scaled[1], affine)

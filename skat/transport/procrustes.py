@@ -6,8 +6,8 @@ import numpy as np
 
 from skat._compat import StrOptions
 from skat.gaussian import AffineMap, root_of_moments
-from skat.gaussian.backends import beside
-from skat.transport.alignment import look_shuffled, raw_alignment, whitened_alignment
+from skat.gaussian.backends import beside, to_namespace
+from skat.transport.alignment import PairFactors, look_shuffled, raw_alignment, whitened_alignment
 from skat.transport.base import same_length
 from skat.transport.moment_transport import MomentTransport, Solution
 
@@ -68,6 +68,7 @@ class ProcrustesAffineTransport(MomentTransport):
            [ 1.,  0.]])
     """
 
+    _rotation = None
     _parameter_constraints = {
         **MomentTransport._parameter_constraints,
         "alignment": [StrOptions({"whitened", "raw"})],
@@ -139,8 +140,10 @@ class ProcrustesAffineTransport(MomentTransport):
 
     def _solve(self, source, target, scale):
         alignment = self._aligned(source, target, scale, warn=self._warns)
-        affine = AffineMap.between(alignment.coef, source, target)
-        return Solution(affine, alignment.rank, alignment.unreached, {"rotation_": alignment.rotation})
+        self._rotation = alignment.rotation
+        return Solution(
+            AffineMap.between(alignment.coef, source, target), alignment.rank, alignment.unreached
+        )
 
     def _solve_back(self, source, target, scale):
         alignment = self._aligned(source, target, scale, warn=False)
@@ -148,12 +151,26 @@ class ProcrustesAffineTransport(MomentTransport):
             raise np.linalg.LinAlgError("the target has the lower rank")
         return AffineMap.between(alignment.inverse_coef, target, source)
 
-    def _aligned(self, source, target, scale, *, warn):
+    @property
+    def rotation_(self):
+        """Q or R of the formula; found when it is first asked for, where the map was found without it."""
+        if not hasattr(self, "coef_"):
+            raise AttributeError(f"this {type(self).__name__} has not been fitted and knows no rotation yet.")
+        if self._rotation is None:
+            alignment = self._aligned(*self._scaled(), self._learned[2], warn=False, quick=False)
+            self._rotation = alignment.rotation
+        return to_namespace(self._rotation, self.coef_)
+
+    def __getstate__(self):
+        # It follows from the moments.
+        return {**super().__getstate__(), "_rotation": None}
+
+    def _aligned(self, source, target, scale, *, warn, quick=True):
         (pairs,) = self._moments
         n_features = source.n_features
         factor = pairs.covariance_factor / np.concatenate([scale, scale])
-        source_part, target_part = factor[:, :n_features], factor[:, n_features:]
-        if warn and look_shuffled(source_part, target_part, pairs.effective_n_rows):
+        factors = PairFactors(factor[:, :n_features], factor[:, n_features:])
+        if warn and look_shuffled(factors, pairs.effective_n_rows):
             warnings.warn(
                 "the pairs carry no correlation that shuffled rows would not show as well, so the rotation "
                 "is "
@@ -169,5 +186,5 @@ class ProcrustesAffineTransport(MomentTransport):
         if self.alignment == "raw":
             if not self.center:
                 roots["mean_product"] = np.outer(target.mean, source.mean)
-            return raw_alignment(source_part, target_part, **roots)
-        return whitened_alignment(source_part, target_part, **roots)
+            return raw_alignment(factors, **roots)
+        return whitened_alignment(factors, **roots, quick=quick)
