@@ -6,10 +6,11 @@ Run from the root of the repository, on a quiet machine, some minutes each::
     python benchmarks/speed.py                       # wall time, with all threads
 
 Everything is the median of five runs, interleaved, or with ``--least`` the least of them, which other work on the
-machine disturbs less; CPU is that of the process, over all threads. ``--sizes`` takes some of the sizes. The floor is the two products X'X and Y'Y; the time of a peer over that of the floor is the most that
-anything which reads the rows once can gain on it. Peers are ``ot.da.LinearTransport`` (POT), ``LinearOTMappingAdapter``
-(skada), ``Gaussian.transport`` (ott-jax, in float64) and ``LinearRegression`` (scikit-learn); those that are not
-installed are left out. An environment of their own, beside this one's packages::
+machine disturbs less; CPU is that of the process, over all threads. ``--sizes`` takes some of the sizes. The floor is
+the two products X'X and Y'Y; the time of a peer over that of the floor is the most that anything which reads the rows
+once can gain on it. Peers are ``ot.da.LinearTransport`` (POT), ``LinearOTMappingAdapter`` (skada),
+``Gaussian.transport`` (ott-jax, in float64) and ``LinearRegression`` (scikit-learn); those that are not installed are
+left out. An environment of their own, beside this one's packages::
 
     python -m venv peers-env && peers-env/bin/pip install POT threadpoolctl scikit-learn skada ott-jax
     PYTHONPATH=. OMP_NUM_THREADS=1 peers-env/bin/python benchmarks/speed.py

@@ -157,7 +157,8 @@ class ProcrustesAffineTransport(MomentTransport):
         if not hasattr(self, "coef_"):
             raise AttributeError(f"this {type(self).__name__} has not been fitted and knows no rotation yet.")
         if self._rotation is None:
-            alignment = self._aligned(*self._scaled(), self._learned[2], warn=False, quick=False)
+            source, target = self._scaled()
+            alignment = self._aligned(source, target, self._learned[2], warn=False, quick=False)
             self._rotation = alignment.rotation
         return to_namespace(self._rotation, self.coef_)
 
