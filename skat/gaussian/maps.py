@@ -63,6 +63,8 @@ class AffineMap:
     is_tame : bool or None
         Whether rows of float32 can be carried in float32 arithmetic; see `tame`. None is not known, and they are
         not.
+    scale, unscaled : ndarray of shape (n_features,), and of the shape of `coef`, or None
+        Lengths in whose units the map was found, and `coef` in these; see `scaled`.
 
     Examples
     --------
@@ -76,6 +78,8 @@ class AffineMap:
     target_mean: np.ndarray
     untouched: np.ndarray | None = None
     is_tame: bool | None = None
+    scale: np.ndarray | None = None
+    unscaled: np.ndarray | None = None
 
     @classmethod
     def between(cls, coef: Any, source: Any, target: Any) -> Any:
@@ -85,9 +89,13 @@ class AffineMap:
 
     def scaled(self, scale: Any) -> Any:
         """Return the map of rows of which each column is this many times as large."""
-        coef = self.coef * scale[:, np.newaxis] / scale
         return replace(
-            self, coef=coef, source_mean=self.source_mean * scale, target_mean=self.target_mean * scale
+            self,
+            coef=_in_units(self.coef, scale),
+            source_mean=self.source_mean * scale,
+            target_mean=self.target_mean * scale,
+            scale=scale,
+            unscaled=self.coef,
         )
 
     def tame(self, source: Any) -> "AffineMap":
@@ -110,18 +118,20 @@ class AffineMap:
         return replace(self, is_tame=bool((terms <= MOST_CANCELLED * carried).all()))
 
     def __getstate__(self) -> dict[str, Any]:
-        state = dict(vars(self))
-        if np.array_equal(self.coef, self.coef.T):
-            # The optimal map is symmetric: half the numbers do.
-            state["coef"] = self.coef[np.triu_indices(len(self.coef))]
-        return state
+        # The optimal map is symmetric in the units that it was found in: half the numbers do.
+        found = self.coef if self.unscaled is None else self.unscaled
+        if np.array_equal(found, found.T):
+            return {**vars(self), "coef": found[np.triu_indices(len(found))], "unscaled": None}
+        return {**vars(self), "scale": None, "unscaled": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         if self.coef.ndim == 1:
-            coef = np.zeros((len(self.source_mean), len(self.source_mean)))
-            coef[np.triu_indices(len(coef))] = self.coef
-            vars(self)["coef"] = coef + np.triu(coef, 1).T
+            found = np.zeros((len(self.source_mean), len(self.source_mean)))
+            found[np.triu_indices(len(found))] = self.coef
+            found += np.triu(found, 1).T
+            vars(self)["coef"] = found if self.scale is None else _in_units(found, self.scale)
+            vars(self)["unscaled"] = None if self.scale is None else found
 
     @property
     def intercept(self) -> Any:
@@ -158,6 +168,11 @@ class AffineMap:
 
         shared(carry, range(0, len(rows), size))
         return carried
+
+
+def _in_units(coef: Any, scale: Any) -> Any:
+    """Return the coefficient of rows of which each column is this many times as large."""
+    return coef * scale[:, np.newaxis] / scale
 
 
 def transport_map(source_covariance: Any, target_covariance: Any) -> Any:
