@@ -44,6 +44,7 @@ def main():
     parser.add_argument("--repeats", type=int, default=REPEATS)
     parser.add_argument("--least", action="store_true", help="the least of the runs instead of the median")
     parser.add_argument("--no-peers", action="store_true", help="POT only")
+    parser.add_argument("--calls", nargs="*", help="some of what is timed, as 'affine' and 'floor'")
     parser.add_argument("--no-small", action="store_true", help="leave out the 10,000 fits of 200 x 4")
     arguments = parser.parse_args()
     if os.environ.get("OMP_NUM_THREADS") == "1":
@@ -138,7 +139,8 @@ def at_size(n_rows, n_features, arguments):
     for name, call in peers.items():
         call(X[: n_features + 10], y[: n_features + 10])  # what JAX compiles, and imports
         calls[name] = lambda call=call: call(X, y)
-    seconds = measured(calls, arguments)
+    wanted = arguments.calls or calls
+    seconds = measured({name: call for name, call in calls.items() if name in wanted}, arguments)
     print(f"{n_rows} x {n_features}: ratios of CPU (wall)")
     for label, over, under in (
         *((f"fit: {name} / affine", name, "affine") for name in peers),
@@ -154,17 +156,15 @@ def at_size(n_rows, n_features, arguments):
         ("transform: POT / ours", "POT's transform", "transform"),
         ("transform, float32: bare product / ours", "bare product, float32", "transform, float32"),
     ):
-        cpu, wall = (seconds[over][kind] / seconds[under][kind] for kind in (0, 1))
-        print(f"  {label:44s} {cpu:6.2f} ({wall:.2f})")
-    memory = {
-        "affine": peak(calls["affine"]),
-        "procrustes": peak(calls["procrustes"]),
-        "POT": peak(calls["POT"]),
-    }
+        if over in seconds and under in seconds:
+            cpu, wall = (seconds[over][kind] / seconds[under][kind] for kind in (0, 1))
+            print(f"  {label:44s} {cpu:6.2f} ({wall:.2f})")
+    memory = {name: peak(calls[name]) for name in ("affine", "procrustes", "POT") if name in seconds}
     print(
-        f"  peak memory of a fit, MB: {', '.join(f'{name} {value / 1e6:.1f}' for name, value in memory.items())}; "
-        f"affine / POT {memory['affine'] / memory['POT']:.4f}"
+        f"  peak memory of a fit, MB: {', '.join(f'{name} {value / 1e6:.1f}' for name, value in memory.items())}"
     )
+    if "POT" in memory and "affine" in memory:
+        print(f"  peak memory of a fit: affine / POT {memory['affine'] / memory['POT']:.4f}")
     size = len(pickle.dumps(fitted)) / (fitted.coef_.nbytes + fitted.intercept_.nbytes)
     print(f"  pickle over the map: {size:.2f}\n", flush=True)
 
