@@ -68,7 +68,6 @@ class ProcrustesAffineTransport(MomentTransport):
            [ 1.,  0.]])
     """
 
-    _rotation = None
     _parameter_constraints = {
         **MomentTransport._parameter_constraints,
         "alignment": [StrOptions({"whitened", "raw"})],
@@ -140,7 +139,6 @@ class ProcrustesAffineTransport(MomentTransport):
 
     def _solve(self, source, target, scale):
         alignment = self._aligned(source, target, scale, warn=self._warns)
-        self._rotation = alignment.rotation
         return Solution(
             AffineMap.between(alignment.coef, source, target), alignment.rank, alignment.unreached
         )
@@ -153,18 +151,12 @@ class ProcrustesAffineTransport(MomentTransport):
 
     @property
     def rotation_(self):
-        """Q or R of the formula; found when it is first asked for, where the map was found without it."""
+        """Q or R of the formula, found anew whenever it is asked for: the map needs none."""
         if not hasattr(self, "coef_"):
             raise AttributeError(f"this {type(self).__name__} has not been fitted and knows no rotation yet.")
-        if self._rotation is None:
-            source, target = self._scaled()
-            alignment = self._aligned(source, target, self._learned[2], warn=False, quick=False)
-            self._rotation = alignment.rotation
-        return to_namespace(self._rotation, self.coef_)
-
-    def __getstate__(self):
-        # It follows from the moments.
-        return {**super().__getstate__(), "_rotation": None}
+        source, target = self._scaled()
+        alignment = self._aligned(source, target, self._learned[2], warn=False, quick=False)
+        return to_namespace(alignment.rotation, self.coef_)
 
     def _aligned(self, source, target, scale, *, warn, quick=True):
         (pairs,) = self._moments
