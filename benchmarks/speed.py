@@ -5,11 +5,12 @@ Run from the root of the repository, on a quiet machine, some minutes each::
     OMP_NUM_THREADS=1 python benchmarks/speed.py     # CPU is what counts
     python benchmarks/speed.py                       # wall time, with all threads
 
-Everything is the median of five runs, interleaved; CPU is that of the process, over all threads. ``--sizes`` takes some
-of the sizes. The floor is the two products X'X and Y'Y; the time of a peer over that of the floor is the most that
-anything which reads the rows once can gain on it. Peers are ``ot.da.LinearTransport`` (POT), ``LinearOTMappingAdapter``
-(skada), ``Gaussian.transport`` (ott-jax, in float64) and ``LinearRegression`` (scikit-learn); those that are not
-installed are left out. An environment of their own, beside this one's packages::
+Everything is the median of five runs, interleaved, or with ``--least`` the least of them, which other work on the
+machine disturbs less; CPU is that of the process, over all threads. ``--sizes`` takes some of the sizes. The floor is
+the two products X'X and Y'Y; the time of a peer over that of the floor is the most that anything which reads the rows
+once can gain on it. Peers are ``ot.da.LinearTransport`` (POT), ``LinearOTMappingAdapter`` (skada),
+``Gaussian.transport`` (ott-jax, in float64) and ``LinearRegression`` (scikit-learn); those that are not installed are
+left out. An environment of their own, beside this one's packages::
 
     python -m venv peers-env && peers-env/bin/pip install POT threadpoolctl scikit-learn skada ott-jax
     PYTHONPATH=. OMP_NUM_THREADS=1 peers-env/bin/python benchmarks/speed.py
@@ -41,7 +42,9 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--sizes", nargs="*", default=SIZES)
     parser.add_argument("--repeats", type=int, default=REPEATS)
+    parser.add_argument("--least", action="store_true", help="the least of the runs instead of the median")
     parser.add_argument("--no-peers", action="store_true", help="POT only")
+    parser.add_argument("--calls", nargs="*", help="some of what is timed, as 'affine' and 'floor'")
     parser.add_argument("--no-small", action="store_true", help="leave out the 10,000 fits of 200 x 4")
     arguments = parser.parse_args()
     if os.environ.get("OMP_NUM_THREADS") == "1":
@@ -56,7 +59,7 @@ def main():
     for size in arguments.sizes:
         at_size(*map(int, size.split("x")), arguments)
     if not arguments.no_small:
-        many_small_ones(arguments.repeats)
+        many_small_ones(arguments)
 
 
 def version_of(package):
@@ -113,12 +116,15 @@ def at_size(n_rows, n_features, arguments):
         if find_spec(package) and (name == "POT" or not arguments.no_peers)
     }
     fitted = AffineTransport().fit(X, y)
-    carry = pot(X, y)
+    carry = None if arguments.calls and "POT's transform" not in arguments.calls else pot(X, y)
+    # The mean of ten standard deviations is taken from each row before it is squared.
+    far_X, far_y = X + 10, y + 10 * y.std()
     X32, y32 = X.astype(np.float32), y.astype(np.float32)
     coef, intercept = fitted.coef_.T, fitted.intercept_
     coef32, intercept32 = coef.astype(np.float32), intercept.astype(np.float32)
     calls = {
         "affine": lambda: AffineTransport().fit(X, y),
+        "affine, off centre": lambda: AffineTransport().fit(far_X, far_y),
         "floor": lambda: (X.T @ X, y.T @ y),
         "three products": lambda: (X.T @ X, y.T @ y, X.T @ y),
         "procrustes": lambda: ProcrustesAffineTransport().fit(X, y),
@@ -133,41 +139,43 @@ def at_size(n_rows, n_features, arguments):
     for name, call in peers.items():
         call(X[: n_features + 10], y[: n_features + 10])  # what JAX compiles, and imports
         calls[name] = lambda call=call: call(X, y)
-    seconds = measured(calls, arguments.repeats)
+    wanted = arguments.calls or calls
+    seconds = measured({name: call for name, call in calls.items() if name in wanted}, arguments)
     print(f"{n_rows} x {n_features}: ratios of CPU (wall)")
     for label, over, under in (
         *((f"fit: {name} / affine", name, "affine") for name in peers),
         ("fit, float32: POT / affine", "POT, float32", "affine, float32"),
         ("fit: affine / the two products", "affine", "floor"),
+        ("fit, off centre: affine / the two products", "affine, off centre", "floor"),
+        ("fit, float32: affine / float64's", "affine, float32", "affine"),
         ("fit: POT / the two products", "POT", "floor"),
+        ("fit: procrustes / the two products", "procrustes", "floor"),
         ("fit: procrustes / affine", "procrustes", "affine"),
         ("bare: three products / two", "three products", "floor"),
         ("transform: bare product / ours", "bare product", "transform"),
         ("transform: POT / ours", "POT's transform", "transform"),
         ("transform, float32: bare product / ours", "bare product, float32", "transform, float32"),
     ):
-        cpu, wall = (seconds[over][kind] / seconds[under][kind] for kind in (0, 1))
-        print(f"  {label:42s} {cpu:6.2f} ({wall:.2f})")
-    memory = {
-        "affine": peak(calls["affine"]),
-        "procrustes": peak(calls["procrustes"]),
-        "POT": peak(calls["POT"]),
-    }
+        if over in seconds and under in seconds:
+            cpu, wall = (seconds[over][kind] / seconds[under][kind] for kind in (0, 1))
+            print(f"  {label:44s} {cpu:6.2f} ({wall:.2f})")
+    memory = {name: peak(calls[name]) for name in ("affine", "procrustes", "POT") if name in seconds}
     print(
-        f"  peak memory of a fit, MB: {', '.join(f'{name} {value / 1e6:.1f}' for name, value in memory.items())}; "
-        f"affine / POT {memory['affine'] / memory['POT']:.4f}"
+        f"  peak memory of a fit, MB: {', '.join(f'{name} {value / 1e6:.1f}' for name, value in memory.items())}"
     )
+    if "POT" in memory and "affine" in memory:
+        print(f"  peak memory of a fit: affine / POT {memory['affine'] / memory['POT']:.4f}")
     size = len(pickle.dumps(fitted)) / (fitted.coef_.nbytes + fitted.intercept_.nbytes)
     print(f"  pickle over the map: {size:.2f}\n", flush=True)
 
 
-def many_small_ones(repeats):
+def many_small_ones(arguments):
     rng = np.random.default_rng(0)
     X = rng.normal(size=(10_000, 200, 4))
     y = X @ rng.normal(size=(10_000, 4, 4))
     seconds = measured(
         {"batched": lambda: fit_batched(X, y), "bare": lambda: [bare_map(*rows) for rows in zip(X, y)]},
-        repeats,
+        arguments,
     )
     cpu, wall = (seconds["batched"][kind] / seconds["bare"][kind] for kind in (0, 1))
     print(f"10,000 fits of 200 x 4: fit_batched / a bare NumPy loop {cpu:.2f} ({wall:.2f})")
@@ -183,15 +191,16 @@ def bare_map(X, y):
     return coef, y.mean(axis=0) - coef @ X.mean(axis=0)
 
 
-def measured(calls, repeats=REPEATS):
-    """Return the medians of CPU and wall seconds of each call, interleaved."""
+def measured(calls, arguments):
+    """Return the medians, or the least, of CPU and wall seconds of each call, interleaved."""
     seconds = {name: [] for name in calls}
-    for _ in range(repeats):
+    for _ in range(arguments.repeats):
         for name, call in calls.items():
             cpu, wall = time.process_time(), time.perf_counter()
             call()
             seconds[name].append((time.process_time() - cpu, time.perf_counter() - wall))
-    return {name: np.median(values, axis=0) for name, values in seconds.items()}
+    over_runs = np.min if arguments.least else np.median
+    return {name: over_runs(values, axis=0) for name, values in seconds.items()}
 
 
 def peak(call):

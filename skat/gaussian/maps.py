@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.linalg import bandwidth, lapack, solve_triangular
+from scipy.linalg import bandwidth, blas, lapack, solve_triangular
 
 from skat.gaussian.moments import triangle
 from skat.gaussian.threads import shared
@@ -60,8 +60,11 @@ class AffineMap:
         :math:`m_t`.
     untouched : ndarray of bool of shape (n_features,) or None
         Columns that the map leaves as they are, to the last bit.
-    is_tame : bool
-        Whether rows of float32 can be carried in float32 arithmetic; see `tame`.
+    is_tame : bool or None
+        Whether rows of float32 can be carried in float32 arithmetic; see `tame`. None is not known, and they are
+        not.
+    scale, unscaled : ndarray of shape (n_features,), and of the shape of `coef`, or None
+        Lengths in whose units the map was found, and `coef` in these; see `scaled`.
 
     Examples
     --------
@@ -74,7 +77,9 @@ class AffineMap:
     source_mean: np.ndarray
     target_mean: np.ndarray
     untouched: np.ndarray | None = None
-    is_tame: bool = False
+    is_tame: bool | None = None
+    scale: np.ndarray | None = None
+    unscaled: np.ndarray | None = None
 
     @classmethod
     def between(cls, coef: Any, source: Any, target: Any) -> Any:
@@ -84,9 +89,13 @@ class AffineMap:
 
     def scaled(self, scale: Any) -> Any:
         """Return the map of rows of which each column is this many times as large."""
-        coef = self.coef * scale[:, np.newaxis] / scale
         return replace(
-            self, coef=coef, source_mean=self.source_mean * scale, target_mean=self.target_mean * scale
+            self,
+            coef=_in_units(self.coef, scale),
+            source_mean=self.source_mean * scale,
+            target_mean=self.target_mean * scale,
+            scale=scale,
+            unscaled=self.coef,
         )
 
     def tame(self, source: Any) -> "AffineMap":
@@ -105,22 +114,24 @@ class AffineMap:
         AffineMap
         """
         terms = np.square(self.coef) @ source.variance
-        carried = np.square(self.coef @ source.covariance_factor().T).sum(axis=1)
+        carried = np.square(self.coef @ source.covariance_factor.T).sum(axis=1)
         return replace(self, is_tame=bool((terms <= MOST_CANCELLED * carried).all()))
 
     def __getstate__(self) -> dict[str, Any]:
-        state = dict(vars(self))
-        if np.array_equal(self.coef, self.coef.T):
-            # The optimal map is symmetric: half the numbers do.
-            state["coef"] = self.coef[np.triu_indices(len(self.coef))]
-        return state
+        # The optimal map is symmetric in the units that it was found in: half the numbers do.
+        found = self.coef if self.unscaled is None else self.unscaled
+        if np.array_equal(found, found.T):
+            return {**vars(self), "coef": found[np.triu_indices(len(found))], "unscaled": None}
+        return {**vars(self), "scale": None, "unscaled": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         if self.coef.ndim == 1:
-            coef = np.zeros((len(self.source_mean), len(self.source_mean)))
-            coef[np.triu_indices(len(coef))] = self.coef
-            vars(self)["coef"] = coef + np.triu(coef, 1).T
+            found = np.zeros((len(self.source_mean), len(self.source_mean)))
+            found[np.triu_indices(len(found))] = self.coef
+            found += np.triu(found, 1).T
+            vars(self)["coef"] = found if self.scale is None else _in_units(found, self.scale)
+            vars(self)["unscaled"] = None if self.scale is None else found
 
     @property
     def intercept(self) -> Any:
@@ -157,6 +168,11 @@ class AffineMap:
 
         shared(carry, range(0, len(rows), size))
         return carried
+
+
+def _in_units(coef: Any, scale: Any) -> Any:
+    """Return the coefficient of rows of which each column is this many times as large."""
+    return coef * scale[:, np.newaxis] / scale
 
 
 def transport_map(source_covariance: Any, target_covariance: Any) -> Any:
@@ -326,7 +342,7 @@ def root_of_moments(moments: Any, scale: Any = None) -> Any:
     ndarray of shape (n_features, rank)
         A matrix of full column rank whose product with its transpose is the covariance.
     """
-    factor, rounding = moments.covariance_factor(), moments.rounding
+    factor, rounding = moments.covariance_factor, moments.rounding
     if moments.scatter is not None:
         deviation = np.sqrt(moments.variance)
         varies = deviation > 0
@@ -414,10 +430,13 @@ def optimal_map(source_root: Any, target_root: Any, *, reach: bool = False) -> A
 
 def _half_of_well_conditioned_map(source_root: Any, target_root: Any) -> Any:
     """Return G with G G^T the map, or None where a plain product of the roots would lose digits."""
-    core = target_root.T @ source_root
-    if len(core) > 256:
+    are_triangles = len(source_root) > 256 and not any(
+        bandwidth(root)[1] for root in (source_root, target_root)
+    )
+    if are_triangles:
+        core = blas.dtrmm(1.0, target_root, source_root, lower=1, trans_a=1)
         squares, right = np.linalg.eigh(core.T @ core)
-        if squares[0] > 1e-5 * squares[-1] and bandwidth(source_root)[1] == 0:
+        if squares[0] > 1e-5 * squares[-1]:
             return solve_triangular(
                 source_root,
                 right * squares**0.25,
@@ -426,7 +445,7 @@ def _half_of_well_conditioned_map(source_root: Any, target_root: Any) -> Any:
                 overwrite_b=True,
                 check_finite=False,
             )
-    left, values, _ = np.linalg.svd(core)
+    left, values, _ = np.linalg.svd(target_root.T @ source_root)
     if values[-1] > 1e-4 * values[0]:
         return target_root @ (left / np.sqrt(values))
     return None
@@ -549,7 +568,13 @@ def distance_of_roots(mean_difference: Any, source_root: Any, target_root: Any) 
     source_root, target_root = (
         np.pad(root, ((0, 0), (0, rank - root.shape[1]))) for root in (source_root, target_root)
     )
-    left, _, right = np.linalg.svd(target_root.T @ source_root)
+    core = target_root.T @ source_root
+    if len(core) > 256:
+        spread = np.square(source_root).sum() + np.square(target_root).sum()
+        square = spread - 2 * np.linalg.svd(core, compute_uv=False).sum()
+        if square > 1e-3 * spread:
+            return float(np.sqrt(np.square(mean_difference).sum() + square))
+    left, _, right = np.linalg.svd(core)
     unaligned = source_root - target_root @ (left @ right)
     return float(np.hypot(np.linalg.norm(mean_difference), np.linalg.norm(unaligned)))
 
@@ -572,6 +597,6 @@ def coefficient_distance(source: Any, target: Any, coef: Any) -> float:
     spread = source.variance.sum() + target.variance.sum()
     unaligned = spread - 2 * np.vdot(coef, source.covariance)
     if source.n_features <= 256 or unaligned < 1e-3 * spread:
-        factor = source.covariance_factor()
+        factor = source.covariance_factor
         unaligned = np.square(factor @ coef.T - factor).sum()
     return float(np.sqrt(np.square(source.mean - target.mean).sum() + unaligned))

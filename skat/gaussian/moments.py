@@ -1,6 +1,7 @@
 """Mean and covariance of weighted rows: accurate, mergeable, and computed without a centred copy."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,8 @@ SMALLEST_SPREAD = 1e-140
 BLOCK_ELEMENTS = 2**18
 # BLAS works on pieces of this size without threads, whose start costs more than such a piece.
 SERIAL_ELEMENTS = 2**12
+# NumPy starts anew on every row of a broadcast operation, which costs more than a shorter row itself.
+SHORT_ROW = 512
 
 
 class SideBySide:
@@ -137,8 +140,9 @@ class Moments:
             parts = (self.mean, held, self.variance)
             return all(bool(np.isfinite(part).all()) for part in parts)
 
+    @cached_property
     def covariance_factor(self) -> Any:
-        r"""Return :math:`F` with :math:`F^T F` the covariance, of at most as many rows as columns."""
+        r""":math:`F` with :math:`F^T F` the covariance, of at most as many rows as columns."""
         factor = self.factor if self.scatter is None else _factor_of_scatter(self.scatter)
         return _compressed(factor, at_most=self.n_features) / np.sqrt(self.weight)
 
@@ -201,7 +205,7 @@ class Moments:
 
     def __getstate__(self) -> Any:
         # A symmetric matrix or a triangle, of which half the numbers do.
-        state: dict[str, Any] = dict(vars(self))
+        state: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
         n_features = self.n_features
         if self.scatter is not None:
             state["scatter"] = self.scatter[np.triu_indices(n_features)]
@@ -283,11 +287,13 @@ def row_moments(rows: Any, weight: Any = None) -> Any:
     squared = float(n_rows) if weight is None else float(weight @ weight)
     eps = float(np.finfo(rows.dtype if rows.dtype.kind == "f" else np.float64).eps)
     with np.errstate(over="ignore", invalid="ignore"):
-        shift = _near_mean(rows, weight)
+        shift, variance = _first_moments(rows, weight)
         if n_rows * n_features**2 <= CHEAP_QR or n_rows <= n_features:
             mean, remainder = _sum_with_remainder(shift, _mean_about(rows, weight, shift))
             factor = _row_factor(rows, weight, mean)
             return Moments(n_rows, total, squared, mean, remainder, factor=factor, eps=eps)
+        # Next to such a mean a sum of squares loses less than one bit, and the rows can be read where they are.
+        shift = np.where(np.square(shift) <= variance, 0.0, shift)
         scatter, offset = _scatter_about(rows, weight, shift)
         if np.isfinite(offset).all() and _is_far(offset, scatter, total):
             shift = shift + offset
@@ -315,18 +321,31 @@ def _less(rows: Any, shift: Any, out: Any = None) -> Any:
     """Return a block of rows, as float64, less a vector."""
     if isinstance(rows, SideBySide):
         return rows.less(shift, out)
-    return np.subtract(rows, shift, out=out, dtype=np.float64)
+    n_rows, n_features = rows.shape
+    out = np.empty(rows.shape) if out is None else out
+    n_beside = SHORT_ROW // n_features
+    n_wide = n_rows - n_rows % n_beside if n_beside > 1 and rows.flags.c_contiguous else 0
+    if n_wide:
+        wide = (n_wide // n_beside, n_beside * n_features)
+        beside = np.tile(shift, n_beside)
+        np.subtract(rows[:n_wide].reshape(wide), beside, out=out[:n_wide].reshape(wide), dtype=np.float64)
+    np.subtract(rows[n_wide:], shift, out=out[n_wide:], dtype=np.float64)
+    return out
 
 
 def _blocks(n_rows: int, n_features: int) -> Any:
-    size = max(BLOCK_ELEMENTS // n_features, n_features, 256)
+    size = max(BLOCK_ELEMENTS // n_features, 2 * n_features, 256)
     return [slice(start, min(start + size, n_rows)) for start in range(0, n_rows, size)]
 
 
-def _near_mean(rows: Any, weight: Any) -> Any:
-    """Return the mean of the first rows, exact where they are all equal."""
+def _first_moments(rows: Any, weight: Any) -> Any:
+    """Return mean and variance of the first rows, exact where they are all equal."""
     first = _blocks(*rows.shape)[0]
-    return rows[0] + _mean_about(rows[first], None if weight is None else weight[first], rows[0])
+    weight = None if weight is None else weight[first]
+    shifted = _less(rows[first], rows[0])
+    mean = np.average(shifted, axis=0, weights=weight)
+    shifted -= mean
+    return rows[0] + mean, np.average(np.square(shifted, out=shifted), axis=0, weights=weight)
 
 
 def _mean_about(rows: Any, weight: Any, shift: Any) -> Any:
@@ -341,19 +360,21 @@ def _scatter_about(rows: Any, weight: Any, shift: Any) -> Any:
     """Return the scatter about the mean, and the mean less the shift."""
     n_rows, n_features = rows.shape
     blocks = _blocks(n_rows, n_features)
-    buffer = np.empty((blocks[0].stop, n_features))
-    ones = np.ones(len(buffer))
+    ones = np.ones(blocks[0].stop)
+    as_they_are = (
+        isinstance(rows, np.ndarray) and rows.dtype == np.float64 and weight is None and not shift.any()
+    )
+    buffer = None if as_they_are else np.empty((len(ones), n_features))
     scatter, total = np.zeros((n_features, n_features)), np.zeros(n_features)
     for block in blocks:
-        shifted = buffer[: block.stop - block.start]
-        _less(rows[block], shift, shifted)
-        if weight is None:
-            total += ones[: len(shifted)] @ shifted
-        else:
+        part, root = rows[block], ones[: block.stop - block.start]
+        if buffer is not None:
+            part = _less(part, shift, buffer[: len(root)])
+        if weight is not None:
             root = np.sqrt(weight[block])
-            shifted *= root[:, np.newaxis]
-            total += root @ shifted
-        scatter += shifted.T @ shifted
+            part *= root[:, np.newaxis]
+        total += root @ part
+        scatter += part.T @ part
     weight_sum = n_rows if weight is None else weight.sum()
     offset = total / weight_sum
     scatter -= np.outer(total, offset)

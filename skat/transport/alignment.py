@@ -1,8 +1,10 @@
 """Maps from rows in pairs: which rotation to put between two roots."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from scipy.linalg import bandwidth, blas, lapack, solve_triangular
 
 from skat.gaussian import (
     accurate_svd,
@@ -13,12 +15,46 @@ from skat.gaussian import (
 )
 from skat.gaussian.arrays import Floats
 from skat.gaussian.maps import reached_part
+from skat.gaussian.moments import triangle
 
-__all__ = ["Alignment", "look_shuffled", "raw_alignment", "whitened_alignment"]
+__all__ = ["Alignment", "PairFactors", "look_shuffled", "raw_alignment", "whitened_alignment"]
 
 # Pillai's trace of shuffled pairs is this many standard deviations above its mean about once in a thousand of many
 # columns, and once in a hundred of one or two.
 LEAST_CORRELATION = 3.3
+# Up to so many columns the way that keeps all digits of every direction costs next to nothing.
+FEW_COLUMNS = 64
+# Condition of a triangle, and of the matrix whose polar factor is taken, beyond which what plain products lose is kept.
+WORST_CONDITION, WORST_CONDITION_OF_PULL = 1e5, 1e7
+
+
+@dataclass(frozen=True, eq=False)
+class PairFactors:
+    """Factors of two covariances, the k-th rows of which belong together: their product is the cross-covariance.
+
+    Attributes
+    ----------
+    source, target : ndarray of shape (n_rows, n_features)
+        Centred pairs, divided by the root of their number, or an orthogonal transform of those.
+    """
+
+    source: np.ndarray
+    target: np.ndarray
+
+    @cached_property
+    def triangles(self):
+        r"""Triangles :math:`R_s, R_t` of the two covariances, and :math:`P` with :math:`R_s^T P` the cross-covariance.
+
+        None where there are few columns, where the source's factor is no triangle, or where one is ill-conditioned.
+        """
+        n_features = self.source.shape[1]
+        if not FEW_COLUMNS < n_features <= len(self.source) or bandwidth(self.source)[0]:
+            return None
+        source, target = self.source[:n_features], triangle(self.target)
+        for part in (source, target):
+            if lapack.dtrcon(part, norm="1", uplo="U")[0] * WORST_CONDITION < 1:
+                return None
+        return source, target, self.target[:n_features]
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,8 +67,8 @@ class Alignment:
         The map; unit of feature i per unit of feature j.
     inverse_coef : ndarray of shape (n_features, n_features) or None
         The way back; None where the source has directions that the map drops.
-    rotation : ndarray of shape (n_features, n_features)
-        Orthogonal; a partial isometry where a covariance is singular.
+    rotation : ndarray of shape (n_features, n_features) or None
+        Orthogonal; a partial isometry where a covariance is singular. None where the map was found without it.
     rank : int
         Rank of the map.
     unreached : float
@@ -41,20 +77,20 @@ class Alignment:
 
     coef: Floats
     inverse_coef: Floats | None
-    rotation: Floats
+    rotation: Floats | None
     rank: int
     unreached: float = 0.0
 
 
 def whitened_alignment(
-    source_factor: Floats,
-    target_factor: Floats,
+    factors: "PairFactors",
     *,
     source_root: Floats | None = None,
     target_root: Floats | None = None,
     source_rounding: Floats | None = None,
     target_rounding: Floats | None = None,
     reach: bool = False,
+    quick: bool = True,
 ) -> Alignment:
     r"""Return the map of least squared error over the pairs that carries one covariance exactly to the other.
 
@@ -66,16 +102,15 @@ def whitened_alignment(
 
     Parameters
     ----------
-    source_factor, target_factor : ndarray of shape (n_rows, n_features)
-        Factors of the two covariances, the k-th rows of which belong together, such that their product is the
-        cross-covariance: centred pairs, divided by the root of their number, or an orthogonal transform of
-        those.
+    factors : PairFactors
     source_root, target_root : ndarray of shape (n_features, rank), default=None
         Roots of covariances that are estimated otherwise; None takes those of the factors.
     source_rounding, target_rounding : ndarray of shape (n_features,), default=None
         As in `root_of_factor`.
     reach : bool, default=False
         Whether to carry what can be reached where the target has the higher rank.
+    quick : bool, default=True
+        Whether the rotation may be left out, where the map can be had for less without it.
 
     Returns
     -------
@@ -86,8 +121,12 @@ def whitened_alignment(
     numpy.linalg.LinAlgError
         If the target has the higher rank, unless `reach`.
     """
-    source_scores, source_spread, source_directions = _principal(source_factor, source_root, source_rounding)
-    target_scores, target_spread, target_directions = _principal(target_factor, target_root, target_rounding)
+    if quick and source_root is None and target_root is None:
+        alignment = _alignment_of_triangles(factors)
+        if alignment is not None:
+            return alignment
+    source_scores, source_spread, source_directions = _principal(factors.source, source_root, source_rounding)
+    target_scores, target_spread, target_directions = _principal(factors.target, target_root, target_rounding)
     source_rank, target_rank = len(source_spread), len(target_spread)
     if source_rank < target_rank and not reach:
         check_that_source_reaches_target(np.eye(target_rank, source_rank))
@@ -108,9 +147,28 @@ def whitened_alignment(
     return Alignment(coef, inverse, rotation, min(source_rank, target_rank), unreached)
 
 
+def _alignment_of_triangles(factors):
+    r"""Return the map of well-conditioned pairs, or None for others.
+
+    Any roots of the covariances give the same map: with :math:`C_s = R_s^T R_s`, :math:`C_t = R_t^T R_t` and
+    :math:`C_{ts} = P^T R_s`
+
+    .. math:: T = R_t^T Q R_s^{-T}, \quad Q \text{ the orthogonal polar factor of } R_t C_{ts} R_s^{-1} = R_t P^T
+    """
+    if factors.triangles is None:
+        return None
+    source, target, across = factors.triangles
+    left, values, right = np.linalg.svd(blas.dtrmm(1.0, target, across.T))
+    if values[-1] * WORST_CONDITION_OF_PULL < values[0]:
+        return None
+    turn = left @ right
+    coef = solve_triangular(source, blas.dtrmm(1.0, target, turn.T, side=1), check_finite=False).T
+    inverse = solve_triangular(target, blas.dtrmm(1.0, source, turn, side=1), check_finite=False).T
+    return Alignment(coef, inverse, None, len(source))
+
+
 def raw_alignment(
-    source_factor: Floats,
-    target_factor: Floats,
+    factors: "PairFactors",
     *,
     source_root: Floats | None = None,
     target_root: Floats | None = None,
@@ -125,8 +183,7 @@ def raw_alignment(
 
     Parameters
     ----------
-    source_factor, target_factor : ndarray of shape (n_rows, n_features)
-        As for `whitened_alignment`.
+    factors : PairFactors
     source_root, target_root : ndarray of shape (n_features, rank), default=None
         As for `whitened_alignment`.
     source_rounding, target_rounding : ndarray of shape (n_features,), default=None
@@ -150,13 +207,13 @@ def raw_alignment(
     ----------
     .. [1] Mallasto et al. (2021). Affine Transport for Sim-to-Real Domain Adaptation. Algorithm 1.
     """
-    left, _, right = accurate_svd(target_factor.T @ source_factor + mean_product)
+    left, _, right = accurate_svd(factors.target.T @ factors.source + mean_product)
     rotation = left @ right
     source_root = rotation @ (
-        root_of_factor(source_factor, rounding=source_rounding) if source_root is None else source_root
+        root_of_factor(factors.source, rounding=source_rounding) if source_root is None else source_root
     )
     target_root = (
-        root_of_factor(target_factor, rounding=target_rounding) if target_root is None else target_root
+        root_of_factor(factors.target, rounding=target_rounding) if target_root is None else target_root
     )
     carry = optimal_map(source_root, target_root, reach=reach)
     rank, unreached = target_root.shape[1], 0.0
@@ -168,7 +225,7 @@ def raw_alignment(
     return Alignment(carry @ rotation, inverse, rotation, rank, unreached)
 
 
-def look_shuffled(source_factor: Floats, target_factor: Floats, n_rows: float) -> bool:
+def look_shuffled(factors: "PairFactors", n_rows: float) -> bool:
     r"""Whether pairs are no more correlated than shuffled ones.
 
     The statistic is Pillai's trace, the sum of the squared canonical correlations. For orthogonal projections
@@ -177,8 +234,7 @@ def look_shuffled(source_factor: Floats, target_factor: Floats, n_rows: float) -
 
     Parameters
     ----------
-    source_factor, target_factor : ndarray of shape (n_factor_rows, n_features)
-        As for `whitened_alignment`.
+    factors : PairFactors
     n_rows : float
         Number of pairs, of equal weight.
 
@@ -187,13 +243,20 @@ def look_shuffled(source_factor: Floats, target_factor: Floats, n_rows: float) -
     bool
         False where pairs are so few that even those which agree exactly would not show it.
     """
-    source_scores, target_scores = _basis(source_factor), _basis(target_factor)
-    p, q, size = source_scores.shape[1], target_scores.shape[1], n_rows - 1
+    if factors.triangles is not None:
+        _, target, across = factors.triangles
+        p = q = len(target)
+        cosines = solve_triangular(target, across.T, trans="T", check_finite=False)
+    else:
+        source_scores, target_scores = _basis(factors.source), _basis(factors.target)
+        p, q = source_scores.shape[1], target_scores.shape[1]
+        cosines = target_scores.T @ source_scores
+    size = n_rows - 1
     if size <= max(p, q, 1):
         return False
     variance = 2 * p * q * (size - p) * (size - q) / (size**2 * (size - 1) * (size + 2))
     least = p * q / size + LEAST_CORRELATION * np.sqrt(variance)
-    return bool(np.square(target_scores.T @ source_scores).sum() < least <= min(p, q))
+    return bool(np.square(cosines).sum() < least <= min(p, q))
 
 
 def _basis(factor: Floats) -> Floats:

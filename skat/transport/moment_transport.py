@@ -1,8 +1,7 @@
 """Transports by an affine map that is a function of the two domains' moments."""
 
 import warnings
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Literal, NoReturn, Self, cast
 
 import numpy as np
@@ -40,14 +39,11 @@ class Solution:
         Rank of its linear part.
     unreached : float
         Share of the target's variance that the carried rows do not have, for the source does not vary there.
-    attributes : mapping of str to ndarray
-        What else the estimator shows of it.
     """
 
     affine: AffineMap
     rank: int
     unreached: float = 0.0
-    attributes: Mapping[str, Floats] = field(default_factory=dict)
 
 
 class MomentTransport(BaseTransport):
@@ -300,13 +296,12 @@ class MomentTransport(BaseTransport):
         solution = self._solve(*scaled, scale)
         affine, self.rank_ = solution.affine, solution.rank
         self.unreached_ = max(outside, solution.unreached)
-        self._map = (affine if self.metric_scale is None else affine.scaled(scale)).tame(source)
+        self._map = affine if self.metric_scale is None else affine.scaled(scale)
         for name, value in {
             "coef_": self._map.coef,
             "intercept_": self._map.intercept,
             "source_mean_": source.mean,
             "target_mean_": target.mean,
-            **solution.attributes,
         }.items():
             setattr(self, name, to_namespace(value, like))
         self.wasserstein_distance_ = self._distance(scaled[0], scaled[1], affine)
@@ -489,6 +484,8 @@ class MomentTransport(BaseTransport):
 
     def _carry(self, X: AnyArray, keep: AnyArray | None = None) -> AnyArray:
         self._look_outside(X, keep)
+        if self._map.is_tame is None and str(getattr(X, "dtype", None)) == "float32":
+            self._map = self._map.tame(self._learned[0])
         return apply_map(self._map, X, keep=keep, check=self._refuse_rows)
 
     def _carry_back(self, X: AnyArray) -> AnyArray:
@@ -521,7 +518,7 @@ def _share_outside(source: Moments, target: Moments) -> float:
     directions = spectrum(root_of_moments(source))[0]
     if directions.shape[1] == source.n_features:
         return 0.0
-    factor = target.covariance_factor()
+    factor = target.covariance_factor
     outside = factor - (factor @ directions) @ directions.T
     share = float(np.square(outside).sum() / np.square(factor).sum())
     return share if share > len(directions) * EPS else 0.0

@@ -9,8 +9,8 @@ from sklearn.base import BaseEstimator
 from skat._compat import StrOptions
 from skat.gaussian import AffineMap, Moments, root_of_moments
 from skat.gaussian.arrays import AnyArray, Floats
-from skat.gaussian.backends import beside
-from skat.transport.alignment import Alignment, look_shuffled, raw_alignment, whitened_alignment
+from skat.gaussian.backends import beside, to_namespace
+from skat.transport.alignment import Alignment, PairFactors, look_shuffled, raw_alignment, whitened_alignment
 from skat.transport.base import Samples, same_length
 from skat.transport.moment_transport import MomentTransport, Solution
 
@@ -142,8 +142,9 @@ class ProcrustesAffineTransport(MomentTransport):
 
     def _solve(self, source: Moments, target: Moments, scale: Floats) -> Solution:
         alignment = self._aligned(source, target, scale, warn=self._warns)
-        affine = AffineMap.between(alignment.coef, source, target)
-        return Solution(affine, alignment.rank, alignment.unreached, {"rotation_": alignment.rotation})
+        return Solution(
+            AffineMap.between(alignment.coef, source, target), alignment.rank, alignment.unreached
+        )
 
     def _solve_back(self, source: Moments, target: Moments, scale: Floats) -> AffineMap:
         alignment = self._aligned(source, target, scale, warn=False)
@@ -151,12 +152,23 @@ class ProcrustesAffineTransport(MomentTransport):
             raise np.linalg.LinAlgError("the target has the lower rank")
         return AffineMap.between(alignment.inverse_coef, target, source)
 
-    def _aligned(self, source: Moments, target: Moments, scale: Floats, *, warn: bool) -> Alignment:
+    @property
+    def rotation_(self) -> AnyArray:
+        """Q or R of the formula, found anew whenever it is asked for: the map needs none."""
+        if not hasattr(self, "coef_"):
+            raise AttributeError(f"this {type(self).__name__} has not been fitted and knows no rotation yet.")
+        source, target = self._scaled()
+        alignment = self._aligned(source, target, self._learned[2], warn=False, quick=False)
+        return to_namespace(alignment.rotation, self.coef_)
+
+    def _aligned(
+        self, source: Moments, target: Moments, scale: Floats, *, warn: bool, quick: bool = True
+    ) -> Alignment:
         (pairs,) = self._moments
         n_features = source.n_features
-        factor = pairs.covariance_factor() / np.concatenate([scale, scale])
-        source_part, target_part = factor[:, :n_features], factor[:, n_features:]
-        if warn and look_shuffled(source_part, target_part, pairs.effective_n_rows):
+        factor = pairs.covariance_factor / np.concatenate([scale, scale])
+        factors = PairFactors(factor[:, :n_features], factor[:, n_features:])
+        if warn and look_shuffled(factors, pairs.effective_n_rows):
             warnings.warn(
                 "the pairs carry no correlation that shuffled rows would not show as well, so the rotation "
                 "is "
@@ -172,5 +184,5 @@ class ProcrustesAffineTransport(MomentTransport):
         if self.alignment == "raw":
             if not self.center:
                 roots["mean_product"] = np.outer(target.mean, source.mean)
-            return raw_alignment(source_part, target_part, **roots)
-        return whitened_alignment(source_part, target_part, **roots)
+            return raw_alignment(factors, **roots)
+        return whitened_alignment(factors, **roots, quick=quick)

@@ -91,7 +91,7 @@ def regression(moments: Moments, context: Flags) -> tuple[Floats, Floats]:
     ndarray of shape (n_rest, residual_rank)
         Root of the residuals' covariance.
     """
-    factor = moments.covariance_factor()
+    factor = moments.covariance_factor
     n_context = int(context.sum())
     ordered = triangle(np.hstack([factor[:, context], factor[:, ~context]]))
     predictors, response = ordered[:, :n_context], ordered[:, n_context:]
@@ -142,7 +142,7 @@ def ridge_regression(moments: Moments, context: Flags, prior: Floats) -> tuple[F
     .. [1] Golub, Heath and Wahba (1979). Generalized cross-validation as a method for choosing a good ridge
        parameter. Technometrics 21(2).
     """
-    factor = moments.covariance_factor()
+    factor = moments.covariance_factor
     n_rows, n_context = moments.effective_n_rows, int(context.sum())
     ordered = triangle(np.hstack([factor[:, context], factor[:, ~context]]))
     predictors, response = ordered[:, :n_context], ordered[:, n_context:]

@@ -104,7 +104,7 @@ class Support:
         """
         deviation = np.sqrt(moments.variance)
         scale = np.where(deviation > 0, deviation, 1.0)
-        support = cls(moments.mean, scale, root_of_moments(moments.scaled(1 / scale)))
+        support = cls(moments.mean, scale, root_of_moments(moments) / scale[:, np.newaxis])
         if rows is None or not len(rows):
             return support
         return support.calibrated(Distances.of(support.left_out(rows, moments, weight)))

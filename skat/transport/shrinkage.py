@@ -51,7 +51,7 @@ def shrunk_towards(
     directions, spread = spectrum(root_of_moments(source))
     if len(spread) < source.n_features and not reach:
         check_that_source_reaches_target((directions.T @ spectrum(root_of_moments(target))[0]).T)
-    factor = (target if pairs is None else pairs).covariance_factor()
+    factor = (target if pairs is None else pairs).covariance_factor
     whitened = factor[:, -source.n_features :] @ directions / spread
     scores, values, axes = np.linalg.svd(whitened, full_matrices=True)
     missing = len(spread) - len(values)
@@ -115,10 +115,10 @@ def mean_drawn_towards(
     shift = (target.mean - source.mean) + (target.mean_remainder - source.mean_remainder)
     whitened = shift @ directions / spread
     if pairs is None:
-        scores = target.covariance_factor() @ directions / spread
+        scores = target.covariance_factor @ directions / spread
         error = scores.T @ scores / max(n_target - 1, 1.0) + np.eye(len(spread)) / max(n_source - 1, 1.0)
     else:
-        factor = pairs.covariance_factor()
+        factor = pairs.covariance_factor
         scores = (factor[:, source.n_features :] - factor[:, : source.n_features]) @ directions / spread
         error = scores.T @ scores / max(n_target - 1, 1.0)
     spare = np.trace(error) - 2 * np.linalg.eigvalsh(error).max(initial=0.0)

@@ -390,10 +390,12 @@ def test_a_pickle_before_there_is_a_map_goes_on_learning():
     np.testing.assert_array_equal(begun.partial_fit(y=y).coef_, AffineTransport().fit(X, y).coef_)
 
 
-@pytest.mark.parametrize("n_features", [30, 100])
-def test_a_pickle_is_of_at_most_twice_the_map(n_features):
+@pytest.mark.parametrize(("n_features", "scale"), [(30, None), (100, None), (40, "target"), (100, "target")])
+def test_a_pickle_is_of_at_most_twice_the_map(n_features, scale):
     rng = np.random.default_rng(0)
     X = rng.normal(size=(3000, n_features))
     y = X @ (np.eye(n_features) + 0.1 * rng.normal(size=(n_features, n_features)))
-    fitted = AffineTransport().fit(X, y)
+    fitted = AffineTransport(metric_scale=scale).fit(X, y)
     assert len(pickle.dumps(fitted)) <= 2 * (fitted.coef_.nbytes + fitted.intercept_.nbytes)
+    again = pickle.loads(pickle.dumps(pickle.loads(pickle.dumps(fitted))))
+    np.testing.assert_array_equal(again.coef_, fitted.coef_)

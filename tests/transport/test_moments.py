@@ -1,5 +1,8 @@
 """Moments merge, in any order and grouping, and lose no digits."""
 
+import pickle
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -85,6 +88,44 @@ def test_a_trend_far_larger_than_the_first_rows_costs_no_digits():
     assert standardised_difference(row_moments(rows).covariance, factor.T @ factor / len(rows)) < 1e-13
 
 
+@pytest.mark.parametrize("offset", [0.0, 0.9, 40.0])
+@pytest.mark.parametrize("dtype", [np.float64, np.float32, np.int32])
+def test_rows_are_the_same_read_where_they_are_and_shifted(dtype, offset):
+    rng = np.random.default_rng(0)
+    rows = (4 * (rng.normal(size=(60_007, 30)) + offset)).astype(dtype)
+    moments = row_moments(rows)
+    assert moments.factor is None
+    exact = rows.astype(np.longdouble)
+    mean = exact.mean(axis=0)
+    np.testing.assert_allclose(moments.mean, mean.astype(float), rtol=1e-14, atol=1e-14)
+    centred = (exact - mean).astype(float)
+    assert standardised_difference(moments.covariance, centred.T @ centred / len(rows)) < 1e-14
+    columns = row_moments(np.asfortranarray(rows))
+    assert standardised_difference(columns.covariance, moments.covariance) < 1e-14
+
+
+def test_centred_rows_are_not_copied():
+    rows = np.random.default_rng(0).normal(size=(60_000, 30))
+    tracemalloc.start()
+    row_moments(rows)
+    without_copy = tracemalloc.get_traced_memory()[1]
+    tracemalloc.reset_peak()
+    row_moments(rows + 40)
+    assert tracemalloc.get_traced_memory()[1] > without_copy + rows.nbytes
+    tracemalloc.stop()
+
+
+def test_what_was_factored_is_not_pickled_and_does_not_outlive_a_change():
+    rows = np.random.default_rng(0).normal(size=(60_000, 30))
+    moments = row_moments(rows)
+    before = len(pickle.dumps(moments))
+    factor = moments.covariance_factor
+    assert moments.covariance_factor is factor
+    assert len(pickle.dumps(moments)) == before
+    doubled = moments.scaled(np.full(30, 2.0))
+    np.testing.assert_allclose(doubled.covariance_factor, 2 * factor, rtol=1e-13)
+
+
 def test_ill_conditioned_rows_are_held_as_a_factor_and_others_as_a_product():
     rng = np.random.default_rng(0)
     rows = rng.normal(size=(60_000, 30))
@@ -92,7 +133,7 @@ def test_ill_conditioned_rows_are_held_as_a_factor_and_others_as_a_product():
     rows[:, 1] = rows[:, 0] + 1e-5 * rows[:, 1]
     moments = row_moments(rows)
     assert moments.scatter is None
-    smallest = np.linalg.svd(moments.covariance_factor(), compute_uv=False)[-1]
+    smallest = np.linalg.svd(moments.covariance_factor, compute_uv=False)[-1]
     centred = rows - rows.mean(axis=0)
     assert smallest == pytest.approx(np.linalg.svd(centred, compute_uv=False)[-1] / np.sqrt(60_000), rel=1e-9)
 
@@ -119,7 +160,7 @@ def test_sets_far_apart_merge_into_a_factor():
     rows = np.vstack(parts)
     centred = rows - rows.mean(axis=0)
     expected = np.linalg.svd(centred, compute_uv=False)[-1] / np.sqrt(len(rows))
-    assert np.linalg.svd(both.covariance_factor(), compute_uv=False)[-1] == pytest.approx(expected, rel=1e-7)
+    assert np.linalg.svd(both.covariance_factor, compute_uv=False)[-1] == pytest.approx(expected, rel=1e-7)
 
 
 def test_not_a_number_shows():

@@ -21,6 +21,7 @@ from skat import (
 )
 from skat.gaussian import gaussian_wasserstein_distance, transport_map
 from skat.metrics.wasserstein import affinity, wasserstein_distance
+from skat.transport.alignment import PairFactors
 from skat.transport.residual import GAMMAS, PENALTIES, KernelRidgeCV
 from tests.transport.reference import relative_error
 
@@ -152,6 +153,59 @@ def test_whitened_procrustes_recovers_every_invertible_affine_map(seed, n_featur
     np.testing.assert_allclose(transport.rotation_ @ transport.rotation_.T, np.eye(n_features), atol=1e-12)
     back = transport.inverse_transform(transport.transform(X))
     np.testing.assert_allclose(back, X, atol=1e-11 * condition * np.abs(X).max())
+
+
+@pytest.mark.parametrize("noise", [0.3, 3.0])
+def test_procrustes_of_many_columns_is_the_map_of_the_formula(noise):
+    rng = np.random.default_rng(0)
+    n_features = 80
+    X = (
+        rng.normal(size=(3000, n_features)) @ (np.eye(n_features) + 0.05 * rng.normal(size=(n_features,) * 2))
+        + 1
+    )
+    y = X @ (np.eye(n_features) + 0.05 * rng.normal(size=(n_features,) * 2)) + noise * rng.normal(
+        size=X.shape
+    )
+    transport = ProcrustesAffineTransport().fit(X, y)
+    factor = transport._moments[0].covariance_factor
+    assert PairFactors(factor[:, :n_features], factor[:, n_features:]).triangles is not None
+    joint = np.cov(X.T, y.T, bias=True)
+    source, target, cross = joint[:80, :80], joint[80:, 80:], joint[80:, :80]
+    roots = [np.real(scipy.linalg.sqrtm(part)) for part in (source, target)]
+    rotation = scipy.linalg.polar(roots[1] @ cross @ np.linalg.inv(roots[0]))[0]
+    np.testing.assert_allclose(transport.rotation_, rotation, atol=1e-10)
+    np.testing.assert_allclose(transport.coef_, roots[1] @ rotation @ np.linalg.inv(roots[0]), atol=1e-10)
+    np.testing.assert_allclose(transport.inverse_transform(transport.transform(X)), X, atol=1e-10)
+    distance = gaussian_wasserstein_distance(X.mean(axis=0), source, y.mean(axis=0), target)
+    assert transport.wasserstein_distance_ == pytest.approx(distance, rel=1e-10)
+
+
+@pytest.mark.parametrize("how", ["shuffled", "a column twice"])
+def test_many_columns_that_need_care_get_it(how):
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(3000, 80))
+    y = X + 0.3 * rng.normal(size=X.shape)
+    if how == "shuffled":
+        with pytest.warns(UserWarning, match="no correlation that shuffled rows would not show"):
+            ProcrustesAffineTransport().fit(X, rng.permutation(y))
+        return
+    X[:, -1], y[:, -1] = X[:, 0], y[:, 0]
+    transport = ProcrustesAffineTransport().fit(X, y)
+    assert transport.rank_ == 79
+    np.testing.assert_allclose(np.cov(transport.transform(X).T), np.cov(y.T), atol=1e-10)
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0])
+def test_distance_of_many_columns_is_that_of_the_formula(scale):
+    rng = np.random.default_rng(0)
+    source = positive_definite(rng, 300) / 300
+    change = np.eye(300) + scale * rng.normal(size=(300, 300)) / 20
+    target = change @ source @ change.T
+    root = np.real(scipy.linalg.sqrtm(target))
+    direct = np.trace(source + target) - 2 * np.trace(np.real(scipy.linalg.sqrtm(root @ source @ root)))
+    distance = gaussian_wasserstein_distance(np.zeros(300), source, np.zeros(300), target)
+    # What is left of the formula's terms has as few digits as they cancel.
+    assert distance**2 == pytest.approx(direct, abs=1e-12 * np.trace(source))
 
 
 def test_algorithm_1_recovers_rotations_of_white_rows_but_not_every_affine_map():
