@@ -223,6 +223,14 @@ def _parameters(simulator: Simulator) -> dict[str, Any] | None:
     return parameters
 
 
+def _digest(simulator: Simulator) -> str:
+    """Return a digest of what a simulator was made of; nothing if that is Python code."""
+    try:
+        return digest(simulator.get_params(deep=False))
+    except TypeError:
+        return ""
+
+
 def _outputs(simulator: Simulator, rows: Array, groups: Places) -> Array:
     outputs: Array = simulator.predict_many(rows, [{}], groups=groups)[0]
     return outputs
@@ -271,12 +279,11 @@ class Checkpoint:
         parameters = diagnosis.get_params(deep=False)
         if not isinstance(parameters["random_state"], int | np.integer):
             parameters["random_state"] = None  # what was drawn is kept
-        written = _parameters(self._simulator)
         self._parameters = {name: value for name, value in parameters.items() if name not in IDLE}
         self._about: dict[str, Any] = {
             "log": digest(log),
             "simulator": vars(replace(SavedSimulator.of(self._simulator, log), parameters=None)),
-            "model": "" if written is None else digest(written),
+            "model": _digest(self._simulator),
             "parameters": self._parameters,
         }
 
@@ -293,18 +300,17 @@ class Checkpoint:
         with opened(self._path, SEARCH) as archive:
             if archive.skat != skat_version():
                 raise self._unfit(f"it was written by skat {archive.skat}; this is skat {skat_version()}")
-            about = {name: archive.read(name, self._simulator) for name in self._about}
-            if about["log"] != self._about["log"]:
+            if archive.read("log") != self._about["log"]:
                 raise self._unfit("it is of another log, or one of which other channels were left out")
-            difference = SavedSimulator(**about["simulator"]).difference(self._simulator)
-            if not difference and about["model"] != self._about["model"]:
+            difference = SavedSimulator(**archive.read("simulator")).difference(self._simulator)
+            if not difference and archive.read("model") != self._about["model"]:
                 difference = "its model has another text or other parameters"
             if difference:
                 raise self._unfit(f"it is of another simulator: {difference}")
+            parameters = archive.read("parameters", self._simulator)
             for name, value in self._parameters.items():
-                before = about["parameters"].get(name)
-                if digest(before) != digest(value):
-                    raise self._unfit(f"{name} is {value!r:.80} and was {before!r:.80}")
+                if digest(parameters.get(name)) != digest(value):
+                    raise self._unfit(f"{name} is {value!r:.80} and was {parameters.get(name)!r:.80}")
             return Begun(**archive.read("begun", self._simulator))
 
     def write(self, begun: Begun, search: Search) -> None:
