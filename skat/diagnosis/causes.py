@@ -361,11 +361,13 @@ def _refitted(
     given: Array | None,
 ) -> Fitted:
     """Return the fit of a set about a path, at a noise and at values of its own."""
-    places, alone = np.array(start, dtype=float), fitted
+    places, alone, found = np.array(start, dtype=float), fitted, None
     chosen = [effects[one] for one in members]
     for _ in range(REFIT_TURNS):
         values = {effect.name: value_at(effect, at) for effect, at in zip(chosen, places)}
         alone = settled(space, values, alone, floor, given=given)
+        if found is None or alone.bound > found.bound:
+            found = alone
         if not members:
             break
         gram, own = _gram_at(space, alone, effects, priors, members), _part(priors, members)
@@ -374,7 +376,7 @@ def _refitted(
         if np.all(np.abs(moved.values - places) < STANDS_STILL * deviations):
             break
         places = moved.values
-    return alone
+    return alone if found is None else found
 
 
 def _rivals(

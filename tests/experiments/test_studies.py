@@ -54,7 +54,15 @@ def test_nothing_is_named_that_does_not_gain_on_the_other_drop():
 @pytest.mark.parametrize(
     "options",
     [
-        {"n_test": 6, "effects": ["contact_friction[all]", "tilt[x]"]},
+        pytest.param(
+            {"n_test": 6, "effects": ["contact_friction[all]", "tilt[x]"]},
+            marks=[
+                pytest.mark.long,
+                pytest.mark.xfail(
+                    strict=True, reason="The factor on the friction is .70, with the evidence of 52 nats"
+                ),
+            ],
+        ),
         pytest.param({"n_test": 12}, marks=pytest.mark.long, id="all"),
     ],
 )
