@@ -100,6 +100,38 @@ class Found:
 
 
 @dataclass(frozen=True)
+class Search:
+    """How far a search has come: what it goes on from behind a relinearisation.
+
+    Attributes
+    ----------
+    turn : int
+        Of this relinearisation.
+    values : dict of str to float
+        At which it was made.
+    fitted : Fitted
+    slopes : ndarray of shape (n_rows, d, k)
+    first : Gram or None
+        Of the first turn; None in it.
+    tried : tuple of tuple of int
+        Sets that a rival has beaten.
+    bounds : dict of tuple of int to float
+        The best bound of each set so far.
+    banned : tuple of int
+        Effects that were refused.
+    """
+
+    turn: int
+    values: dict[str, float]
+    fitted: Fitted
+    slopes: Array
+    first: Gram | None
+    tried: tuple[tuple[int, ...], ...]
+    bounds: dict[tuple[int, ...], float]
+    banned: tuple[int, ...]
+
+
+@dataclass(frozen=True)
 class Rival:
     """A set in which another effect stands in a cause's place, at a fit of its own.
 
@@ -129,6 +161,8 @@ def find_causes(
     given: Array | None = None,
     max_effects: int | None = None,
     start: Mapping[str, float] | None = None,
+    resumed: Search | None = None,
+    checkpoint: Callable[[Search], None] | None = None,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Found:
     """Search for the set of causes that a log asks for.
@@ -150,6 +184,10 @@ def find_causes(
         Most causes at a time.
     start : mapping from name to value, optional
         Where to begin.
+    resumed : Search, optional
+        Go on from there.
+    checkpoint : callable, optional
+        ``checkpoint(search)`` is called behind each relinearisation.
     progress : callable, optional
         ``progress(stage, done, total)``.
 
@@ -173,10 +211,15 @@ def find_causes(
     bounds: dict[tuple[int, ...], float] = {}
     banned: set[int] = set()
     live: list[int] = []
-    for turn in range(TURNS):
+    if resumed is not None:
+        values, fitted, slopes, first = dict(resumed.values), resumed.fitted, resumed.slopes, resumed.first
+        tried, bounds, banned = set(resumed.tried), dict(resumed.bounds), set(resumed.banned)
+    for turn in range(0 if resumed is None else resumed.turn, TURNS):
         if progress is not None:
             progress("search", turn, TURNS)
-        fitted = settled(space, values, fitted, floor, given=given)
+        is_known = resumed is not None and turn == resumed.turn
+        if fitted is None or not is_known:
+            fitted = settled(space, values, fitted, floor, given=given)
         if slopes is None:
             slopes = slopes_of(space, fitted, effects, priors)
             slopes = _with_chords(space, fitted, effects, slopes)
@@ -185,9 +228,12 @@ def find_causes(
                 fitted = noise_without(
                     space, fitted, slopes, columns.dense(priors.scales), floor, given=given
                 )
-        else:
+        elif not is_known:
             slopes = slopes.copy()
             slopes[..., live] = slopes_of(space, fitted, [effects[one] for one in live], _part(priors, live))
+        if checkpoint is not None and not is_known:
+            state = tuple(sorted(tried)), dict(bounds), tuple(sorted(banned))
+            checkpoint(Search(turn, dict(values), fitted, slopes, first, *state))
         columns = gram_of(space, fitted, slopes, effects)
         members = [places[name] for name in values if name in places]
         gram = _judged(columns, priors, members if turn else None)
@@ -589,4 +635,4 @@ def _also(
     }
 
 
-__all__ = ["Found", "find_causes"]
+__all__ = ["Found", "Search", "find_causes"]

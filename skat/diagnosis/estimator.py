@@ -2,7 +2,10 @@
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from functools import partial
+from os import PathLike
+from pathlib import Path
+from typing import Any, Self
 
 import numpy as np
 import pandas as pd
@@ -29,6 +32,7 @@ from skat.diagnosis.prediction import (
 )
 from skat.diagnosis.remainder import find_remainder, is_unexplained
 from skat.diagnosis.report.from_diagnosis import DiagnosisReport
+from skat.diagnosis.saving import Begun, Checkpoint, read_diagnosis, write_diagnosis
 from skat.diagnosis.statespace import StateSpace, state_space
 from skat.diagnosis.velocities import computed_velocities
 from skat.effects import Effect, unknown_name_message
@@ -141,7 +145,13 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         self.random_state = random_state
 
     def fit(
-        self, X: Any, y: Any, groups: ArrayLike | None = None, *, progress: Progress | None = None
+        self,
+        X: Any,
+        y: Any,
+        groups: ArrayLike | None = None,
+        *,
+        progress: Progress | None = None,
+        resume: str | PathLike[str] | None = None,
     ) -> "SimulationDiagnosis":
         """Diagnose the simulation with measured rows.
 
@@ -158,6 +168,10 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             simulation without a state, rows of a group may have something in common and count as one.
         progress : callable, optional
             ``progress(stage, done, total)`` is called as the work goes on.
+        resume : path, optional
+            A file that holds how far the fit has come. It is written behind each relinearisation and removed when the
+            fit is done; where it exists, the fit goes on from there and comes to the same answer, rows held out
+            included, as without an interruption.
 
         Returns
         -------
@@ -167,7 +181,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         ------
         ValueError
             If the rows do not fit the simulator, are fewer than 4, hold text or an infinite value, or are not in time
-            order; if an effect is unknown.
+            order; if an effect is unknown; if `resume` is a file of another log, simulator, setting or version of
+            skat, or damaged.
         RuntimeError
             If the simulation diverges in every row.
         """
@@ -179,7 +194,10 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         warn_of_doubts(self.simulator, log)
         log = self._without_computed(log)
         self.n_features_in_ = log.X.shape[1]
-        fitted, held_out = log.split(self.test_size, random_state)
+        begun = Begun(*log.split(self.test_size, random_state), random_state)
+        checkpoint = None if resume is None else Checkpoint(resume, self, log)
+        begun = begun if checkpoint is None else checkpoint.resumed(begun)
+        fitted, held_out, random_state = begun.fitted, begun.held_out, begun.random_state
         space = self._space(fitted)
         found = find_causes(
             space,
@@ -189,6 +207,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             floor=_rounding(space),
             given=self._given_deviations(),
             max_effects=self.max_effects,
+            resumed=begun.search,
+            checkpoint=None if checkpoint is None else partial(checkpoint.write, begun),
             progress=progress,
         )
         self._found = found
@@ -221,8 +241,65 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         _warn_of_diverged(self.diverged_share_, len(fitted))
         self.verdict_ = self._verdict()
         self.report_ = DiagnosisReport(self, fitted, held_out)
+        if checkpoint is not None:
+            checkpoint.remove()
         progress("done", 1, 1)
         return self
+
+    def save(self, path: str | PathLike[str], *, force: bool = False) -> Path:
+        """Write the fitted diagnosis, with its report and the log, into one file.
+
+        The file is a zip of JSON and arrays, and holds data only: no pickle, nothing that is run as it is loaded. A
+        `MujocoSimulator` is in it as text; a simulator that is Python code, such as a `FunctionSimulator`, or has
+        effects of your own, is not. Of the fit the laws of the noise are in it, not the path of each row.
+
+        Parameters
+        ----------
+        path : str or Path
+        force : bool, default=False
+            Whether to overwrite a file that exists.
+
+        Returns
+        -------
+        Path
+
+        Raises
+        ------
+        FileExistsError
+            If the file exists and `force` is False, or is a folder.
+        FileNotFoundError
+            If its folder does not exist.
+        TypeError
+            If a parameter is of a class that cannot be written.
+        """
+        check_is_fitted(self, "verdict_")
+        return write_diagnosis(self, path, force=force)
+
+    @classmethod
+    def load(cls, path: str | PathLike[str], *, simulator: Simulator | None = None) -> Self:
+        """Return a diagnosis that was saved: it answers what it answered then, and can be fitted again.
+
+        Parameters
+        ----------
+        path : str or Path
+        simulator : Simulator, optional
+            The one that was diagnosed; needed where the file does not hold it. Its columns, its effects and what it
+            predicts for the first rows of the log are compared with those of then.
+
+        Returns
+        -------
+        SimulationDiagnosis
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is no such file.
+        ValueError
+            If the file is damaged, something else, or in the format of another version of skat; if the simulator is
+            another one, or is needed and not given.
+        """
+        diagnosis: Self = read_diagnosis(cls, path, simulator)
+        return diagnosis
 
     def evaluate(
         self,

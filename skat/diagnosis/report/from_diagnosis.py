@@ -48,6 +48,8 @@ from skat.diagnosis.report.sentences import (
 from skat.diagnosis.report.stills import worst_moment
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     import pandas as pd
     from numpy.typing import ArrayLike
 
@@ -137,6 +139,20 @@ class DiagnosisReport(Report):
         self._tests: list[TestedLog] = []
         if held_out is not None:
             self._tests.append(TestedLog("Rows held out", held_out, diagnosis.gain_, diagnosis._prediction))
+
+    @classmethod
+    def restored(
+        cls, diagnosis: Any, log: Log, tests: Iterable[TestedLog], content: Content
+    ) -> DiagnosisReport:
+        """Return the report that had these logs and this content."""
+        report = cls(diagnosis, log)
+        report.content, report._tests = content, list(tests)
+        return report
+
+    @property
+    def tests(self) -> tuple[TestedLog, ...]:
+        """Logs that the page shows instead of the rows fitted."""
+        return tuple(self._tests)
 
     def add_test(
         self,
