@@ -110,7 +110,9 @@ def test_effect_of_the_smallest_size_is_named_in_about_half_of_the_logs(bending)
     assert 0.25 <= np.mean(named) <= 0.75
 
 
-@pytest.mark.xfail(strict=True, reason="rows of a group count as independent, so that their common noise is a law")
+@pytest.mark.xfail(
+    strict=True, reason="rows of a group count as independent, so that their common noise is a law"
+)
 def test_noise_in_common_within_a_group_is_no_effect(bending):
     rng = np.random.default_rng(0)
     groups = np.repeat(np.arange(15), 10)
@@ -269,7 +271,9 @@ def stuck(X, grip=0.2, hold=0.2, shift=0.0):
     return np.sign(pull) * np.maximum(np.abs(pull) - grip - hold, 0.0)
 
 
-@pytest.mark.xfail(strict=True, reason="ends at 6.85 of 7.8, where half of the rows that move pass for outliers")
+@pytest.mark.xfail(
+    strict=True, reason="ends at 6.85 of 7.8, where half of the rows that move pass for outliers"
+)
 def test_what_could_stand_for_a_cause_is_said_where_nothing_moves_any_more():
     """At the value found neither it nor its like has a derivative."""
     bounds = (0.2, 0.0, 50.0)
