@@ -269,7 +269,14 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         log = without_channels(self.simulator, log, (*self.hidden, *self.computed_velocities_))
         random_state = check_random_state(self.random_state)
         if not isinstance(horizon, str):
-            return self._predicted(log, random_state, horizon).gain
+            prediction = self._predicted(log, random_state, horizon)
+            if prediction.n_diverged:
+                warnings.warn(
+                    f"The simulation diverges in {prediction.n_diverged} of {prediction.n_starts} rows; there it "
+                    "counts as wholly wrong.",
+                    stacklevel=2,
+                )
+            return prediction.gain
         if not log.consecutive:
             raise ValueError(
                 "horizon='episode' needs a simulation with a state, and groups=, the episode of each row."

@@ -29,6 +29,7 @@ from skat.diagnosis.filtering import (
 
 # Of the variance of a chain's first state: finer than any sensor, and well above the rounding of a covariance.
 FINEST = 1e-13
+SMALLEST = 1e-300
 DEGREES_OF_FREEDOM = (np.inf, 10.0, 5.0, 3.0)
 
 
@@ -235,12 +236,13 @@ def _scales(squares: Array, variance: Array, present: Mask) -> tuple[Array, Arra
 
 
 def _best_scale(squares: Array, start: float, nu: float) -> float:
+    # Of a log that a model repeats exactly nothing is left.
     if np.isinf(nu):
-        return float(squares.mean())
+        return max(float(squares.mean()), SMALLEST)
     scale = start
     for _ in range(8):
-        scale = float(np.mean((nu + 1) / (nu + squares / scale) * squares))
-    return max(scale, 1e-300)
+        scale = max(float(np.mean((nu + 1) / (nu + squares / scale) * squares)), SMALLEST)
+    return scale
 
 
 def _cost_of_scales(weights: Array, nus: Array, present: Mask) -> float:

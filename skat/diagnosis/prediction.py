@@ -17,7 +17,6 @@ takes that little noise for granted follows a wrong model rather than its readin
 long before the horizon.
 """
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -87,10 +86,12 @@ class Overlay:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Errors at a horizon, and episodes to look at: those that the nominal model predicts worst."""
+    """Errors at a horizon, the episodes that the nominal model predicts worst, and how many starts diverge."""
 
     gain: Gain
     overlays: tuple[Overlay, ...]
+    n_starts: int
+    n_diverged: int
 
 
 @dataclass(frozen=True)
@@ -213,11 +214,6 @@ def predicted(
     if not counted.any():
         raise RuntimeError("Nothing was measured at the horizon of any row.")
     lost = np.asarray(~np.isfinite(errors[:, :, 0]).all(axis=(0, 2)))
-    if lost.any():
-        warnings.warn(
-            f"The simulation diverges in {int(lost.sum())} of {len(lost)} rows; there it counts as wholly wrong.",
-            stacklevel=2,
-        )
     variances = variances_ahead(space, seen, starts, h)[:, -1]
     with np.errstate(over="ignore"):
         squares = np.nan_to_num(errors[:, :, -1] ** 2 / variances, nan=np.inf)
@@ -232,7 +228,7 @@ def predicted(
     )
     chosen = _worst_episodes(space.groups[starts], nominal, n_overlays) if simulator.state_names else []
     overlays = tuple(_overlay(space, paths, starts, h, episode) for episode in chosen)
-    return Prediction(gain, overlays)
+    return Prediction(gain, overlays, len(lost), int(lost.sum()))
 
 
 def look(space: StateSpace, fitted: Fitted, values: Mapping[str, float]) -> Seen:
