@@ -38,11 +38,11 @@ class PairFactors:
         Centred pairs, divided by the root of their number, or an orthogonal transform of those.
     """
 
-    source: np.ndarray
-    target: np.ndarray
+    source: Floats
+    target: Floats
 
     @cached_property
-    def triangles(self):
+    def triangles(self) -> tuple[Floats, Floats, Floats] | None:
         r"""Triangles :math:`R_s, R_t` of the two covariances, and :math:`P` with :math:`R_s^T P` the cross-covariance.
 
         None where there are few columns, where the source's factor is no triangle, or where one is ill-conditioned.
@@ -147,7 +147,7 @@ def whitened_alignment(
     return Alignment(coef, inverse, rotation, min(source_rank, target_rank), unreached)
 
 
-def _alignment_of_triangles(factors):
+def _alignment_of_triangles(factors: "PairFactors") -> Alignment | None:
     r"""Return the map of well-conditioned pairs, or None for others.
 
     Any roots of the covariances give the same map: with :math:`C_s = R_s^T R_s`, :math:`C_t = R_t^T R_t` and
