@@ -119,6 +119,10 @@ class Search:
         The best bound of each set so far.
     banned : tuple of int
         Effects that were refused.
+    before : Fitted or None
+        That of the turn before, from which slopes led here.
+    astray : bool
+        Whether slopes led to where a fit of its own did worse.
     """
 
     turn: int
@@ -129,6 +133,8 @@ class Search:
     tried: tuple[tuple[int, ...], ...]
     bounds: dict[tuple[int, ...], float]
     banned: tuple[int, ...]
+    before: Fitted | None
+    astray: bool
 
 
 @dataclass(frozen=True)
@@ -211,15 +217,21 @@ def find_causes(
     bounds: dict[tuple[int, ...], float] = {}
     banned: set[int] = set()
     live: list[int] = []
+    before: Fitted | None = None
+    astray = False
     if resumed is not None:
         values, fitted, slopes, first = dict(resumed.values), resumed.fitted, resumed.slopes, resumed.first
         tried, bounds, banned = set(resumed.tried), dict(resumed.bounds), set(resumed.banned)
+        before, astray = resumed.before, resumed.astray
     for turn in range(0 if resumed is None else resumed.turn, TURNS):
         if progress is not None:
             progress("search", turn, TURNS)
         is_known = resumed is not None and turn == resumed.turn
         if fitted is None or not is_known:
             fitted = settled(space, values, fitted, floor, given=given)
+            if before is not None and fitted.bound < before.bound - needed:
+                # Slopes led to where a fit of its own does worse: stay, and trust them no more.
+                fitted, values, astray = before, dict(before.values), True
         if slopes is None:
             slopes = slopes_of(space, fitted, effects, priors)
             slopes = _with_chords(space, fitted, effects, slopes)
@@ -232,7 +244,7 @@ def find_causes(
             slopes = slopes.copy()
             slopes[..., live] = slopes_of(space, fitted, [effects[one] for one in live], _part(priors, live))
         if checkpoint is not None and not is_known:
-            state = tuple(sorted(tried)), dict(bounds), tuple(sorted(banned))
+            state = tuple(sorted(tried)), dict(bounds), tuple(sorted(banned)), before, astray
             checkpoint(Search(turn, dict(values), fitted, slopes, first, *state))
         columns = gram_of(space, fitted, slopes, effects)
         members = [places[name] for name in values if name in places]
@@ -244,7 +256,8 @@ def find_causes(
         predictive = partial(_predicted, columns, priors)
         # What does as well is an alias, and no reason to go elsewhere: slopes know least of what is far away.
         here = weigh(gram, priors, members, power=power)
-        top = here if ranked.sets[0].evidence - here.evidence < needed else ranked.sets[0]
+        stays = astray or ranked.sets[0].evidence - here.evidence < needed
+        top = here if stays else ranked.sets[0]
         best, worth = without_weak(top, gram, priors, needed, power=power, predictive=predictive)
         found = {priors.names[one]: value_at(effects[one], at) for one, at in zip(best.members, best.values)}
         deviations = _deviations(gram, priors, best.members)
@@ -270,9 +283,14 @@ def find_causes(
                 found = dict(better.values)
             banned |= refused
             found = {name: value for name, value in found.items() if places[name] not in refused}
+        before, astray = None if stands else fitted, astray and not stands
         values = found
         live = _live(ranked, gram, best)
         stands = False
+    if fitted is not None and not stands:
+        # The noise and what is left are those of the values at which the search was stopped.
+        last = settled(space, values, fitted, floor, given=given)
+        fitted = last if last.bound > fitted.bound - needed else fitted
     if fitted is None or first is None:
         raise RuntimeError("no relinearisation was made")
     # A search that was stopped may end at a bound, or with what was just refused.
