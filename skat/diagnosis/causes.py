@@ -256,8 +256,10 @@ def find_causes(
         predictive = partial(_predicted, columns, priors)
         # What does as well is an alias, and no reason to go elsewhere: slopes know least of what is far away.
         here = weigh(gram, priors, members, power=power)
-        stays = astray or ranked.sets[0].evidence - here.evidence < needed
-        top = here if stays else ranked.sets[0]
+        if astray:
+            inside = (one for one in ranked.sets if set(one.members) < set(members))
+            ranked = Ranked(tuple(sorted((here, *inside), key=lambda one: -one.evidence)))
+        top = here if ranked.sets[0].evidence - here.evidence < needed else ranked.sets[0]
         best, worth = without_weak(top, gram, priors, needed, power=power, predictive=predictive)
         found = {priors.names[one]: value_at(effects[one], at) for one, at in zip(best.members, best.values)}
         deviations = _deviations(gram, priors, best.members)
@@ -326,7 +328,7 @@ def find_causes(
             },
         ),
         probabilities,
-        _also(gram, priors, effects, best, needed, families, banned, predictive),
+        {} if astray else _also(gram, priors, effects, best, needed, families, banned, predictive),
         fitted,
         gram,
         priors,
