@@ -32,7 +32,7 @@ SENSORS = ("bias", "scale", "lag")
 KNOWN_UNITS = ("rad", "m", "rad/s", "m/s")
 BIAS_SHARE = 0.03
 # Relinearisations; a set that moves by less than this share of its standard errors stands still.
-TURNS = 8
+TURNS = 16
 STANDS_STILL = 0.1
 # How often noise and what all effects explain are taken in turns, before any is a cause.
 DENSE_TURNS = 2
@@ -260,7 +260,9 @@ def find_causes(
             inside = (one for one in ranked.sets if set(one.members) < set(members))
             ranked = Ranked(tuple(sorted((here, *inside), key=lambda one: -one.evidence)))
         top = here if ranked.sets[0].evidence - here.evidence < needed else ranked.sets[0]
-        best, worth = without_weak(top, gram, priors, needed, power=power, predictive=predictive)
+        # Where slopes went astray, fits of their own say what a member is worth.
+        least = -np.inf if astray else needed
+        best, worth = without_weak(top, gram, priors, least, power=power, predictive=predictive)
         found = {priors.names[one]: value_at(effects[one], at) for one, at in zip(best.members, best.values)}
         deviations = _deviations(gram, priors, best.members)
         # Where something hits, the bound and with it the values never rest: a set is done when it gains no more.

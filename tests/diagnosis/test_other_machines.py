@@ -85,14 +85,7 @@ def measured(text, edit, seed, n_episodes=8, n_rows=40):
         (FINGER, stickier, "tendon_dry_friction[flexor]", 1.0, 0.0),
         (FINGER, askew, "offset[servo]", 0.15, 0.0),
         (FINGER, stiffer, "kp[servo]", 1.2, 1.0),
-        pytest.param(
-            *(FINGER, weaker, "force_limit[servo]", 0.1, 1.0),
-            marks=pytest.mark.xfail(
-                strict=True,
-                reason="gain[servo] of .38 is named in its place, and explains 98.7 % of the excess on other episodes: "
-                "at neutral the limit is not reached and has no slope",
-            ),
-        ),
+        (FINGER, weaker, "force_limit[servo]", 0.1, 1.0),
     ],
 )
 def test_effect_of_a_wheel_a_tendon_or_a_servo_is_named_and_measured(text, edit, name, value, neutral):
