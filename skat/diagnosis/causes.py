@@ -21,6 +21,7 @@ from skat.diagnosis.fitting import (
     slopes_of,
     value_at,
 )
+from skat.diagnosis.noise import TOLERANCE
 from skat.diagnosis.search import Ranked, search, without_weak
 from skat.diagnosis.statespace import StateSpace, derivatives
 from skat.effects import EVERY, Effect
@@ -113,8 +114,8 @@ class Search:
     slopes : ndarray of shape (n_rows, d, k)
     first : Gram or None
         Of the first turn; None in it.
-    tried : tuple of tuple of int
-        Sets that a rival has beaten.
+    evidences : dict of tuple of int to float
+        The most that a fit of its own gave to each set that was a rival or had one, nats.
     bounds : dict of tuple of int to float
         The best bound of each set so far.
     banned : tuple of int
@@ -130,7 +131,7 @@ class Search:
     fitted: Fitted
     slopes: Array
     first: Gram | None
-    tried: tuple[tuple[int, ...], ...]
+    evidences: dict[tuple[int, ...], float]
     bounds: dict[tuple[int, ...], float]
     banned: tuple[int, ...]
     before: Fitted | None
@@ -145,15 +146,15 @@ class Rival:
     ----------
     cause, other : int
     members : tuple of int
-    log_odds : float
-        Of this set against that with the cause, nats.
+    evidence : float
+        The most that a fit of its own gave to this set, nats.
     values : mapping from name to value
     """
 
     cause: int
     other: int
     members: tuple[int, ...]
-    log_odds: float
+    evidence: float
     values: Mapping[str, float]
 
 
@@ -213,7 +214,7 @@ def find_causes(
     slopes: Array | None = None
     first: Gram | None = None
     rivals: list[Rival] = []
-    tried: set[tuple[int, ...]] = set()
+    evidences: dict[tuple[int, ...], float] = {}
     bounds: dict[tuple[int, ...], float] = {}
     banned: set[int] = set()
     live: list[int] = []
@@ -221,11 +222,12 @@ def find_causes(
     astray = False
     if resumed is not None:
         values, fitted, slopes, first = dict(resumed.values), resumed.fitted, resumed.slopes, resumed.first
-        tried, bounds, banned = set(resumed.tried), dict(resumed.bounds), set(resumed.banned)
+        evidences, bounds, banned = dict(resumed.evidences), dict(resumed.bounds), set(resumed.banned)
         before, astray = resumed.before, resumed.astray
     for turn in range(0 if resumed is None else resumed.turn, TURNS):
         if progress is not None:
             progress("search", turn, TURNS)
+        rivals = []
         is_known = resumed is not None and turn == resumed.turn
         if fitted is None or not is_known:
             fitted = settled(space, values, fitted, floor, given=given)
@@ -244,7 +246,7 @@ def find_causes(
             slopes = slopes.copy()
             slopes[..., live] = slopes_of(space, fitted, [effects[one] for one in live], _part(priors, live))
         if checkpoint is not None and not is_known:
-            state = tuple(sorted(tried)), dict(bounds), tuple(sorted(banned)), before, astray
+            state = dict(evidences), dict(bounds), tuple(sorted(banned)), before, astray
             checkpoint(Search(turn, dict(values), fitted, slopes, first, *state))
         columns = gram_of(space, fitted, slopes, effects)
         members = [places[name] for name in values if name in places]
@@ -279,11 +281,17 @@ def find_causes(
             refused = {one for one in best.members if is_held(effects[one], found[priors.names[one]])}
             refused |= _refused(space, fitted, effects, priors, best, worth, floor, given, needed, power)
             if not refused:
-                rivals = _rivals(space, fitted, effects, priors, (gram, first), best, floor, given, power)
-                better = max(rivals, key=lambda rival: rival.log_odds, default=None)
-                if better is None or better.log_odds <= 0 or better.members in tried:
+                rivals = _rivals(
+                    space, fitted, effects, priors, (gram, first), best, evidences, floor, given, power
+                )
+                evidences |= {rival.members: rival.evidence for rival in rivals}
+                evidences[best.members] = max(
+                    evidences.get(best.members, -np.inf),
+                    _evidence(space, fitted, effects, priors, best.members, power),
+                )
+                better = max(rivals, key=lambda rival: rival.evidence, default=None)
+                if better is None or better.evidence < evidences[best.members] + TOLERANCE:
                     break
-                tried.add(best.members)
                 found = dict(better.values)
             banned |= refused
             found = {name: value for name, value in found.items() if places[name] not in refused}
@@ -304,9 +312,13 @@ def find_causes(
         if one not in banned
         and not is_held(effects[one], value_at(effects[one], float(best.values[best.members.index(one)])))
     ]
-    found = {priors.names[one]: found[priors.names[one]] for one in kept}
+    found = {
+        priors.names[one]: value_at(effects[one], float(at))
+        for one, at in zip(best.members, best.values)
+        if one in kept
+    }
     probabilities = {name: ranked.probability(place) for place, name in enumerate(priors.names)}
-    shares = _shares(rivals) if stands else {}
+    shares = _shares(rivals, evidences[best.members]) if rivals else {}
     for one, others in shares.items():
         name = priors.names[one]
         probabilities[name] = min(probabilities[name], 1 - sum(share for _, share in others))
@@ -408,18 +420,16 @@ def _rivals(
     priors: Priors,
     grams: Sequence[Gram],
     best: Weighed,
+    evidences: Mapping[tuple[int, ...], float],
     floor: Array,
     given: Array | None,
     power: float,
 ) -> list[Rival]:
-    """Return for each cause the effects that act most like it and, at fits of their own, stand for it nearly as well.
+    """Return for each cause the sets, at fits of their own, in which an effect that acts much like it has its place.
 
     Slopes say that two effects act alike for small values; whether they do at this one, a fit must say. Some act alike
     only where neither is a cause yet: of two limits the lower one hides the other.
     """
-    if not best.members:
-        return []
-    whole = _evidence(space, fitted, effects, priors, best.members, power)
     found: list[Rival] = []
     for cause in best.members[:REFITTED]:
         looks = np.stack([_cosines(gram, cause) for gram in grams])
@@ -428,21 +438,22 @@ def _rivals(
         for other in np.argsort(-alike, kind="stable")[:RIVALS]:
             if alike[other] < ALIKE:
                 break
-            members = sorted({*best.members, int(other)} - {cause})
+            members = tuple(sorted({*best.members, int(other)} - {cause}))
             moved = weigh(grams[int(np.argmax(looks[:, other]))], priors, members)
             alone = _refitted(space, fitted, effects, priors, members, moved.values, floor, given)
-            log_odds = _evidence(space, alone, effects, priors, members, power) - whole
-            if log_odds > -np.log(ALIAS_FACTOR):
-                found.append(Rival(cause, int(other), tuple(members), float(log_odds), dict(alone.values)))
+            own = _evidence(space, alone, effects, priors, members, power)
+            most = max(own, evidences.get(members, -np.inf))
+            found.append(Rival(cause, int(other), members, most, dict(alone.values)))
     return found
 
 
-def _shares(rivals: Sequence[Rival]) -> dict[int, tuple[tuple[int, float], ...]]:
-    """Return for each cause its rivals and the probability of each."""
+def _shares(rivals: Sequence[Rival], evidence: float) -> dict[int, tuple[tuple[int, float], ...]]:
+    """Return for each cause the rivals that do nearly as well as the set of this evidence, and their probabilities."""
+    near = [rival for rival in rivals if rival.evidence > evidence - np.log(ALIAS_FACTOR)]
     shares = {}
-    for cause in {rival.cause for rival in rivals}:
-        own = [rival for rival in rivals if rival.cause == cause]
-        odds = np.exp(np.minimum([rival.log_odds for rival in own], 50.0))
+    for cause in {rival.cause for rival in near}:
+        own = [rival for rival in near if rival.cause == cause]
+        odds = np.exp(np.minimum([rival.evidence - evidence for rival in own], 50.0))
         shares[cause] = tuple((rival.other, float(one / (1 + odds.sum()))) for rival, one in zip(own, odds))
     return shares
 

@@ -30,6 +30,8 @@ from skat.diagnosis.filtering import (
 # Of the variance of a chain's first state: finer than any sensor, and well above the rounding of a covariance.
 FINEST = 1e-13
 SMALLEST = 1e-300
+# A fit that gains less than so many nats gains nothing.
+TOLERANCE = 0.1
 DEGREES_OF_FREEDOM = (np.inf, 10.0, 5.0, 3.0)
 
 
@@ -119,7 +121,7 @@ def estimate_noise(
     floor: Array,
     heavy: bool = True,
     n_passes: int = 40,
-    tolerance: float = 0.1,
+    tolerance: float = TOLERANCE,
     held: Mask | None = None,
 ) -> Estimate:
     """Raise the bound until a pass adds less than a tolerance.
