@@ -368,7 +368,7 @@ def _refused(
 
     Slopes at one set say little of another that lies far away.
     """
-    if len(best.members) < 2:
+    if not best.members:
         return set()
     whole = _evidence(space, fitted, effects, priors, best.members, power)
     for one in sorted(best.members, key=lambda member: worth[member])[:REFITTED]:
