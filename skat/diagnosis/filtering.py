@@ -97,7 +97,7 @@ class Filtered:
 
     Attributes
     ----------
-    log_likelihood : float
+    log_likelihoods : ndarray of shape (n_chains,)
         Gaussian, of what was measured.
     means : ndarray of shape (n_chains, n_steps + 1, d)
         Predicted deviations.
@@ -111,13 +111,18 @@ class Filtered:
         W with W' W = precisions: whitens innovations.
     """
 
-    log_likelihood: float
+    log_likelihoods: Array
     means: Array
     covariances: Array
     innovations: Array
     precisions: Array
     gains: Array
     factors: Array
+
+    @property
+    def log_likelihood(self) -> float:
+        """Of all chains."""
+        return float(self.log_likelihoods.sum())
 
     @property
     def whitened(self) -> Array:
@@ -188,11 +193,11 @@ def kalman_filter(chains: Chains, force_variances: Array, error_variances: Array
         P = (P + P.swapaxes(1, 2)) / 2
         mean = (A[:, t] @ mean[..., None] + AK @ innovation[..., None])[..., 0] + chains.drive[:, t]
     whitened = (factors @ innovations[..., None])[..., 0]
-    log_determinant = 2 * float(np.log(scales[..., diagonal, diagonal]).sum())
-    squares = float(np.sum(whitened**2))
-    log_likelihood = -0.5 * (squares + log_determinant + chains.n_measured * np.log(2 * np.pi))
+    log_determinants = 2 * np.log(scales[..., diagonal, diagonal]).sum(axis=(1, 2))
+    constants = mask.sum(axis=(1, 2)) * np.log(2 * np.pi)
+    log_likelihoods = -0.5 * (np.sum(whitened**2, axis=(1, 2)) + log_determinants + constants)
     precisions = factors.swapaxes(2, 3) @ factors
-    return Filtered(log_likelihood, means, covariances, innovations, precisions, gains, factors)
+    return Filtered(log_likelihoods, means, covariances, innovations, precisions, gains, factors)
 
 
 def filter_columns(chains: Chains, filtered: Filtered, columns: Array) -> Array:

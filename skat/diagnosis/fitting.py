@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skat.diagnosis.evidence import Gram, Priors
-from skat.diagnosis.filtering import Array, Chains, Mask, filter_columns
+from skat.diagnosis.filtering import Array, Chains, Mask, filter_columns, kalman_filter
 from skat.diagnosis.noise import Estimate, Noise, estimate_noise, normal_noise, passed
-from skat.diagnosis.statespace import Linear, StateSpace, derivatives, linearise, moved_path
+from skat.diagnosis.statespace import Linear, StateSpace, derivatives, linearise, mixed, moved_path
 from skat.diagnosis.velocities import noise_variance
 from skat.effects import Effect
 
@@ -131,10 +131,18 @@ def settled(
         chains = _remembering(space, linear, shares)
     estimate = estimate_noise(chains, noise, space.real, floor=known.least(chains), held=known.held(chains))
     best: Fitted | None = None
+    pace = np.ones(len(space.real))
     for turn in range(turns):
-        deviations = estimate.smoothed.means[..., : space.d]
+        deviations = pace[:, None, None] * estimate.smoothed.means[..., : space.d]
         path = moved_path(space, linear.path, deviations)
-        linear = linearise(space, path, values, _covariances(space, estimate))
+        moved = linearise(space, path, values, _covariances(space, estimate))
+        if turn or start is not None:
+            # Each chain goes on only where that does better: about contacts the end of a full step may be anywhere.
+            better = _likelihoods(space, moved, shares, estimate) > _likelihoods(space, linear, shares, estimate)
+            pace = np.where(better, 1.0, pace / 2)
+            linear = mixed(space, linear, moved, better)
+        else:
+            linear = moved
         if turn == 0 and space.real.shape[1] > FEWEST_FOR_MEMORY:
             estimate, shares = _with_best_memory(space, linear, estimate.noise, shares, known)
         else:
@@ -150,6 +158,13 @@ def settled(
     if best is None:
         raise ValueError("turns must be at least 1")
     return best
+
+
+def _likelihoods(space: StateSpace, linear: Linear, shares: Array, estimate: Estimate) -> Array:
+    """Return the log likelihood of each chain about a path, at a noise."""
+    noise = estimate.noise
+    chains = _remembering(space, linear, shares)
+    return kalman_filter(chains, noise.force_variances, noise.error_variances).log_likelihoods
 
 
 def _rough(space: StateSpace) -> Array:

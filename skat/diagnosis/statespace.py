@@ -1,7 +1,7 @@
 """A simulator and a log as linear dynamics about a path: chains of states, means and slopes over what is not known."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from joblib import Parallel, delayed, effective_n_jobs
@@ -338,6 +338,23 @@ def derivatives(
             columns[:, :, column] = difference / (steps[name][1] - steps[name][0])
     columns[~linear.valid] = 0.0
     return columns
+
+
+def mixed(space: StateSpace, one: Linear, other: Linear, is_other: Mask) -> Linear:
+    """Return the chains of one, and of the other where it is so; `is_other` is of shape (n_chains,)."""
+
+    def chosen(name: str) -> Array:
+        first, second = getattr(one.chains, name), getattr(other.chains, name)
+        return np.where(is_other.reshape(-1, *[1] * (first.ndim - 1)), second, first)
+
+    names = "transitions", "drive", "bends", "carrier", "measured"
+    rows = is_other[space.places[0]]
+    return Linear(
+        np.where(is_other[:, None, None], other.path, one.path),
+        replace(one.chains, **{name: chosen(name) for name in names}),
+        np.where(rows[:, None], other.outputs, one.outputs),
+        np.where(rows, other.valid, one.valid),
+    )
 
 
 def moved_path(space: StateSpace, path: Array, deviations: Array) -> Array:
