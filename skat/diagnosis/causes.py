@@ -1,29 +1,28 @@
 """The causes that a log asks for: fit, search, fit anew, until the set stands still."""
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from skat.diagnosis.evidence import Gram, Priors, Weighed, weigh
 from skat.diagnosis.filtering import Array
+from skat.diagnosis.fits import STANDS_STILL, Fit, Fits
 from skat.diagnosis.fitting import (
-    STILL,
     Columns,
     Fitted,
     coordinate,
     gram_of,
     noise_without,
     priors_of,
-    settled,
     slopes_of,
     value_at,
 )
 from skat.diagnosis.noise import TOLERANCE
 from skat.diagnosis.search import Ranked, search, without_weak
-from skat.diagnosis.statespace import StateSpace, derivatives
+from skat.diagnosis.statespace import CHAIN_LENGTH, StateSpace, derivatives
 from skat.effects import EVERY, Effect
 from skat.simulators.base import Simulator
 
@@ -32,9 +31,10 @@ SENSORS = ("bias", "scale", "lag")
 # Biases have a typical size in these units; elsewhere it is a share of a channel's spread.
 KNOWN_UNITS = ("rad", "m", "rad/s", "m/s")
 BIAS_SHARE = 0.03
-# Relinearisations; a set that moves by less than this share of its standard errors stands still.
+# Moves from a set to a better one, or to better values.
 TURNS = 16
-STANDS_STILL = 0.1
+# Transitions of a chain where longer ones have several paths.
+SHORT_CHAIN = 16
 # How often noise and what all effects explain are taken in turns, before any is a cause.
 DENSE_TURNS = 2
 # No model is exact: a log of so many rows counts half [Miller, Dunson 2019].
@@ -45,8 +45,8 @@ WIDTH_95 = 1.96
 ALIAS_FACTOR = 20.0
 # Effects whose slopes are taken anew with the causes in, of those that promise most.
 LIVE = 24
-# The weakest causes, so many, must bear being left out of a fit of its own, of so many turns.
-REFITTED, REFIT_TURNS = 3, 3
+# The weakest causes, so many, must be missed by a fit of their own of the others.
+REFITTED = 3
 # Chords of an effect that has no slope where it is neutral, to each of its bounds.
 CHORDS = 10
 # Effects whose responses make a smaller angle than this cosine may be the same: so many are fitted in a cause's place.
@@ -83,6 +83,8 @@ class Found:
     best : Weighed
     settled : bool
         Whether the search stands still.
+    chain_length : int
+        Of the chains that it was made with.
     """
 
     effects: tuple[Effect, ...]
@@ -98,6 +100,7 @@ class Found:
     ranked: Ranked
     best: Weighed
     settled: bool
+    chain_length: int
 
 
 @dataclass(frozen=True)
@@ -108,34 +111,30 @@ class Search:
     ----------
     turn : int
         Of this relinearisation.
-    values : dict of str to float
-        At which it was made.
-    fitted : Fitted
+    chain_length : int
+        Of the chains that it was made with.
+    now : Fit
+        The best so far.
+    basis : Fitted
+        The same, at the noise with which sets are ranked.
     slopes : ndarray of shape (n_rows, d, k)
+        At `now`, of those effects that may still be causes.
     first : Gram or None
         Of the first turn; None in it.
     evidences : dict of tuple of int to float
-        The most that a fit of its own gave to each set that was a rival or had one, nats.
-    bounds : dict of tuple of int to float
-        The best bound of each set so far.
+        The most that a fit of its own gave to each set, nats.
     banned : tuple of int
-        Effects that were refused.
-    before : Fitted or None
-        That of the turn before, from which slopes led here.
-    astray : bool
-        Whether slopes led to where a fit of its own did worse.
+        Effects that were held at a bound.
     """
 
     turn: int
-    values: dict[str, float]
-    fitted: Fitted
+    chain_length: int
+    now: Fit
+    basis: Fitted
     slopes: Array
     first: Gram | None
     evidences: dict[tuple[int, ...], float]
-    bounds: dict[tuple[int, ...], float]
     banned: tuple[int, ...]
-    before: Fitted | None
-    astray: bool
 
 
 @dataclass(frozen=True)
@@ -145,17 +144,13 @@ class Rival:
     Attributes
     ----------
     cause, other : int
-    members : tuple of int
     evidence : float
         The most that a fit of its own gave to this set, nats.
-    values : mapping from name to value
     """
 
     cause: int
     other: int
-    members: tuple[int, ...]
     evidence: float
-    values: Mapping[str, float]
 
 
 def find_causes(
@@ -168,11 +163,15 @@ def find_causes(
     given: Array | None = None,
     max_effects: int | None = None,
     start: Mapping[str, float] | None = None,
+    shorter: Callable[[int], StateSpace] | None = None,
     resumed: Search | None = None,
     checkpoint: Callable[[Search], None] | None = None,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Found:
     """Search for the set of causes that a log asks for.
+
+    Gram matrices propose sets, at no cost; a fit of its own, about a path and at a noise of its own, decides. Slopes
+    that mislead, as they may where something hits, cost a fit and no more.
 
     Parameters
     ----------
@@ -191,6 +190,8 @@ def find_causes(
         Most causes at a time.
     start : mapping from name to value, optional
         Where to begin.
+    shorter : callable, optional
+        ``shorter(length)`` lays the log out in chains of at most so many transitions.
     resumed : Search, optional
         Go on from there.
     checkpoint : callable, optional
@@ -205,246 +206,209 @@ def find_causes(
     floor = np.zeros(space.d) if floor is None else floor
     effects = _readable(space, effects)
     priors = priors_of(effects, {**_typical_biases(space, effects), **(typical or {})})
-    families = _families(effects)
-    needed = -float(np.log(alpha))
     power = COARSE_ROWS / (COARSE_ROWS + len(space.X))
-    places = {effect.name: place for place, effect in enumerate(effects)}
-    values: dict[str, float] = dict(start or {})
-    fitted: Fitted | None = None
-    slopes: Array | None = None
-    first: Gram | None = None
+    needed = -float(np.log(alpha))
+    length = CHAIN_LENGTH if resumed is None else resumed.chain_length
+    if length != CHAIN_LENGTH and shorter is not None:
+        space = shorter(length)
+    fits = Fits(space, tuple(effects), priors, floor, given, power)
+    state = resumed
+    if state is None:
+        now = fits.first(start or {})
+        if now.fitted.restless > needed and shorter is not None:
+            # Paths that lie near by differ by more than a name needs: in short pieces they do not.
+            length = SHORT_CHAIN
+            fits = replace(fits, space=shorter(length))
+            now = fits.first(start or {})
+        state = _begun(fits, now, length)
+    ask = partial(search, priors=priors, families=_families(effects), power=power, most=max_effects)
     rivals: list[Rival] = []
-    evidences: dict[tuple[int, ...], float] = {}
-    bounds: dict[tuple[int, ...], float] = {}
-    banned: set[int] = set()
-    live: list[int] = []
-    before: Fitted | None = None
-    astray = False
-    if resumed is not None:
-        values, fitted, slopes, first = dict(resumed.values), resumed.fitted, resumed.slopes, resumed.first
-        evidences, bounds, banned = dict(resumed.evidences), dict(resumed.bounds), set(resumed.banned)
-        before, astray = resumed.before, resumed.astray
-    for turn in range(0 if resumed is None else resumed.turn, TURNS):
+    stands = misled = False
+    while True:
         if progress is not None:
-            progress("search", turn, TURNS)
-        rivals = []
-        is_known = resumed is not None and turn == resumed.turn
-        if fitted is None or not is_known:
-            fitted = settled(space, values, fitted, floor, given=given)
-            if before is not None and fitted.bound < before.bound - needed:
-                # Slopes led to where a fit of its own does worse: stay, and trust them no more.
-                fitted, values, astray = before, dict(before.values), True
-        if slopes is None:
-            slopes = slopes_of(space, fitted, effects, priors)
-            slopes = _with_chords(space, fitted, effects, slopes)
-            for _ in range(DENSE_TURNS):
-                columns = gram_of(space, fitted, slopes, effects)
-                fitted = noise_without(
-                    space, fitted, slopes, columns.dense(priors.scales), floor, given=given
-                )
-        elif not is_known:
-            slopes = slopes.copy()
-            slopes[..., live] = slopes_of(space, fitted, [effects[one] for one in live], _part(priors, live))
-        if checkpoint is not None and not is_known:
-            state = dict(evidences), dict(bounds), tuple(sorted(banned)), before, astray
-            checkpoint(Search(turn, dict(values), fitted, slopes, first, *state))
-        columns = gram_of(space, fitted, slopes, effects)
-        members = [places[name] for name in values if name in places]
-        gram = _judged(columns, priors, members if turn else None)
-        first = first or gram
-        ranked = search(
-            gram, priors, members, families=families, power=power, banned=sorted(banned), most=max_effects
+            progress("search", state.turn, TURNS)
+        if checkpoint is not None and state is not resumed:
+            checkpoint(state)
+        now, banned = state.now, set(state.banned)
+        columns = gram_of(fits.space, state.basis, state.slopes, effects)
+        is_dense = state.basis is not now.fitted
+        gram = _judged(columns, priors, None if is_dense else now.members)
+        state = replace(state, first=state.first or gram)
+        ranked = ask(gram, start=now.members, banned=state.banned)
+        if state.turn == TURNS:
+            break
+        evidences, moved = dict(state.evidences), None
+        misled = misled and is_dense
+        for one in _proposals(ranked, gram, priors, now, needed, power):
+            tried = fits.of(one.members, one.values, now)
+            evidences[tried.members] = max(tried.evidence, evidences.get(tried.members, -np.inf))
+            if tried.score(needed) > now.score(needed) + TOLERANCE:
+                moved = tried
+                break
+            misled = True
+        state = replace(state, evidences=evidences)
+        if moved is None and is_dense:
+            # What all effects together explain is noise again.
+            state = replace(state, basis=now.fitted)
+            continue
+        if moved is None:
+            held = {one for one in now.members if is_held(effects[one], now.values[priors.names[one]])}
+            banned |= held
+            moved = fits.without(now, held) if held else _superfluous(fits, now, gram, needed)
+        if moved is None:
+            rivals, moved = _rivals(fits, now, (gram, state.first or gram), evidences)
+        if moved is None:
+            stands = True
+            break
+        evidences[moved.members] = max(moved.evidence, evidences.get(moved.members, -np.inf))
+        live = _live(ranked, moved.members)
+        slopes = state.slopes.copy()
+        chosen = [effects[one] for one in live]
+        slopes[..., live] = slopes_of(fits.space, moved.fitted, chosen, priors.part(live))
+        state = Search(
+            state.turn + 1,
+            length,
+            moved,
+            moved.fitted,
+            slopes,
+            state.first,
+            evidences,
+            tuple(sorted(banned)),
         )
-        predictive = partial(_predicted, columns, priors)
-        # What does as well is an alias, and no reason to go elsewhere: slopes know least of what is far away.
-        here = weigh(gram, priors, members, power=power)
-        if astray:
-            inside = (one for one in ranked.sets if set(one.members) < set(members))
-            ranked = Ranked(tuple(sorted((here, *inside), key=lambda one: -one.evidence)))
-        top = here if ranked.sets[0].evidence - here.evidence < needed else ranked.sets[0]
-        # Where slopes went astray, fits of their own say what a member is worth.
-        least = -np.inf if astray else needed
-        best, worth = without_weak(top, gram, priors, least, power=power, predictive=predictive)
-        found = {priors.names[one]: value_at(effects[one], at) for one, at in zip(best.members, best.values)}
-        deviations = _deviations(gram, priors, best.members)
-        # Where something hits, the bound and with it the values never rest: a set is done when it gains no more.
-        stands = set(found) == set(values) and (
-            fitted.bound < bounds.get(best.members, -np.inf) + STILL
-            or all(
-                abs(coordinate(effects[one], values[priors.names[one]]) - at) < STANDS_STILL * deviation
-                for one, at, deviation in zip(best.members, best.values, deviations)
-            )
-        )
-        if set(found) == set(values):
-            bounds[best.members] = max(fitted.bound, bounds.get(best.members, -np.inf))
-        if stands:
-            refused = {one for one in best.members if is_held(effects[one], found[priors.names[one]])}
-            refused |= _refused(space, fitted, effects, priors, best, worth, floor, given, needed, power)
-            if not refused:
-                rivals = _rivals(
-                    space, fitted, effects, priors, (gram, first), best, evidences, floor, given, power
-                )
-                evidences |= {rival.members: rival.evidence for rival in rivals}
-                evidences[best.members] = max(
-                    evidences.get(best.members, -np.inf),
-                    _evidence(space, fitted, effects, priors, best.members, power),
-                )
-                better = max(rivals, key=lambda rival: rival.evidence, default=None)
-                if better is None or better.evidence < evidences[best.members] + TOLERANCE:
-                    break
-                found = dict(better.values)
-            banned |= refused
-            found = {name: value for name, value in found.items() if places[name] not in refused}
-        before, astray = None if stands else fitted, astray and not stands
-        values = found
-        live = _live(ranked, gram, best)
-        stands = False
-    if fitted is not None and not stands:
-        # The noise and what is left are those of the values at which the search was stopped.
-        last = settled(space, values, fitted, floor, given=given)
-        fitted = last if last.bound > fitted.bound - needed else fitted
-    if fitted is None or first is None:
-        raise RuntimeError("no relinearisation was made")
-    # A search that was stopped may end at a bound, or with what was just refused.
-    kept = [
-        one
-        for one in best.members
-        if one not in banned
-        and not is_held(effects[one], value_at(effects[one], float(best.values[best.members.index(one)])))
-    ]
-    found = {
-        priors.names[one]: value_at(effects[one], float(at))
-        for one, at in zip(best.members, best.values)
-        if one in kept
-    }
-    probabilities = {name: ranked.probability(place) for place, name in enumerate(priors.names)}
-    shares = _shares(rivals, evidences[best.members]) if rivals else {}
-    for one, others in shares.items():
-        name = priors.names[one]
-        probabilities[name] = min(probabilities[name], 1 - sum(share for _, share in others))
-    intervals = {
-        priors.names[one]: (
-            value_at(effects[one], at - WIDTH_95 * deviation),
-            value_at(effects[one], at + WIDTH_95 * deviation),
-        )
-        for one, at, deviation in zip(best.members, best.values, deviations)
-    }
-    return Found(
-        tuple(effects),
-        found,
-        intervals,
-        {priors.names[one]: nats for one, nats in worth.items() if one in kept},
-        _with_refitted(
-            _aliases(ranked, gram, priors, best),
-            {
-                priors.names[one]: tuple((priors.names[other], share) for other, share in others)
-                for one, others in shares.items()
-            },
-        ),
-        probabilities,
-        {} if astray else _also(gram, priors, effects, best, needed, families, banned, predictive),
-        fitted,
-        gram,
-        priors,
-        ranked,
-        best,
-        stands,
-    )
+    best = weigh(gram, priors, now.members, power=power)
+    if misled:
+        # What slopes say of other sets was seen to be wrong.
+        inside = (one for one in ranked.sets if set(one.members) < set(now.members))
+        ranked = Ranked(tuple(sorted((best, *inside), key=lambda one: -one.evidence)))
+    also = {} if misled else _also(ask, gram, priors, effects, best, needed, state.banned)
+    return _found(fits, now, gram, ranked, best, rivals, also, stands, length)
 
 
-def _refused(
-    space: StateSpace,
-    fitted: Fitted,
-    effects: Sequence[Effect],
-    priors: Priors,
-    best: Weighed,
-    worth: Mapping[int, float],
-    floor: Array,
-    given: Array | None,
-    needed: float,
-    power: float,
-) -> set[int]:
-    """Return the cause without which the others, at a noise and about a path of their own, do as well; or none.
+def _begun(fits: Fits, now: Fit, length: int) -> Search:
+    """Return the search at its first fit, with a noise from which what all effects explain is taken out."""
+    space, effects, priors = fits.space, fits.effects, fits.priors
+    slopes = _with_chords(space, now.fitted, effects, slopes_of(space, now.fitted, effects, priors))
+    basis = now.fitted
+    for _ in range(DENSE_TURNS):
+        columns = gram_of(space, basis, slopes, effects)
+        moves = columns.dense(priors.scales)
+        basis = noise_without(space, basis, slopes, moves, fits.floor, given=fits.given)
+    return Search(0, length, now, basis, slopes, None, {now.members: now.evidence}, ())
 
-    Slopes at one set say little of another that lies far away.
+
+def _proposals(
+    ranked: Ranked, gram: Gram, priors: Priors, now: Fit, needed: float, power: float
+) -> Iterator[Weighed]:
+    """Yield sets that slopes put before the present one: the best, and the best of half its size, and so on.
+
+    Each without what is worth less than a name needs; so also the present one at other values.
     """
-    if not best.members:
-        return set()
-    whole = _evidence(space, fitted, effects, priors, best.members, power)
-    for one in sorted(best.members, key=lambda member: worth[member])[:REFITTED]:
-        rest = [other for other in best.members if other != one]
-        start = weigh(
-            _gram_at(space, fitted, effects, priors, best.members),
-            _part(priors, best.members),
-            [best.members.index(other) for other in rest],
-        )
-        alone = _refitted(space, fitted, effects, priors, rest, start.values, floor, given)
-        if _evidence(space, alone, effects, priors, rest, power) + needed > whole:
-            return {one}
-    return set()
+    here = weigh(gram, priors, now.members, power=power)
+    asked: set[tuple[int, ...]] = set() if now.members else {()}
+    most = len(priors.names)
+    while most:
+        top = next((one for one in ranked.sets if len(one.members) <= most), here)
+        top, _ = without_weak(top, gram, priors, needed, power=power)
+        most = len(top.members) // 2
+        if top.members in asked:
+            continue
+        asked.add(top.members)
+        if top.members == now.members:
+            moved = np.abs(top.values - gram.origin[list(now.members)])
+            if np.any(moved > STANDS_STILL * np.sqrt(np.diag(np.linalg.inv(top.curvature)))):
+                yield top
+        elif top.evidence - here.evidence > needed * (len(top.members) - len(here.members)) + TOLERANCE:
+            yield top
 
 
-def _refitted(
-    space: StateSpace,
-    fitted: Fitted,
-    effects: Sequence[Effect],
-    priors: Priors,
-    members: Sequence[int],
-    start: Array,
-    floor: Array,
-    given: Array | None,
-) -> Fitted:
-    """Return the fit of a set about a path, at a noise and at values of its own."""
-    places, alone, found = np.array(start, dtype=float), fitted, None
-    chosen = [effects[one] for one in members]
-    for _ in range(REFIT_TURNS):
-        values = {effect.name: value_at(effect, at) for effect, at in zip(chosen, places)}
-        alone = settled(space, values, alone, floor, given=given)
-        if found is None or alone.bound > found.bound:
-            found = alone
-        if not members:
-            break
-        gram, own = _gram_at(space, alone, effects, priors, members), _part(priors, members)
-        moved = weigh(gram, own, range(len(members)))
-        deviations = np.sqrt(np.diag(np.linalg.inv(moved.curvature)))
-        if np.all(np.abs(moved.values - places) < STANDS_STILL * deviations):
-            break
-        places = moved.values
-    return alone if found is None else found
+def _superfluous(fits: Fits, now: Fit, gram: Gram, needed: float) -> Fit | None:
+    """Return the set without the member that, at fits of their own, the others hardly need; None if they need all."""
+    whole = weigh(gram, fits.priors, now.members, power=fits.power).evidence
+
+    def worth(one: int) -> float:
+        rest = [other for other in now.members if other != one]
+        return whole - weigh(gram, fits.priors, rest, power=fits.power).evidence
+
+    for one in sorted(now.members, key=worth)[:REFITTED]:
+        rest = fits.without(now, {one})
+        if rest.score(needed) > now.score(needed):
+            return rest
+    return None
 
 
 def _rivals(
-    space: StateSpace,
-    fitted: Fitted,
-    effects: Sequence[Effect],
-    priors: Priors,
-    grams: Sequence[Gram],
-    best: Weighed,
-    evidences: Mapping[tuple[int, ...], float],
-    floor: Array,
-    given: Array | None,
-    power: float,
-) -> list[Rival]:
-    """Return for each cause the sets, at fits of their own, in which an effect that acts much like it has its place.
+    fits: Fits, now: Fit, grams: Sequence[Gram], evidences: dict[tuple[int, ...], float]
+) -> tuple[list[Rival], Fit | None]:
+    """Return sets in which an effect that acts much like a cause has its place, and the one that does better, if any.
 
     Slopes say that two effects act alike for small values; whether they do at this one, a fit must say. Some act alike
     only where neither is a cause yet: of two limits the lower one hides the other.
     """
     found: list[Rival] = []
-    for cause in best.members[:REFITTED]:
+    better: Fit | None = None
+    for cause in now.members[:REFITTED]:
         looks = np.stack([_cosines(gram, cause) for gram in grams])
         alike = looks.max(axis=0)
-        alike[list(best.members)] = 0.0
+        alike[list(now.members)] = 0.0
         for other in np.argsort(-alike, kind="stable")[:RIVALS]:
             if alike[other] < ALIKE:
                 break
-            members = tuple(sorted({*best.members, int(other)} - {cause}))
-            moved = weigh(grams[int(np.argmax(looks[:, other]))], priors, members)
-            alone = _refitted(space, fitted, effects, priors, members, moved.values, floor, given)
-            own = _evidence(space, alone, effects, priors, members, power)
-            most = max(own, evidences.get(members, -np.inf))
-            found.append(Rival(cause, int(other), members, most, dict(alone.values)))
-    return found
+            members = tuple(sorted({*now.members, int(other)} - {cause}))
+            moved = weigh(grams[int(np.argmax(looks[:, other]))], fits.priors, members)
+            least = now.evidence - np.log(ALIAS_FACTOR)
+            own = fits.of(members, moved.values, now, least=least)
+            evidences[members] = max(own.evidence, evidences.get(members, -np.inf))
+            found.append(Rival(cause, int(other), evidences[members]))
+            if own.evidence > (now if better is None else better).evidence + TOLERANCE:
+                better = own
+    return found, better
+
+
+def _found(
+    fits: Fits,
+    now: Fit,
+    gram: Gram,
+    ranked: Ranked,
+    best: Weighed,
+    rivals: Sequence[Rival],
+    also: dict[str, float],
+    stands: bool,
+    length: int,
+) -> Found:
+    effects, priors = fits.effects, fits.priors
+    names = priors.names
+    probabilities = {name: ranked.probability(place) for place, name in enumerate(names)}
+    shares = _shares(rivals, now.evidence)
+    for one, others in shares.items():
+        probabilities[names[one]] = min(probabilities[names[one]], 1 - sum(share for _, share in others))
+    refitted = {
+        names[one]: tuple((names[other], share) for other, share in others) for one, others in shares.items()
+    }
+    # A search that was stopped may end at a bound.
+    kept = [one for one in now.members if not is_held(effects[one], now.values[names[one]])]
+    intervals, worth = {}, {}
+    for one, deviation in zip(best.members, _deviations(gram, priors, best.members)):
+        place = coordinate(effects[one], now.values[names[one]])
+        low, high = (value_at(effects[one], place + side * WIDTH_95 * deviation) for side in (-1, 1))
+        intervals[names[one]] = low, high
+        rest = [other for other in best.members if other != one]
+        worth[names[one]] = best.evidence - weigh(gram, priors, rest, power=fits.power).evidence
+    return Found(
+        effects,
+        {names[one]: now.values[names[one]] for one in kept},
+        intervals,
+        {names[one]: worth[names[one]] for one in kept},
+        _with_refitted(_aliases(ranked, gram, priors, best), refitted),
+        probabilities,
+        also,
+        now.fitted,
+        gram,
+        priors,
+        ranked,
+        best,
+        stands,
+        length,
+    )
 
 
 def _shares(rivals: Sequence[Rival], evidence: float) -> dict[int, tuple[tuple[int, float], ...]]:
@@ -475,31 +439,6 @@ def _with_refitted(
     return both
 
 
-def _gram_at(
-    space: StateSpace, fitted: Fitted, effects: Sequence[Effect], priors: Priors, members: Sequence[int]
-) -> Gram:
-    chosen = [effects[one] for one in members]
-    return gram_of(space, fitted, slopes_of(space, fitted, chosen, _part(priors, members)), chosen).gram
-
-
-def _evidence(
-    space: StateSpace,
-    fitted: Fitted,
-    effects: Sequence[Effect],
-    priors: Priors,
-    members: Sequence[int],
-    power: float,
-) -> float:
-    """Return the log evidence of a set at a fit of its own, beside what all sets have in common."""
-    if not members:
-        return power * fitted.bound
-    gram = _gram_at(space, fitted, effects, priors, members)
-    one = weigh(gram, _part(priors, members), range(len(members)), power=power)
-    b, G, origin = gram.at_neutral, gram.products, gram.origin
-    there = float(b @ origin - 0.5 * origin @ G @ origin)
-    return power * (fitted.bound - there) + one.evidence
-
-
 def _readable(space: StateSpace, effects: Sequence[Effect]) -> list[Effect]:
     seen = space.mask.any(axis=(0, 1))
     unread = {name for name, there in zip(space.simulator.residual_names, np.atleast_1d(seen)) if not there}
@@ -525,17 +464,6 @@ def _families(effects: Sequence[Effect]) -> dict[str, list[int]]:
     return dict(families)
 
 
-def _part(priors: Priors, chosen: Sequence[int]) -> Priors:
-    index = list(chosen)
-    return Priors(
-        tuple(priors.names[one] for one in index),
-        priors.scales[index],
-        priors.log_odds[index],
-        priors.low[index],
-        priors.high[index],
-    )
-
-
 def _judged(columns: Columns, priors: Priors, members: Sequence[int] | None) -> Gram:
     """Return the Gram matrices of a fit, scores trusted as far as blocks of time agree on them.
 
@@ -548,15 +476,6 @@ def _judged(columns: Columns, priors: Priors, members: Sequence[int] | None) -> 
             best = weigh(columns.gram, priors, members)
             moves[list(best.members)] = best.values - columns.gram.origin[list(best.members)]
     return columns.gram.scattered(columns.excess(columns.whitened - columns.columns @ moves))
-
-
-def _predicted(columns: Columns, priors: Priors, members: Sequence[int]) -> float:
-    """Return what a set gains in each block with the values that the others have, in all."""
-    if not len(members):
-        return 0.0
-    chosen = list(members)
-    gained = columns.predictive(chosen, priors.scales[chosen], priors.low[chosen], priors.high[chosen])
-    return float(gained.sum())
 
 
 def _with_chords(space: StateSpace, fitted: Fitted, effects: Sequence[Effect], slopes: Array) -> Array:
@@ -602,6 +521,7 @@ def _ends_of_chords(simulator: Simulator, effect: Effect, dead: bool) -> Array:
 
 
 def _deviations(gram: Gram, priors: Priors, members: Sequence[int]) -> Array:
+    """Return standard errors, of the whole likelihood."""
     if not members:
         return np.zeros(0)
     return np.sqrt(np.diag(np.linalg.inv(weigh(gram, priors, members).curvature)))
@@ -614,12 +534,12 @@ def is_held(effect: Effect, value: float) -> bool:
     return (place > high - width and high > 0) or (place < low + width and low < 0)
 
 
-def _live(ranked: Ranked, gram: Gram, best: Weighed) -> list[int]:
+def _live(ranked: Ranked, members: Sequence[int]) -> list[int]:
     """Return the effects that may still be causes: those of likely sets, and what is like them."""
     top = ranked.sets[0].evidence
-    live = dict.fromkeys(best.members)
+    live = dict.fromkeys(members)
     for one in ranked.sets:
-        if len(live) >= LIVE + len(best.members) or one.evidence < top - 1000 * ALIAS_FACTOR:
+        if len(live) >= LIVE + len(members) or one.evidence < top - 1000 * ALIAS_FACTOR:
             break
         live.update(dict.fromkeys(one.members))
     return list(live)
@@ -649,18 +569,17 @@ def _aliases(
 
 
 def _also(
+    ask: Callable[..., Ranked],
     gram: Gram,
     priors: Priors,
     effects: Sequence[Effect],
     best: Weighed,
     needed: float,
-    families: Mapping[str, Sequence[int]],
-    banned: set[int],
-    predictive: Callable[[Sequence[int]], float],
+    banned: Sequence[int],
 ) -> dict[str, float]:
     """Return what the log shows beside the causes if the model is taken for exact."""
-    ranked = search(gram, priors, best.members, families=families, banned=sorted(banned))
-    exact, _ = without_weak(ranked.sets[0], gram, priors, needed, predictive=predictive)
+    ranked = ask(gram, start=best.members, banned=banned, power=1.0)
+    exact, _ = without_weak(ranked.sets[0], gram, priors, needed)
     return {
         priors.names[one]: value_at(effects[one], at)
         for one, at in zip(exact.members, exact.values)

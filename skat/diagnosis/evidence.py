@@ -46,6 +46,12 @@ class Priors:
     low: Array
     high: Array
 
+    def part(self, members: Sequence[int]) -> "Priors":
+        """Return the priors of some effects."""
+        index = list(members)
+        names = tuple(self.names[one] for one in index)
+        return Priors(names, self.scales[index], self.log_odds[index], self.low[index], self.high[index])
+
     def log_density(self, members: Sequence[int], values: Array) -> Array:
         """Return the log density of each value under the prior cut at its bounds."""
         s = self.scales[list(members)]

@@ -23,7 +23,6 @@ MEMORY_WORTH = 2.0
 FEWEST_FOR_MEMORY = 10
 # Scores are compared between pieces of time of at most so many rows, about so many of them, at least so many.
 BLOCK_ROWS, MOST_BLOCKS, FEWEST_BLOCKS = 32, 60, 10
-PRIOR_TURNS = 4
 
 
 @dataclass(frozen=True)
@@ -41,6 +40,8 @@ class Fitted:
         Those of `linear`, with forces of memory where the noise has such.
     shares : ndarray of shape (n_forces,) or (0,)
         What is left of such a force a row later.
+    restless : float
+        By how much the next step of its path makes a chain less likely, at most, nats: there are other paths near by.
     """
 
     values: Mapping[str, float]
@@ -48,6 +49,7 @@ class Fitted:
     chains: Chains
     estimate: Estimate
     shares: Array
+    restless: float = 0.0
 
     @property
     def bound(self) -> float:
@@ -131,16 +133,18 @@ def settled(
         chains = _remembering(space, linear, shares)
     estimate = estimate_noise(chains, noise, space.real, floor=known.least(chains), held=known.held(chains))
     best: Fitted | None = None
-    pace = np.ones(len(space.real))
+    pace, restless = np.ones(len(space.real)), 0.0
     for turn in range(turns):
         deviations = pace[:, None, None] * estimate.smoothed.means[..., : space.d]
         path = moved_path(space, linear.path, deviations)
         moved = linearise(space, path, values, _covariances(space, estimate))
         if turn or start is not None:
             # Each chain goes on only where that does better: about contacts the end of a full step may be anywhere.
-            better = _likelihoods(space, moved, shares, estimate) > _likelihoods(space, linear, shares, estimate)
-            pace = np.where(better, 1.0, pace / 2)
-            linear = mixed(space, linear, moved, better)
+            gains = _likelihoods(space, moved, shares, estimate) - _likelihoods(
+                space, linear, shares, estimate
+            )
+            pace = np.where(gains > 0, 1.0, pace / 2)
+            linear, restless = mixed(space, linear, moved, gains > 0), float(max(0.0, -gains.min()))
         else:
             linear = moved
         if turn == 0 and space.real.shape[1] > FEWEST_FOR_MEMORY:
@@ -152,7 +156,9 @@ def settled(
             )
         gain = np.inf if best is None else estimate.bound - best.bound
         if gain > 0:
-            best = Fitted(dict(values), linear, _remembering(space, linear, shares), estimate, shares)
+            best = Fitted(
+                dict(values), linear, _remembering(space, linear, shares), estimate, shares, restless
+            )
         if gain < STILL:
             break
     if best is None:
@@ -372,40 +378,6 @@ class Columns:
         scores -= information * (scores.sum(axis=0) / model)
         variances = np.sum(scores**2, axis=0) * n_blocks / (n_blocks - 1)
         return np.maximum(variances / model - 1, 0.0)
-
-    def predictive(self, members: Sequence[int], scales: Array, low: Array, high: Array) -> Array:
-        """Return what a set of effects gains in each block with the values that the other blocks have, nats.
-
-        What shows in one block alone predicts nothing of another.
-
-        Parameters
-        ----------
-        members : sequence of int
-        scales, low, high : ndarray of shape (len(members),)
-            Of the prior, from neutral.
-
-        Returns
-        -------
-        ndarray of shape (n_blocks,)
-        """
-        n_blocks = int(self.blocks.max()) + 1
-        chosen = list(members)
-        order = np.argsort(self.blocks, kind="stable")
-        starts = np.searchsorted(self.blocks[order], np.arange(n_blocks))
-        N = self.columns[:, chosen][order]
-        # From neutral: what is not in the set does not act, wherever the slopes were taken.
-        z = (self.whitened + self.columns @ self.gram.origin)[order]
-        b = np.add.reduceat(N * z[:, None], starts)
-        G = np.stack([N[start:stop].T @ N[start:stop] for start, stop in zip(starts, [*starts[1:], len(N)])])
-        values = np.zeros(len(chosen))
-        for _ in range(PRIOR_TURNS):  # the Cauchy prior as a normal one of the same slope
-            held = np.diag(2 / (scales**2 + values**2))
-            values = np.linalg.solve(G.sum(axis=0) + held, b.sum(axis=0))
-        rest = G.sum(axis=0) - G + held
-        others = np.linalg.solve(rest, (b.sum(axis=0) - b)[..., None])[..., 0]
-        others = np.clip(others, low, high)
-        gained = np.sum(b * others, axis=1) - 0.5 * np.einsum("bi,bij,bj->b", others, G, others)
-        return np.asarray(gained, dtype=np.float64)
 
 
 def _blocks(space: StateSpace) -> NDArray[np.intp]:

@@ -151,17 +151,11 @@ def _family_moves(
 
 
 def without_weak(
-    best: Weighed,
-    gram: Gram,
-    priors: Priors,
-    needed: float,
-    *,
-    power: float = 1.0,
-    predictive: Callable[[Sequence[int]], float] | None = None,
+    best: Weighed, gram: Gram, priors: Priors, needed: float, *, power: float = 1.0
 ) -> tuple[Weighed, dict[int, float]]:
     """Return what is left of a set when all of its members are worth what a name needs, and what each is worth.
 
-    A member is worth what the set loses when it is dropped: of its evidence, or of what it predicts, if that is less.
+    A member is worth what the evidence of the set loses when it is dropped.
 
     Parameters
     ----------
@@ -171,18 +165,12 @@ def without_weak(
         Nats.
     power : float, default=1.0
         To which the likelihood is taken.
-    predictive : callable, optional
-        ``predictive(members)`` returns what a set gains in pieces of the log with values from the others, nats.
     """
     while best.members:
         worth = {}
-        whole = predictive(best.members) if predictive is not None else 0.0
         for one in best.members:
             rest = [other for other in best.members if other != one]
             worth[one] = best.evidence - weigh(gram, priors, rest, power=power).evidence
-            if predictive is not None:
-                predicted = power * (whole - predictive(rest)) + float(priors.log_odds[one])
-                worth[one] = min(worth[one], predicted)
         weakest = min(worth, key=lambda one: worth[one])
         if worth[weakest] >= needed:
             return best, worth

@@ -1,7 +1,7 @@
 """A simulator and a log as linear dynamics about a path: chains of states, means and slopes over what is not known."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from joblib import Parallel, delayed, effective_n_jobs
@@ -122,6 +122,7 @@ def state_space(
     episodes: Places,
     *,
     consecutive: bool,
+    chain_length: int = CHAIN_LENGTH,
     n_jobs: int | None = None,
 ) -> StateSpace:
     """Lay out a checked log.
@@ -134,11 +135,15 @@ def state_space(
     episodes : ndarray of int of shape (n_rows,)
     consecutive : bool
         Whether the rows of an episode follow each other in time.
+    chain_length : int, optional
+        Most transitions that are filtered one after the other.
     n_jobs : int, optional
         Processes of joblib that share the simulations of candidates.
     """
     n_states = len(simulator.state_names)
-    (chain, step), states = in_chains(simulator, X, y, episodes, consecutive=consecutive)
+    (chain, step), states = in_chains(
+        simulator, X, y, episodes, consecutive=consecutive, chain_length=chain_length
+    )
     if not (consecutive and n_states):
         episodes = chain
     shape = len(states), states.shape[1] - 1
@@ -169,7 +174,13 @@ def state_space(
 
 
 def in_chains(
-    simulator: Simulator, X: Array, y: Array, episodes: Places, *, consecutive: bool
+    simulator: Simulator,
+    X: Array,
+    y: Array,
+    episodes: Places,
+    *,
+    consecutive: bool,
+    chain_length: int = CHAIN_LENGTH,
 ) -> tuple[tuple[Places, Places], Array]:
     """Return chain and step of each row, and the states as measured, (n_chains, n_steps + 1, n_states).
 
@@ -183,7 +194,7 @@ def in_chains(
         step = np.arange(n_rows) - starts[np.cumsum(np.r_[True, np.diff(episodes) != 0]) - 1]
         lengths = np.diff(np.r_[starts, n_rows])
         # Pieces of one episode are about as long as each other.
-        longest = np.ceil(lengths / np.ceil(lengths / CHAIN_LENGTH)).astype(int)
+        longest = np.ceil(lengths / np.ceil(lengths / chain_length)).astype(int)
         longest = np.repeat(longest, lengths)
         new = (step % longest) == 0
         step = step % longest
@@ -343,15 +354,22 @@ def derivatives(
 def mixed(space: StateSpace, one: Linear, other: Linear, is_other: Mask) -> Linear:
     """Return the chains of one, and of the other where it is so; `is_other` is of shape (n_chains,)."""
 
-    def chosen(name: str) -> Array:
-        first, second = getattr(one.chains, name), getattr(other.chains, name)
+    def chosen(first: Array, second: Array) -> Array:
         return np.where(is_other.reshape(-1, *[1] * (first.ndim - 1)), second, first)
 
-    names = "transitions", "drive", "bends", "carrier", "measured"
+    ours, theirs = one.chains, other.chains
     rows = is_other[space.places[0]]
     return Linear(
-        np.where(is_other[:, None, None], other.path, one.path),
-        replace(one.chains, **{name: chosen(name) for name in names}),
+        chosen(one.path, other.path),
+        Chains(
+            chosen(ours.transitions, theirs.transitions),
+            chosen(ours.drive, theirs.drive),
+            chosen(ours.bends, theirs.bends),
+            chosen(ours.carrier, theirs.carrier),
+            chosen(ours.measured, theirs.measured),
+            ours.mask,
+            ours.prior,
+        ),
         np.where(rows[:, None], other.outputs, one.outputs),
         np.where(rows, other.valid, one.valid),
     )

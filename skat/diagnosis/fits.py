@@ -1,0 +1,141 @@
+"""Sets of causes at fits of their own: values, noise and path, and what the log says for them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from skat.diagnosis.evidence import Gram, Priors, weigh
+from skat.diagnosis.filtering import Array
+from skat.diagnosis.fitting import Fitted, coordinate, gram_of, settled, slopes_of, value_at
+from skat.diagnosis.statespace import StateSpace
+from skat.effects import Effect
+
+# Of its standard errors: values that move by less stand still.
+STANDS_STILL = 0.1
+# Steps of Gauss and Newton in the fit of a set; one that leads to where the log is less likely is halved.
+FIT_TURNS = 3
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A set of causes, at values, a noise and about a path of its own.
+
+    Attributes
+    ----------
+    members : tuple of int
+        Places of the effects, ascending.
+    values : dict of str to float
+    fitted : Fitted
+    evidence : float
+        Log evidence of the set at these values, beside what all sets have in common, nats.
+    """
+
+    members: tuple[int, ...]
+    values: dict[str, float]
+    fitted: Fitted
+    evidence: float
+
+    def score(self, needed: float) -> float:
+        """Return the evidence less what each name needs."""
+        return self.evidence - needed * len(self.members)
+
+
+@dataclass(frozen=True)
+class Fits:
+    """Fits sets of causes to a log.
+
+    Attributes
+    ----------
+    space : StateSpace
+    effects : tuple of Effect
+    priors : Priors
+    floor : ndarray of shape (d,)
+        Least variance of each channel's noise.
+    given : ndarray of shape (d,) or None
+        Standard deviation of each channel's noise, where it is known.
+    power : float
+        To which the likelihood is taken.
+    """
+
+    space: StateSpace
+    effects: tuple[Effect, ...]
+    priors: Priors
+    floor: Array
+    given: Array | None
+    power: float
+
+    def first(self, values: Mapping[str, float]) -> Fit:
+        """Return the fit at values, from the log alone."""
+        names = self.priors.names
+        members = tuple(sorted(names.index(name) for name in values if name in names))
+        fitted = settled(self.space, values, None, self.floor, given=self.given)
+        return self._weighed(members, fitted)[0]
+
+    def of(self, members: Sequence[int], places: Array, near: Fit, *, least: float = -np.inf) -> Fit:
+        """Return the fit of a set, about the path and from the noise of another fit.
+
+        Parameters
+        ----------
+        members : sequence of int
+        places : ndarray of shape (len(members),)
+            Coordinates to begin with.
+        near : Fit
+        least : float, optional
+            A set that promises less evidence than this is fitted no further.
+        """
+        members = tuple(members)
+        chosen = [self.effects[one] for one in members]
+        origin = np.array([self._place(one, near.values) for one in members])
+        # What the set has beside `near` cannot make the log less likely, but for a step too far.
+        reached = near.fitted.bound if set(near.members) <= set(members) else -np.inf
+        start, best = near.fitted, None
+        for _ in range(FIT_TURNS):
+            values = {effect.name: value_at(effect, at) for effect, at in zip(chosen, places)}
+            fitted = settled(self.space, values, start, self.floor, given=self.given)
+            fit, moved, deviations, promised = self._weighed(members, fitted)
+            if best is None or fit.evidence > best.evidence:
+                best = fit
+            if fitted.bound < reached:
+                places = (np.asarray(places) + origin) / 2
+                continue
+            if np.all(np.abs(moved - places) < STANDS_STILL * deviations) or promised < least:
+                break
+            origin, places, start, reached = places, moved, fitted, fitted.bound
+        if best is None:
+            raise RuntimeError("no turn was made")
+        return best
+
+    def without(self, fit: Fit, dropped: Sequence[int] | set[int]) -> Fit:
+        """Return the fit of a set without some of its members, near to it."""
+        inside = [place for place, one in enumerate(fit.members) if one not in dropped]
+        gram = self.gram(fit.fitted, fit.members)
+        start = weigh(gram, self.priors.part(fit.members), inside)
+        return self.of([fit.members[place] for place in inside], start.values, fit)
+
+    def gram(self, fitted: Fitted, members: Sequence[int]) -> Gram:
+        """Return the Gram matrices of some effects at a fit."""
+        chosen = [self.effects[one] for one in members]
+        slopes = slopes_of(self.space, fitted, chosen, self.priors.part(members))
+        return gram_of(self.space, fitted, slopes, chosen).gram
+
+    def _place(self, member: int, values: Mapping[str, float]) -> float:
+        effect = self.effects[member]
+        return coordinate(effect, values.get(effect.name, effect.neutral))
+
+    def _weighed(self, members: tuple[int, ...], fitted: Fitted) -> tuple[Fit, Array, Array, float]:
+        """Return a fit, where slopes would move its values, their standard errors, and the evidence promised there."""
+        values = dict(fitted.values)
+        if not members:
+            evidence = self.power * fitted.bound
+            return Fit((), values, fitted, evidence), np.zeros(0), np.zeros(0), evidence
+        gram, priors = self.gram(fitted, members), self.priors.part(members)
+        one = weigh(gram, priors, range(len(members)), power=self.power)
+        evidence = self.power * (fitted.bound - one.likelihood) + one.evidence
+        here = float(gram.at_neutral @ gram.origin - 0.5 * gram.origin @ gram.products @ gram.origin)
+        deviations = np.sqrt(np.diag(np.linalg.inv(one.curvature)))
+        promised = evidence + self.power * (one.likelihood - here)
+        return Fit(members, values, fitted, evidence), one.values, deviations, promised
+
+
+__all__ = ["STANDS_STILL", "Fit", "Fits"]
