@@ -27,6 +27,7 @@ from skat.diagnosis import (
     evidence,
     filtering,
     findings,
+    fits,
     fitting,
     log,
     noise,
@@ -95,7 +96,7 @@ def _classes(*modules: ModuleType) -> dict[str, type]:
 # What a file may hold, by the name that it has there.
 CLASSES: Mapping[str, type] = MappingProxyType(
     {
-        **_classes(causes, evidence, filtering, findings, fitting, log, noise, posterior, prediction),
+        **_classes(causes, evidence, filtering, findings, fits, fitting, log, noise, posterior, prediction),
         **_classes(remainder, search, statespace, content, from_diagnosis),
         "archive.EffectRecord": EffectRecord,
         "source.ModelSource": ModelSource,

@@ -115,8 +115,8 @@ class Search:
         Of the chains that it was made with.
     now : Fit
         The best so far.
-    basis : Fitted
-        The same, at the noise with which sets are ranked.
+    dense : Fitted or None
+        The same, at the noise that is left when all effects act; None once that has proposed what it can.
     slopes : ndarray of shape (n_rows, d, k)
         At `now`, of those effects that may still be causes.
     first : Gram or None
@@ -130,7 +130,7 @@ class Search:
     turn: int
     chain_length: int
     now: Fit
-    basis: Fitted
+    dense: Fitted | None
     slopes: Array
     first: Gram | None
     evidences: dict[tuple[int, ...], float]
@@ -230,15 +230,14 @@ def find_causes(
         if checkpoint is not None and state is not resumed:
             checkpoint(state)
         now, banned = state.now, set(state.banned)
-        columns = gram_of(fits.space, state.basis, state.slopes, effects)
-        is_dense = state.basis is not now.fitted
-        gram = _judged(columns, priors, None if is_dense else now.members)
+        columns = gram_of(fits.space, state.dense or now.fitted, state.slopes, effects)
+        gram = _judged(columns, priors, now.members if state.dense is None else None)
         state = replace(state, first=state.first or gram)
         ranked = ask(gram, start=now.members, banned=state.banned)
         if state.turn == TURNS:
             break
         evidences, moved = dict(state.evidences), None
-        misled = misled and is_dense
+        misled = misled and state.dense is not None
         for one in _proposals(ranked, gram, priors, now, needed, power):
             tried = fits.of(one.members, one.values, now)
             evidences[tried.members] = max(tried.evidence, evidences.get(tried.members, -np.inf))
@@ -247,9 +246,9 @@ def find_causes(
                 break
             misled = True
         state = replace(state, evidences=evidences)
-        if moved is None and is_dense:
+        if moved is None and state.dense is not None:
             # What all effects together explain is noise again.
-            state = replace(state, basis=now.fitted)
+            state = replace(state, dense=None)
             continue
         if moved is None:
             held = {one for one in now.members if is_held(effects[one], now.values[priors.names[one]])}
@@ -269,7 +268,7 @@ def find_causes(
             state.turn + 1,
             length,
             moved,
-            moved.fitted,
+            None,
             slopes,
             state.first,
             evidences,
@@ -288,12 +287,12 @@ def _begun(fits: Fits, now: Fit, length: int) -> Search:
     """Return the search at its first fit, with a noise from which what all effects explain is taken out."""
     space, effects, priors = fits.space, fits.effects, fits.priors
     slopes = _with_chords(space, now.fitted, effects, slopes_of(space, now.fitted, effects, priors))
-    basis = now.fitted
+    dense = now.fitted
     for _ in range(DENSE_TURNS):
-        columns = gram_of(space, basis, slopes, effects)
+        columns = gram_of(space, dense, slopes, effects)
         moves = columns.dense(priors.scales)
-        basis = noise_without(space, basis, slopes, moves, fits.floor, given=fits.given)
-    return Search(0, length, now, basis, slopes, None, {now.members: now.evidence}, ())
+        dense = noise_without(space, dense, slopes, moves, fits.floor, given=fits.given)
+    return Search(0, length, now, dense, slopes, None, {now.members: now.evidence}, ())
 
 
 def _proposals(
