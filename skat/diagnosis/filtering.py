@@ -54,6 +54,18 @@ class Chains:
     mask: Mask
     prior: Array
 
+    def of(self, chosen: Mask) -> "Chains":
+        """Return some of the chains; `chosen` is of shape (n_chains,)."""
+        return Chains(
+            self.transitions[chosen],
+            self.drive[chosen],
+            self.bends[chosen],
+            self.carrier[chosen],
+            self.measured[chosen],
+            self.mask[chosen],
+            self.prior,
+        )
+
     def with_memory(self, shares: Array, prior: Array) -> "Chains":
         """Return these chains with a force of memory beside each random force, as further, hidden channels.
 

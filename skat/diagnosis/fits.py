@@ -7,7 +7,7 @@ import numpy as np
 
 from skat.diagnosis.evidence import Gram, Priors, weigh
 from skat.diagnosis.filtering import Array
-from skat.diagnosis.fitting import Fitted, coordinate, gram_of, settled, slopes_of, value_at
+from skat.diagnosis.fitting import STILL, Fitted, coordinate, gram_of, settled, slopes_of, value_at
 from skat.diagnosis.statespace import StateSpace
 from skat.effects import Effect
 
@@ -70,6 +70,12 @@ class Fits:
         names = self.priors.names
         members = tuple(sorted(names.index(name) for name in values if name in names))
         fitted = settled(self.space, values, None, self.floor, given=self.given)
+        for _ in range(FIT_TURNS):
+            # From what was measured the way is long, and all that is compared with it begins where it ends.
+            last, fitted = fitted, settled(self.space, values, fitted, self.floor, given=self.given)
+            if fitted.bound < last.bound + STILL:
+                fitted = max(fitted, last, key=lambda one: one.bound)
+                break
         return self._weighed(members, fitted)[0]
 
     def of(self, members: Sequence[int], places: Array, near: Fit, *, least: float = -np.inf) -> Fit:

@@ -9,12 +9,22 @@ from numpy.typing import NDArray
 from skat.diagnosis.evidence import Gram, Priors
 from skat.diagnosis.filtering import Array, Chains, Mask, filter_columns, kalman_filter
 from skat.diagnosis.noise import Estimate, Noise, estimate_noise, normal_noise, passed
-from skat.diagnosis.statespace import Linear, StateSpace, derivatives, linearise, mixed, moved_path
+from skat.diagnosis.statespace import (
+    Linear,
+    StateSpace,
+    derivatives,
+    linearise,
+    moved_path,
+    of_chains,
+    remembers,
+    with_chains,
+)
 from skat.diagnosis.velocities import noise_variance
 from skat.effects import Effect
 
-# A path stands still when taking it anew gains less than so many nats.
-STILL = 1.0
+# A path stands still when taking it anew gains less than so many nats; a chain's own, when less than so many. A step is
+# halved where it gains nothing, to this share of it.
+STILL, RESTS, SLOWEST = 1.0, 0.05, 0.05
 # Memories of random forces that are tried, in rows; of at most this share of an episode, so that what is steady stays a
 # cause; and what each of their numbers must be worth, in nats.
 MEMORIES = (2.0, 5.0, 10.0, 20.0, 40.0)
@@ -97,7 +107,7 @@ def settled(
     start: Fitted | None,
     floor: Array,
     *,
-    turns: int = 8,
+    turns: int = 16,
     given: Array | None = None,
 ) -> Fitted:
     """Return the fit at given values: path smoothed, slopes taken over what is not known, noise estimated.
@@ -110,7 +120,7 @@ def settled(
         Begin with the path and the noise of this one.
     floor : ndarray of shape (d,)
         Least variance of each channel's noise.
-    turns : int, default=8
+    turns : int, default=16
         How often path and slopes are taken anew at most.
     given : ndarray of shape (d,), optional
         Standard deviation of each channel's noise, where it is known.
@@ -133,18 +143,28 @@ def settled(
         chains = _remembering(space, linear, shares)
     estimate = estimate_noise(chains, noise, space.real, floor=known.least(chains), held=known.held(chains))
     best: Fitted | None = None
-    pace, restless = np.ones(len(space.real)), 0.0
+    at_once = remembers(space.simulator, values)
+    pace, lost = np.ones(len(space.real)), np.zeros(len(space.real))
+    going: Mask = np.ones(len(space.real), dtype=bool)
     for turn in range(turns):
-        deviations = pace[:, None, None] * estimate.smoothed.means[..., : space.d]
-        path = moved_path(space, linear.path, deviations)
-        moved = linearise(space, path, values, _covariances(space, estimate))
+        part = space if at_once else space.part(going)
+        here = linear if at_once else of_chains(space, linear, going)
+        chosen = np.ones(len(space.real), dtype=bool) if at_once else going
+        steps = (pace[:, None, None] * estimate.smoothed.means[..., : space.d])[chosen]
+        moved = linearise(
+            part, moved_path(space, here.path, steps), values, _covariances(space, estimate)[chosen]
+        )
         if turn or start is not None:
             # Each chain goes on only where that does better: about contacts the end of a full step may be anywhere.
-            gains = _likelihoods(space, moved, shares, estimate) - _likelihoods(
-                space, linear, shares, estimate
+            gains = np.zeros(len(space.real))
+            gains[chosen] = _likelihoods(space, moved, shares, estimate, chosen) - _likelihoods(
+                space, here, shares, estimate, chosen
             )
-            pace = np.where(gains > 0, 1.0, pace / 2)
-            linear, restless = mixed(space, linear, moved, gains > 0), float(max(0.0, -gains.min()))
+            better = chosen & (gains > 0)
+            lost = np.where(chosen & (pace == 1), np.maximum(0.0, -gains), lost)
+            pace = np.where(better, 1.0, pace / 2)
+            going = np.where(better, gains > RESTS, chosen & (pace > SLOWEST) & (gains < -RESTS))
+            linear = with_chains(space, linear, of_chains(part, moved, better[chosen]), better)
         else:
             linear = moved
         if turn == 0 and space.real.shape[1] > FEWEST_FOR_MEMORY:
@@ -157,20 +177,21 @@ def settled(
         gain = np.inf if best is None else estimate.bound - best.bound
         if gain > 0:
             best = Fitted(
-                dict(values), linear, _remembering(space, linear, shares), estimate, shares, restless
+                dict(values), linear, _remembering(space, linear, shares), estimate, shares, float(lost.max())
             )
-        if gain < STILL:
+        if not going.any() or (gain < STILL and not (pace[going] < 1).any()):
             break
     if best is None:
         raise ValueError("turns must be at least 1")
     return best
 
 
-def _likelihoods(space: StateSpace, linear: Linear, shares: Array, estimate: Estimate) -> Array:
-    """Return the log likelihood of each chain about a path, at a noise."""
+def _likelihoods(space: StateSpace, linear: Linear, shares: Array, estimate: Estimate, chosen: Mask) -> Array:
+    """Return the log likelihood of chains about a path, at the noise of all."""
     noise = estimate.noise
     chains = _remembering(space, linear, shares)
-    return kalman_filter(chains, noise.force_variances, noise.error_variances).log_likelihoods
+    variances = noise.force_variances[chosen], noise.error_variances[chosen]
+    return kalman_filter(chains, *variances).log_likelihoods
 
 
 def _rough(space: StateSpace) -> Array:

@@ -1,7 +1,7 @@
 """A simulator and a log as linear dynamics about a path: chains of states, means and slopes over what is not known."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from joblib import Parallel, delayed, effective_n_jobs
@@ -71,6 +71,20 @@ class StateSpace:
         if self.simulator.state_names:
             X[:, : path.shape[-1]] = path[:, :-1][self.places]
         return X
+
+    def part(self, chosen: Mask) -> "StateSpace":
+        """Return the log of some chains, for a simulation that needs no rows before them; `chosen` is (n_chains,)."""
+        inside = chosen[self.places[0]]
+        chain = (np.cumsum(chosen) - 1)[self.places[0][inside]]
+        return replace(
+            self,
+            X=self.X[inside],
+            groups=self.groups[inside],
+            places=(chain, self.places[1][inside]),
+            measured=self.measured[chosen],
+            mask=self.mask[chosen],
+            real=self.real[chosen],
+        )
 
     def simulated(self, rows: Array, candidates: Sequence[Mapping[str, float]]) -> Array:
         """Return the outputs of rows under each candidate, (n_candidates, n_rows, n_outputs)."""
@@ -351,28 +365,43 @@ def derivatives(
     return columns
 
 
-def mixed(space: StateSpace, one: Linear, other: Linear, is_other: Mask) -> Linear:
-    """Return the chains of one, and of the other where it is so; `is_other` is of shape (n_chains,)."""
+def with_chains(space: StateSpace, linear: Linear, other: Linear, chosen: Mask) -> Linear:
+    """Return the simulation about a path where some chains are those of another: `other` holds these alone."""
 
-    def chosen(first: Array, second: Array) -> Array:
-        return np.where(is_other.reshape(-1, *[1] * (first.ndim - 1)), second, first)
+    def filled(whole: Array, part: Array) -> Array:
+        out = whole.copy()
+        out[chosen] = part
+        return out
 
-    ours, theirs = one.chains, other.chains
-    rows = is_other[space.places[0]]
+    rows = chosen[space.places[0]]
+    outputs, valid = linear.outputs.copy(), linear.valid.copy()
+    outputs[rows], valid[rows] = other.outputs, other.valid
+    ours, theirs = linear.chains, other.chains
     return Linear(
-        chosen(one.path, other.path),
+        filled(linear.path, other.path),
         Chains(
-            chosen(ours.transitions, theirs.transitions),
-            chosen(ours.drive, theirs.drive),
-            chosen(ours.bends, theirs.bends),
-            chosen(ours.carrier, theirs.carrier),
-            chosen(ours.measured, theirs.measured),
+            filled(ours.transitions, theirs.transitions),
+            filled(ours.drive, theirs.drive),
+            filled(ours.bends, theirs.bends),
+            filled(ours.carrier, theirs.carrier),
+            filled(ours.measured, theirs.measured),
             ours.mask,
             ours.prior,
         ),
-        np.where(rows[:, None], other.outputs, one.outputs),
-        np.where(rows, other.valid, one.valid),
+        outputs,
+        valid,
     )
+
+
+def of_chains(space: StateSpace, linear: Linear, chosen: Mask) -> Linear:
+    """Return the simulation about the paths of some chains."""
+    rows = chosen[space.places[0]]
+    return Linear(linear.path[chosen], linear.chains.of(chosen), linear.outputs[rows], linear.valid[rows])
+
+
+def remembers(simulator: Simulator, values: Mapping[str, float]) -> bool:
+    """Whether a row of the simulation depends on the rows before it."""
+    return bool(simulator.n_lags(values)) or bool(simulator.extended(values).hidden_state_names)
 
 
 def moved_path(space: StateSpace, path: Array, deviations: Array) -> Array:
