@@ -259,7 +259,13 @@ def opened(path: Path, kind: str) -> Iterator[Archive]:
         raise FileNotFoundError(f"There is no file {path}.")
     if not zipfile.is_zipfile(path):
         raise ValueError(f"{path} is no {kind} that skat wrote, or only a part of one.")
-    with zipfile.ZipFile(path) as file:
+    try:
+        opened_file = zipfile.ZipFile(path)
+    except zipfile.BadZipFile as error:
+        raise ValueError(
+            f"{path} cannot be read: {error}. It is damaged; use a copy, or fit anew."
+        ) from error
+    with opened_file as file:
         with _readable(path, "unknown"):
             text = json.loads(file.read(CONTENT))
             found = text["kind"], text["format"], text["skat"]

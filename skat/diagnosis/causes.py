@@ -224,11 +224,14 @@ def find_causes(
     ask = partial(search, priors=priors, families=_families(effects), power=power, most=max_effects)
     rivals: list[Rival] = []
     stands = misled = False
+    told = -1
     while True:
-        if progress is not None:
-            progress("search", state.turn, TURNS)
-        if checkpoint is not None and state is not resumed:
-            checkpoint(state)
+        if state.turn != told:
+            told = state.turn
+            if checkpoint is not None and state is not resumed:
+                checkpoint(state)
+            if progress is not None:
+                progress("search", state.turn, TURNS)
         now, banned = state.now, set(state.banned)
         columns = gram_of(fits.space, state.dense or now.fitted, state.slopes, effects)
         gram = _judged(columns, priors, now.members if state.dense is None else None)
@@ -354,8 +357,7 @@ def _rivals(
                 break
             members = tuple(sorted({*now.members, int(other)} - {cause}))
             moved = weigh(grams[int(np.argmax(looks[:, other]))], fits.priors, members)
-            least = now.evidence - np.log(ALIAS_FACTOR)
-            own = fits.of(members, moved.values, now, least=least)
+            own = fits.of(members, moved.values, now)
             evidences[members] = max(own.evidence, evidences.get(members, -np.inf))
             found.append(Rival(cause, int(other), evidences[members]))
             if own.evidence > (now if better is None else better).evidence + TOLERANCE:

@@ -8,13 +8,14 @@ import numpy as np
 from skat.diagnosis.evidence import Gram, Priors, weigh
 from skat.diagnosis.filtering import Array
 from skat.diagnosis.fitting import STILL, Fitted, coordinate, gram_of, settled, slopes_of, value_at
+from skat.diagnosis.noise import TOLERANCE
 from skat.diagnosis.statespace import StateSpace
 from skat.effects import Effect
 
 # Of its standard errors: values that move by less stand still.
 STANDS_STILL = 0.1
 # Steps of Gauss and Newton in the fit of a set; one that leads to where the log is less likely is halved.
-FIT_TURNS = 3
+FIT_TURNS = 8
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ class Fits:
                 break
         return self._weighed(members, fitted)[0]
 
-    def of(self, members: Sequence[int], places: Array, near: Fit, *, least: float = -np.inf) -> Fit:
+    def of(self, members: Sequence[int], places: Array, near: Fit) -> Fit:
         """Return the fit of a set, about the path and from the noise of another fit.
 
         Parameters
@@ -87,8 +88,6 @@ class Fits:
         places : ndarray of shape (len(members),)
             Coordinates to begin with.
         near : Fit
-        least : float, optional
-            A set that promises less evidence than this is fitted no further.
         """
         members = tuple(members)
         chosen = [self.effects[one] for one in members]
@@ -99,13 +98,15 @@ class Fits:
         for _ in range(FIT_TURNS):
             values = {effect.name: value_at(effect, at) for effect, at in zip(chosen, places)}
             fitted = settled(self.space, values, start, self.floor, given=self.given)
-            fit, moved, deviations, promised = self._weighed(members, fitted)
+            fit, moved, deviations = self._weighed(members, fitted)
+            if best is not None and fit.evidence < best.evidence + TOLERANCE and fitted.bound >= reached:
+                break
             if best is None or fit.evidence > best.evidence:
                 best = fit
             if fitted.bound < reached:
                 places = (np.asarray(places) + origin) / 2
                 continue
-            if np.all(np.abs(moved - places) < STANDS_STILL * deviations) or promised < least:
+            if np.all(np.abs(moved - places) < STANDS_STILL * deviations):
                 break
             origin, places, start, reached = places, moved, fitted, fitted.bound
         if best is None:
@@ -129,19 +130,17 @@ class Fits:
         effect = self.effects[member]
         return coordinate(effect, values.get(effect.name, effect.neutral))
 
-    def _weighed(self, members: tuple[int, ...], fitted: Fitted) -> tuple[Fit, Array, Array, float]:
-        """Return a fit, where slopes would move its values, their standard errors, and the evidence promised there."""
+    def _weighed(self, members: tuple[int, ...], fitted: Fitted) -> tuple[Fit, Array, Array]:
+        """Return a fit, where slopes would move its values, and their standard errors."""
         values = dict(fitted.values)
         if not members:
             evidence = self.power * fitted.bound
-            return Fit((), values, fitted, evidence), np.zeros(0), np.zeros(0), evidence
+            return Fit((), values, fitted, evidence), np.zeros(0), np.zeros(0)
         gram, priors = self.gram(fitted, members), self.priors.part(members)
         one = weigh(gram, priors, range(len(members)), power=self.power)
         evidence = self.power * (fitted.bound - one.likelihood) + one.evidence
-        here = float(gram.at_neutral @ gram.origin - 0.5 * gram.origin @ gram.products @ gram.origin)
         deviations = np.sqrt(np.diag(np.linalg.inv(one.curvature)))
-        promised = evidence + self.power * (one.likelihood - here)
-        return Fit(members, values, fitted, evidence), one.values, deviations, promised
+        return Fit(members, values, fitted, evidence), one.values, deviations
 
 
 __all__ = ["STANDS_STILL", "Fit", "Fits"]

@@ -415,7 +415,7 @@ def turns(monkeypatch):
     return written
 
 
-@pytest.mark.parametrize(("stage", "done"), [("search", 2), ("gain", 0)])
+@pytest.mark.parametrize(("stage", "done"), [("search", 1), ("gain", 0)])
 def test_interrupted_fit_comes_to_the_answer_of_one_that_was_not(of_function, tmp_path, turns, stage, done):
     reference, log = of_function
     path = tmp_path / "fit.skat"
@@ -447,7 +447,8 @@ def test_fit_that_is_interrupted_again_and_again_comes_to_the_same_answer(of_fun
             continue
         break
     assert len(stages) == 3
-    assert stages[0] < stages[1] < stages[2]
+    assert stages == sorted(stages)
+    assert stages[0] < stages[-1]
     assert_same_answers(diagnosis, reference, log)
 
 
