@@ -247,13 +247,14 @@ class DiagnosisReport(Report):
         diagnosis = copy.copy(self.diagnosis)
         diagnosis.random_state = 0
         try:
-            return diagnosis.evaluate(
+            gain: Gain = diagnosis.evaluate(
                 *_rows(log),
                 horizon="episode",
                 initial_state="measured" if np.isfinite(first).all() else "fitted",
             )
         except RuntimeError:  # an episode diverges
             return None
+        return gain
 
 
 # -- findings ------------------------------------------------------------------------------------------------
