@@ -12,6 +12,20 @@ def number(value: float, digits: int = LEAST_DIGITS) -> str:
     return f"{value:.{digits}g}"
 
 
+def amount(value: float) -> str:
+    """Return a number for a sentence, in three digits, as people write it up to a thousand million.
+
+    Examples
+    --------
+    >>> amount(34321.0), amount(0.0123)
+    ('34\u202f300', '0.0123')
+    """
+    text = number(value, 3)
+    if "e+0" not in text:
+        return text
+    return f"{float(text):,.0f}".replace(",", "\N{NARROW NO-BREAK SPACE}")
+
+
 def size_text(value: float, interval: tuple[float, float]) -> str:
     """Return a value in as many digits as its interval (low, high) has."""
     return number(value, _digits(interval))

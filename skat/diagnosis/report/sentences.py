@@ -10,7 +10,7 @@ import numpy as np
 from skat.diagnosis.comparison import ceiling_sentence, is_beaten
 from skat.diagnosis.remainder import is_unexplained
 from skat.diagnosis.report.tables import GAP, is_guarded, plain_unit, probability_text
-from skat.rounding import interval_text, size_text
+from skat.rounding import amount, interval_text, size_text
 from skat.simulators.base import Simulator, is_sensor
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ def cautions(causes: Sequence[Cause]) -> list[str]:
 
 def gain_sentence(diagnosis: SimulationDiagnosis, gain: Gain) -> str:
     """Return a Gain of a fitted diagnosis in a sentence."""
-    before, after = f"{gain.nominal:.3g}", f"{gain.extended:.3g}"
+    before, after = amount(gain.nominal), amount(gain.extended)
     if gain.horizon == "episode":
         text = f"the open-loop error of whole episodes goes from {before} to {after}"
     else:
