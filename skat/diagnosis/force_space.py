@@ -98,7 +98,9 @@ class Motion:
     cutoff: Array
 
 
-def smooth_motion(simulator: MujocoSimulator, X: Array, y: Array, groups: Array) -> Motion | None:
+def smooth_motion(
+    simulator: MujocoSimulator, X: Array, y: Array, groups: Array, *, window: float | None = None
+) -> Motion | None:
     """Return the smoothed motion of a log without what contacts push, None if nothing is left.
 
     Parameters
@@ -107,6 +109,8 @@ def smooth_motion(simulator: MujocoSimulator, X: Array, y: Array, groups: Array)
     X, y : ndarray of shape (n_rows, n_inputs), (n_rows, n_outputs)
         NaN in states where nothing was measured.
     groups : ndarray of shape (n_rows,)
+    window : float, optional
+        About how long a stretch is, s.
     """
     n_states, dt = len(simulator.state_names), simulator.dt
     nv = len(simulator.residual_names) // 2
@@ -130,6 +134,9 @@ def smooth_motion(simulator: MujocoSimulator, X: Array, y: Array, groups: Array)
         free = free & np.r_[True, free[:-1]] & np.r_[free[1:], True]
     # A block ends where the next one begins, and has the mean speed and acceleration of what is in between.
     length = max(1, int(1 / (BLOCKS_A_PERIOD * dt * max(float(cutoff.max()), 1e-9))))
+    most = STRETCH
+    if window is not None:
+        most = max(SHORTEST, round(window / (length * dt)))
     blocks, stretches = [], []
     instant_of_row = np.arange(len(X)) + np.cumsum(np.r_[0, groups[1:] != groups[:-1]])
     usable = free[instant_of_row] & free[instant_of_row + 1]
@@ -138,7 +145,7 @@ def smooth_motion(simulator: MujocoSimulator, X: Array, y: Array, groups: Array)
         count = (stop - start) // length if usable[start] else 0
         if count >= SHORTEST:
             blocks.append(start + np.arange(count * length).reshape(count, length))
-            stretches.append(number * (1 + len(X)) + np.arange(count) // STRETCH)
+            stretches.append(number * (1 + len(X)) + np.arange(count) * max(1, round(count / most)) // count)
     if not blocks:
         return None
     rows, stretch = np.concatenate(blocks), np.unique(np.concatenate(stretches), return_inverse=True)[1]
@@ -244,6 +251,8 @@ class Rows:
         Degree of freedom of each row.
     frequency : ndarray of shape (n_rows,)
         Hz.
+    stretch : ndarray of int of shape (n_rows,)
+        Of blocks.
     nominal : ndarray of shape (n_rows,)
         The target of the model as it is.
     """
@@ -252,6 +261,7 @@ class Rows:
     columns: Array
     joint: NDArray[np.intp]
     frequency: Array
+    stretch: NDArray[np.intp]
     nominal: Array
 
     def whitened(self, deviations: Array) -> tuple[Array, Array]:
@@ -259,10 +269,12 @@ class Rows:
         return self.target / deviations, self.columns / deviations[:, None]
 
 
-def transformed(motion: Motion, forces: Array) -> tuple[Array, NDArray[np.intp], Array]:
-    """Return the cosine coefficients (n_rows, k) of forces (n_blocks, nv, k), the joint and frequency of each."""
+def transformed(
+    motion: Motion, forces: Array
+) -> tuple[Array, NDArray[np.intp], Array, NDArray[np.intp]]:
+    """Return the cosine coefficients (n_rows, k) of forces (n_blocks, nv, k); joint, frequency, stretch of each."""
     nv = forces.shape[1]
-    parts, joints, frequencies = [], [], []
+    parts, joints, frequencies, stretches = [], [], [], []
     for stretch in np.unique(motion.stretches):
         own = forces[motion.stretches == stretch]
         coefficients = dct(own, axis=0, norm="ortho")
@@ -272,7 +284,8 @@ def transformed(motion: Motion, forces: Array) -> tuple[Array, NDArray[np.intp],
             parts.append(coefficients[kept, joint])
             joints.append(np.full(int(kept.sum()), joint))
             frequencies.append(frequency[kept])
-    return np.concatenate(parts), np.concatenate(joints), np.concatenate(frequencies)
+            stretches.append(np.full(int(kept.sum()), stretch))
+    return tuple(map(np.concatenate, (parts, joints, frequencies, stretches)))  # type: ignore[return-value]
 
 
 def rows_at(
@@ -290,8 +303,8 @@ def rows_at(
     forces = missing_force(simulator, motion, candidates)
     differences = (forces[1] - forces[2:]) / np.array(widths)[:, None, None]
     together = np.concatenate([forces[:2], differences]).transpose(1, 2, 0)
-    coefficients, joint, frequency = transformed(motion, together)
-    return Rows(coefficients[:, 1], coefficients[:, 2:], joint, frequency, coefficients[:, 0])
+    coefficients, *places = transformed(motion, together)
+    return Rows(coefficients[:, 1], coefficients[:, 2:], *places, coefficients[:, 0])
 
 
 def noise_of(rows: Rows, squares: Array, *, flat: bool = False) -> Array:
