@@ -41,6 +41,10 @@ from skat.simulators import MujocoSimulator, Simulator
 Log = tuple[Array, Array, Array]
 # A log has so many windows, of so many seconds at most.
 WINDOWS, LONGEST = 8, 2.0
+# Smooth functions of each joint's motion: pairs of cosine and sine.
+CURVES = 16
+# Effects differ between windows by this share of their typical size, told as by so many windows.
+APART_AT_LEAST, PSEUDO = 0.1, 1.0
 # Two logs differ by so many times the variance by which two windows of one do.
 APART = 2.0
 # Places along each side of a body at which a weight is tried; those that act alike are one.
@@ -280,10 +284,7 @@ class _Question:
         Typical sizes of effects and of candidates: units of the columns.
     sides : tuple of Rows
         Columns are those of effects; in the second log, then those of candidates.
-    noise : tuple of ndarray
-        Deviation of each row of the sides.
-    spread : ndarray of shape (n_effects,)
-        Variance by which an effect differs from window to window.
+    law : _Law
     origin : ndarray of shape (n_candidates,)
         Values of candidates at which the second log's target was taken.
     held_out : ndarray of bool
@@ -298,8 +299,7 @@ class _Question:
     sizes: Array
     scales: Array
     sides: tuple[Rows, Rows]
-    noise: tuple[Array, Array]
-    spread: Array
+    law: "_Law"
     origin: Array
     held_out: Mask
 
@@ -327,13 +327,24 @@ def _asked(
     common = [effect for effect in seen if effect.target != "all"]
     sizes = np.array([typical.get(effect.name, effect.typical) for effect in common])
     sides = [_rows(simulator, half, _Model({}), common, sizes) for half in halves]
-    shown = np.flatnonzero(np.any([_visible(side) for side in sides], axis=0))
-    common, sizes = [common[place] for place in shown], sizes[shown]
-    sides = [replace(side, columns=side.columns[:, shown]) for side in sides]
-    noise, spread, value = _settled(sides)
-    base = _base(simulator, halves, sides, common, sizes, noise, spread, value)
+    shares = _shares(_joined(sides))
+    shown = np.flatnonzero(shares > 1e-9)
+    common, sizes, shares = [common[place] for place in shown], sizes[shown], shares[shown]
+    units = np.array(
+        [
+            1.0 if effect.name in typical or effect.force_share is None else effect.force_share / share
+            for effect, share in zip(common, shares)
+        ]
+    )
+    sizes = sizes * units
+    sides = [replace(side, columns=side.columns[:, shown] * units) for side in sides]
+    curves = _curves(simulator, halves)
+    sides = [_with_curves(*pair) for pair in zip(sides, halves, curves)]
+    law = _settled(sides, len(common))
+    base = _base(simulator, halves, sides, common, sizes, law)
     sides = [_rows(simulator, half, base, common, sizes) for half in halves]
-    noise, spread, _ = _settled(sides)
+    sides = [_with_curves(*pair) for pair in zip(sides, halves, curves)]
+    law = _settled(sides, len(common))
     names = {effect.name for effect in common}
     offered = [
         _Candidate(effect, effect.odds, {})
@@ -347,13 +358,21 @@ def _asked(
         if effect.name == "delay[action]"
         for late in (*LATER, *(-one for one in LATER))
     ]
-    scales = np.array([typical.get(one.effect.name, one.effect.typical) for one in offered])
+    known = dict(zip([effect.name for effect in common], sizes))
+    for effect in seen:
+        if effect.target == "all" and effect.force_share is not None and effect.name not in typical:
+            own = [size for one, size in zip(common, sizes) if one.family == effect.family]
+            known[effect.name] = max(own, default=effect.typical)
+    scales = np.array(
+        [known.get(one.effect.name, typical.get(one.effect.name, one.effect.typical)) for one in offered]
+    )
     columns = _columns(simulator, halves[1], base, offered, scales)
-    offered, scales, columns = _distinct(offered, scales, columns / noise[1][:, None], noise[1])
+    noise = law.noise[1]
+    offered, scales, columns = _distinct(offered, scales, columns / noise[:, None], noise)
     sides[1] = replace(sides[1], columns=np.column_stack([sides[1].columns, columns]))
     return _Question(
         simulator, tuple(halves), base, tuple(common), tuple(offered), sizes, scales, (sides[0], sides[1]),
-        (noise[0], noise[1]), spread, np.zeros(len(offered)), _held_out(sides[1].stretch, test_size),
+        law, np.zeros(len(offered)), _held_out(sides[1].stretch, test_size),
     )  # fmt: skip
 
 
@@ -365,8 +384,12 @@ def _held_out(stretch: NDArray[np.intp], share: float) -> Mask:
     return np.isin(stretch, kinds[places])
 
 
-def _visible(rows: Rows) -> Mask:
-    return np.asarray(np.sqrt(np.mean(rows.columns**2, axis=0)) > 1e-9 * np.sqrt(np.mean(rows.target**2)))
+def _shares(rows: Rows) -> Array:
+    """Return what a typical size of each effect exerts, over the force on the joint that feels it most."""
+    joints = [rows.joint == joint for joint in np.unique(rows.joint)]
+    exerted = np.array([np.sqrt(np.mean(rows.columns[own] ** 2, axis=0)) for own in joints])
+    there = np.array([np.sqrt(np.mean(rows.nominal[own] ** 2)) for own in joints])
+    return np.asarray(np.max(exerted / np.maximum(there, 1e-300)[:, None], axis=0))
 
 
 def _weights(simulator: MujocoSimulator) -> list[_Candidate]:
@@ -533,48 +556,129 @@ def _transformed(half: _Half, forces: Array) -> tuple[Array, NDArray[np.intp], A
     return whole[seen], joint[seen], frequency[seen], stretch[seen]
 
 
-def _settled(sides: Sequence[Rows]) -> tuple[list[Array], Array, Array]:
-    """Return noise of each row, variances of effects between windows, and the effects of both logs.
+@dataclass(frozen=True)
+class _Law:
+    """Of what the effects do not explain.
 
-    By turns, each log with effects of its own, so that a change makes no variance; and the effects of both last.
+    Attributes
+    ----------
+    noise : tuple of ndarray
+        Deviation of each row of both logs.
+    spread : ndarray of shape (n_effects,)
+        Variance by which an effect differs from window to window.
+    weights : ndarray of shape (n_columns,)
+        Precision of what is common: of effects, and of curves.
+    value : ndarray of shape (n_columns,)
+        What is common, if nothing changed.
     """
-    k = sides[0].columns.shape[1]
+
+    noise: tuple[Array, Array]
+    spread: Array
+    weights: Array
+    value: Array
+
+
+def _settled(sides: Sequence[Rows], k: int) -> _Law:
+    """Return noise of each row, variances of k effects between windows, and of curves; by turns.
+
+    The second log has effects of its own, so that a change makes no variance.
+    """
+    K = sides[0].columns.shape[1]
     together = _joined(sides)
     first = np.arange(len(together.target)) < len(sides[0].target)
+    masks = first, ~first
     noise = noise_of(together, together.target**2, flat=True)
-    spread = np.full(k, BEGUN**2)
-    values = np.zeros((2, k))
+    spread, weights = np.full(k, BEGUN**2), np.full(K, 1.0)
+    family = _curve_of(together, k)
+    weights[k:] = BEGUN**-2
+    pick = np.eye(K)[:, :k]
     for turn in range(2 * NOISE_TURNS):
         squares = np.empty(len(noise))
         for _ in range(WINDOW_TURNS):
-            moments, n_windows = np.zeros(k), 0
-            for side, (rows, own) in enumerate(zip(sides, (first, ~first))):
-                windows = _Windows.of(rows, noise[own])
-                G, h = windows.without(spread)
-                H = G + np.diag(2 / (1 + values[side] ** 2))
-                values[side] = np.linalg.solve(H, h)
-                law = np.linalg.inv(H)
+            windows = [_Windows.of(rows, noise[own]) for rows, own in zip(sides, masks)]
+            (G0, h0), (G1, h1) = (one.without(spread) for one in windows)
+            H = np.block(
+                [[G0 + G1 + np.diag(weights), G1 @ pick], [pick.T @ G1, pick.T @ G1 @ pick + np.eye(k) / BEGUN**2]]
+            )
+            law = np.linalg.inv(H)
+            solved = law @ np.r_[h0 + h1, h1[:k]]
+            maps = np.eye(K, K + k), np.hstack([np.eye(K), pick])
+            moments, told = np.zeros(k), np.zeros(k)
+            for rows, own, window, map_ in zip(sides, masks, windows, maps):
+                value, cover = map_ @ solved, map_ @ law @ map_.T
                 for place, one in enumerate(np.unique(rows.stretch)):
-                    inner = np.linalg.inv(windows.products[place] + np.diag(1 / spread))
-                    mean = inner @ (windows.projections[place] - windows.products[place] @ values[side])
-                    kept = inner / spread
-                    # Of the window's own part; and of the whole, which is what rows see.
-                    apart = inner @ windows.products[place]
-                    moments += mean**2 + np.diag(inner) + np.einsum("ij,jk,ik->i", apart, law, apart)
-                    n_windows += 1
+                    G, h = window.products[place], window.projections[place]
+                    inner = np.linalg.inv(G[:k, :k] + np.diag(1 / spread))
+                    apart = inner @ G[:k]
+                    mean = inner @ h[:k] - apart @ value
+                    moments += mean**2
+                    told += 1 - (np.diag(inner) + np.einsum("ij,jk,ik->i", apart, cover, apart)) / spread
                     mine = rows.stretch == one
                     N = rows.columns[mine] / noise[own][mine, None]
-                    cover = inner + kept @ law @ kept.T
-                    lever = np.einsum("ij,jk,ik->i", N, cover, N)
-                    left = rows.target[mine] - rows.columns[mine] @ (values[side] + mean)
+                    seen = N - N[:, :k] @ apart
+                    lever = np.einsum("ij,jk,ik->i", N[:, :k], inner, N[:, :k])
+                    lever += np.einsum("ij,jk,ik->i", seen, cover, seen)
+                    left = rows.target[mine] - rows.columns[mine] @ value - rows.columns[mine, :k] @ mean
                     squares[np.flatnonzero(own)[mine]] = left**2 / np.maximum(1 - lever, 0.1)
-            spread = moments / n_windows
+            # MacKay's fixed point: squares over how many of them the rows tell, and not the law itself.
+            spread = (moments + PSEUDO * APART_AT_LEAST**2) / (np.maximum(told, 0) + PSEUDO)
+            weights[:k] = 2 / (1 + solved[:k] ** 2)
+            for joint in np.unique(family):
+                own_curves = k + np.flatnonzero(family == joint)
+                shown = 1 - law[own_curves, own_curves] * weights[own_curves]
+                power = (solved[own_curves] ** 2).sum() / max(float(shown.sum()), 1e-9)
+                weights[own_curves] = 1 / np.clip(power, 1e-6, 10.0)
         noise = noise_of(together, squares, flat=turn < NOISE_TURNS)
-    G, h = (sum(one) for one in zip(*(_Windows.of(rows, noise[own]).without(spread) for rows, own in zip(sides, (first, ~first)))))
-    value = np.zeros(k)
-    for _ in range(10):
-        value = np.linalg.solve(G + np.diag(2 / (1 + value**2)), h)
-    return [noise[first], noise[~first]], spread, value
+    return _Law((noise[first], noise[~first]), spread, weights, solved[:K])
+
+
+def _curve_of(rows: Rows, k: int) -> NDArray[np.intp]:
+    """Return to which joint each curve belongs."""
+    joints = np.unique(rows.joint)
+    sizes = np.array([np.abs(rows.columns[rows.joint == joint, k:]).sum(axis=0) for joint in joints])
+    return joints[np.argmax(sizes, axis=0)] if sizes.size else np.zeros(0, dtype=int)
+
+
+def _curves(simulator: MujocoSimulator, halves: Sequence[_Half]) -> list[Array]:
+    """Return for each log smooth functions of each joint's place, speed and force, (n_blocks, nv, n_curves).
+
+    Random Fourier features of a Matern kernel; their number stands for the Gaussian process.
+    """
+    nv = len(halves[0].motion.slip)
+    forces = []
+    for half in halves:
+        motion = half.motion
+        still = np.zeros((1, len(motion.states), motion.commands.shape[1]))
+        forces.append(simulator.missing_forces(motion.states, motion.accelerations, still, [{}], slip=motion.slip)[0])
+    inputs = [
+        np.stack([half.motion.states[:, :nv], half.motion.states[:, nv:], force], axis=-1)
+        for half, force in zip(halves, forces)
+    ]
+    whole = np.concatenate(inputs)
+    centre, scale = whole.mean(axis=0), np.maximum(whole.std(axis=0), 1e-9)
+    rng = np.random.default_rng(0)
+    rates = rng.standard_normal((CURVES, 3)) / np.sqrt(rng.chisquare(3, (CURVES, 1)) / 3)
+    found = []
+    for one in inputs:
+        phase = ((one - centre) / scale) @ rates.T
+        found.append(np.concatenate([np.cos(phase), np.sin(phase)], axis=-1) / np.sqrt(CURVES))
+    return found
+
+
+def _with_curves(rows: Rows, half: _Half, curves: Array) -> Rows:
+    """Return rows with the columns of curves, each joint's in units of what it lacks."""
+    n, nv, m = curves.shape
+    columns = np.zeros((len(rows.target), nv * m))
+    for joint in range(nv):
+        sent = np.zeros((m, n, 2 * nv))
+        sent[:, :, joint] = curves[:, joint].T
+        # Rows of speeds that were not measured are left out.
+        whole, of, frequency, stretch = transformed(
+            replace(half.motion, cutoff=np.tile(half.motion.cutoff, 2)), sent.transpose(1, 2, 0)
+        )
+        mine = rows.joint == joint
+        columns[mine, joint * m : (joint + 1) * m] = whole[of == joint] * np.sqrt(np.mean(rows.nominal[mine] ** 2))
+    return replace(rows, columns=np.column_stack([rows.columns, columns]))
 
 
 def _joined(sides: Sequence[Rows]) -> Rows:
@@ -588,23 +692,20 @@ def _base(
     sides: Sequence[Rows],
     effects: Sequence[Effect],
     sizes: Array,
-    noise: Sequence[Array],
-    spread: Array,
-    value: Array,
+    law: _Law,
 ) -> _Model:
     """Return a model with what is common of motors, and by how much commands come late in both logs."""
     factors = {
         effect.name: float(np.clip(effect.neutral + size * one, WEAKEST, effect.bounds[1]))
-        for effect, size, one in zip(effects, sizes, value)
+        for effect, size, one in zip(effects, sizes, law.value)
         if effect.family in MOTORS
     }
     if not halves[0].motion.commands.shape[1]:
         return _Model(factors)
-    worth = np.zeros(len(LATE_IN_BOTH))
-    weights = 2 / (1 + value**2)
+    spread = law.spread
     models = [_Model({}, late) for late in LATE_IN_BOTH]
-    total_G, total_h, squares = 0.0, np.zeros((len(models), len(value))), np.zeros(len(models))
-    for half, rows, deviation in zip(halves, sides, noise):
+    total_G, total_h, squares = 0.0, np.zeros((len(models), len(law.value))), np.zeros(len(models))
+    for half, rows, deviation in zip(halves, sides, law.noise):
         targets = _transformed(half, _forces(simulator, half, models))[0]
         for place, target in enumerate(targets.T):
             windows = _Windows.of(replace(rows, target=target), deviation)
@@ -612,11 +713,17 @@ def _base(
             total_h[place] += h
             squares[place] += float(np.sum((target / deviation) ** 2))
             for products, projections in zip(windows.products, windows.projections):
-                squares[place] -= float(projections @ np.linalg.solve(products + np.diag(1 / spread), projections))
+                squares[place] -= _own_share(products, projections, spread)
         total_G = total_G + G
-    H = total_G + np.diag(weights)
+    H = total_G + np.diag(law.weights)
     worth = 0.5 * np.einsum("ij,ij->i", total_h, np.linalg.solve(H, total_h.T).T) - 0.5 * squares
     return _Model(factors, LATE_IN_BOTH[int(np.argmax(worth))])
+
+
+def _own_share(products: Array, projections: Array, spread: Array) -> float:
+    """Return by how much the square of a window falls with effects of its own."""
+    k = len(spread)
+    return float(projections[:k] @ np.linalg.solve(products[:k, :k] + np.diag(1 / spread), projections[:k]))
 
 
 def _laws(question: _Question) -> Priors:
@@ -654,16 +761,14 @@ class _Common:
 
 def _differences(question: _Question) -> tuple[Gram, _Common]:
     """Return the Gram matrix of differences with all else integrated out, and what is common given them."""
-    k = len(question.effects)
-    spread, every = question.spread, np.arange(k)
-    G, h = _Windows.of(question.sides[0], question.noise[0]).without(spread)
+    law, k = question.law, question.sides[0].columns.shape[1]
+    spread = law.spread
+    G, h = _Windows.of(question.sides[0], law.noise[0]).without(spread)
     kept = ~question.held_out
-    fitted = _Windows.of(_part(question.sides[1], kept), question.noise[1][kept])
+    fitted = _Windows.of(_part(question.sides[1], kept), law.noise[1][kept])
+    every = np.arange(len(spread))
     products, projections = _integrated(*fitted.without(spread), every, 1 / (APART * spread))
-    value = np.zeros(k)
-    for _ in range(10):
-        H = products[:k, :k] + G + np.diag(2 / (1 + value**2))
-        value = np.linalg.solve(H, projections[:k] + h)
+    H = products[:k, :k] + G + np.diag(law.weights)
     right = np.column_stack([projections[:k] + h, products[:k, k:]])
     solved = np.linalg.solve(H, right)
     cross = products[k:, :k]
@@ -673,7 +778,7 @@ def _differences(question: _Question) -> tuple[Gram, _Common]:
         question.origin,
     )
     level = solved[:, 0] + solved[:, 1:] @ question.origin
-    alone = np.linalg.solve(G + np.diag(2 / (1 + value**2)), h)
+    alone = np.linalg.solve(G + np.diag(law.weights), h)
     return gram, _Common(level, solved[:, 1:], alone)
 
 
@@ -683,7 +788,7 @@ def _polished(
     """Return the best set at forces that were taken anew at its values."""
     if not best.members:
         return question, best, common
-    k, members = len(question.effects), list(best.members)
+    k, members = question.sides[0].columns.shape[1], list(best.members)
     for _ in range(POLISHED):
         model, origin = question.base, np.zeros(len(question.candidates))
         for place, value in zip(members, best.values):
@@ -779,7 +884,7 @@ def _gain(question: _Question, there: _Question, value: Array, best: Weighed) ->
         return None
     nominal = _left(question, value, np.zeros(len(question.candidates)))[1][mine]
     extended = _left(there, value, _whole(there, best))[1][mine]
-    noise, rows = question.noise[1][mine], question.sides[1]
+    noise, rows = question.law.noise[1][mine], question.sides[1]
     windows = [rows.stretch[mine] == one for one in np.unique(rows.stretch[mine])]
     squares = np.array(
         [[float(np.sum((one[own] / noise[own]) ** 2)) for one in (nominal, extended)] for own in windows]
@@ -839,12 +944,12 @@ def _mistake(
     model = replace(question.base, values=values)
 
     def misfit(left: Array) -> float:
-        joints = [left[rows.joint == joint] / question.noise[1][rows.joint == joint] for joint in np.unique(rows.joint)]
+        joints = [left[rows.joint == joint] / question.law.noise[1][rows.joint == joint] for joint in np.unique(rows.joint)]
         return 0.5 * sum(len(one) * float(np.log1p(np.mean(one**2))) for one in joints)
 
     forces = [(words, _forces(simulator, other, [model])) for words, other in _mixed_up(simulator, half)]
     as_is = _transformed(half, _forces(simulator, half, [model]))[0][:, 0]
-    k, differences = len(question.effects), _whole(there, best)
+    k, differences = question.sides[0].columns.shape[1], _whole(there, best)
     explained = as_is - rows.columns[:, k:] @ differences
     least = min(misfit(as_is), misfit(explained))
     if not forces:
