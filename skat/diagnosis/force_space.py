@@ -40,6 +40,8 @@ MOTION, BEYOND_MOTION = 0.99, 2.0
 # Fewest blocks of a stretch without contacts, and rows about a contact that a smoothed motion blurs.
 SHORTEST = 12
 BLURRED = 2
+# Blocks of a window, at least.
+FEWEST_OF_WINDOW = 16
 # Blocks of a log that are compared at most, in stretches of so many.
 MOST_BLOCKS, STRETCH = 6000, 1000
 # Rows of a joint without which its noise is white; and the share of the highest frequency below which drift is level.
@@ -136,6 +138,7 @@ def smooth_motion(
     length = max(1, int(1 / (BLOCKS_A_PERIOD * dt * max(float(cutoff.max()), 1e-9))))
     most = STRETCH
     if window is not None:
+        length = min(length, max(1, int(window / (FEWEST_OF_WINDOW * dt))))
         most = max(SHORTEST, round(window / (length * dt)))
     blocks, stretches = [], []
     instant_of_row = np.arange(len(X)) + np.cumsum(np.r_[0, groups[1:] != groups[:-1]])
