@@ -41,12 +41,11 @@ from skat.simulators import MujocoSimulator, Simulator
 Log = tuple[Array, Array, Array]
 # A log has so many windows, of so many seconds at most.
 WINDOWS, LONGEST = 8, 2.0
-# Smooth functions of each joint's motion: pairs of cosine and sine.
-CURVES = 16
 # Effects differ between windows by this share of their typical size, told as by so many windows.
 APART_AT_LEAST, PSEUDO = 0.1, 1.0
-# Two logs differ by so many times the variance by which two windows of one do.
-APART = 2.0
+# Two logs that move otherwise differ by the variance of two windows, and by what is left of a joint's force, of which
+# this share may look like an effect.
+APART, ALIGNED = 2.0, 0.3
 # Places along each side of a body at which a weight is tried; those that act alike are one.
 PLACES, ALIKE = 3, 0.9995
 # Rows by which commands may come late in both logs, and by how many later, or earlier, in the second.
@@ -59,8 +58,8 @@ BEGUN, STEP = 0.3, 0.01
 # Families that a machine does not change from one log to another, and those that forces do not show.
 FIXED = ("gravity", "tilt", "length", "wind", "air_drag", "position_friction", "inertia")
 UNSEEN = ("lag", "timestep", "backlash", "lag_torque", "delay", "payload")
-# Factors of motors: other effects are taken about what is common of them.
-MOTORS = ("gain", "kp", "kv")
+# Factors that all of a joint's force is divided by, in units of what its motor exerts.
+MOTORS = ("gain", "kp")
 # Odds that two columns of a log were mixed up, or that one has its sign turned.
 MIXED_UP = 1e-3
 BOOTSTRAPS = 400
@@ -125,6 +124,12 @@ class _Candidate:
     def is_factor(self) -> bool:
         """Whether values are told as multiples."""
         return self.effect.neutral == 1
+
+    def told(self, value: float) -> float:
+        """Return a difference as it is told."""
+        if self.effect.family in MOTORS:
+            return 1 / max(1 - value, 1e-3)
+        return value + self.is_factor
 
     def moved(self, model: _Model, value: float, dt: float) -> _Model | None:
         """Return a model that has so much more of it; None if there is none."""
@@ -228,16 +233,17 @@ def find_changes(
     gram, common = _differences(question)
     best, worth = search_sets(gram, priors, {}, rivals=_rivals(question.candidates))
     best, nats = without_weak(best, worth, needed)
-    there, best, common = _polished(question, best, priors, common)
-    mistake = _mistake(question, there, best, common, needed)
+    differences = np.zeros(len(question.candidates))
+    differences[list(best.members)] = best.values
+    mistake = _mistake(question, differences, common, needed)
     if mistake:
         return Changes((), "unexplained", None, _sizes(question, common.level), mistake)
     causes = _causes(question, best, worth, nats)
     verdict = "nothing changed" if not causes else "named"
     if any(cause.aliases for cause in causes):
         verdict = "ambiguous"
-    value = common.level - common.slopes @ _whole(there, best)
-    gain = _gain(question, there, value, best)
+    value = common.level - common.slopes @ differences
+    gain = _gain(question, value, differences)
     return Changes(causes, verdict, gain, _sizes(question, value))
 
 
@@ -285,8 +291,6 @@ class _Question:
     sides : tuple of Rows
         Columns are those of effects; in the second log, then those of candidates.
     law : _Law
-    origin : ndarray of shape (n_candidates,)
-        Values of candidates at which the second log's target was taken.
     held_out : ndarray of bool
         Which rows of the second log measure the gain.
     """
@@ -300,7 +304,6 @@ class _Question:
     scales: Array
     sides: tuple[Rows, Rows]
     law: "_Law"
-    origin: Array
     held_out: Mask
 
 
@@ -338,13 +341,11 @@ def _asked(
     )
     sizes = sizes * units
     sides = [replace(side, columns=side.columns[:, shown] * units) for side in sides]
-    curves = _curves(simulator, halves)
-    sides = [_with_curves(*pair) for pair in zip(sides, halves, curves)]
-    law = _settled(sides, len(common))
-    base = _base(simulator, halves, sides, common, sizes, law)
+    law = _settled(sides)
+    base = _base(simulator, halves, sides, law)
     sides = [_rows(simulator, half, base, common, sizes) for half in halves]
-    sides = [_with_curves(*pair) for pair in zip(sides, halves, curves)]
-    law = _settled(sides, len(common))
+    law = _settled(sides)
+    law = replace(law, apart=_apart(halves, sides, law, len(common)))
     names = {effect.name for effect in common}
     offered = [
         _Candidate(effect, effect.odds, {})
@@ -367,12 +368,13 @@ def _asked(
         [known.get(one.effect.name, typical.get(one.effect.name, one.effect.typical)) for one in offered]
     )
     columns = _columns(simulator, halves[1], base, offered, scales)
+    columns = _of_motors(offered, columns, sides[1], law.value, scales)
     noise = law.noise[1]
     offered, scales, columns = _distinct(offered, scales, columns / noise[:, None], noise)
     sides[1] = replace(sides[1], columns=np.column_stack([sides[1].columns, columns]))
     return _Question(
         simulator, tuple(halves), base, tuple(common), tuple(offered), sizes, scales, (sides[0], sides[1]),
-        law, np.zeros(len(offered)), _held_out(sides[1].stretch, test_size),
+        law, _held_out(sides[1].stretch, test_size),
     )  # fmt: skip
 
 
@@ -402,6 +404,22 @@ def _weights(simulator: MujocoSimulator) -> list[_Candidate]:
                 at = {f"payload[{effect.target}.{axis}]": float(one) for axis, one in zip("xyz", place)}
                 found.append(_Candidate(effect, effect.odds / len(places), at))
     return found
+
+
+def _of_motors(
+    offered: Sequence[_Candidate], columns: Array, rows: Rows, value: Array, scales: Array
+) -> Array:
+    r"""Return columns with those of motors acting on all that is common.
+
+    In units of what its motor exerts a joint lacks :math:`\lambda f - u`, f all of its force and :math:`\lambda` one over
+    the gain; nearly u is what a change of :math:`\lambda` multiplies, whatever the model says of f.
+    """
+    columns, explained = columns.copy(), rows.columns @ value
+    for place, one in enumerate(offered):
+        if one.effect.family in MOTORS:
+            felt = [joint for joint in np.unique(rows.joint) if np.any(columns[rows.joint == joint, place])]
+            columns[:, place] -= np.isin(rows.joint, felt) * explained * scales[place]
+    return columns
 
 
 def _distinct(
@@ -566,119 +584,106 @@ class _Law:
         Deviation of each row of both logs.
     spread : ndarray of shape (n_effects,)
         Variance by which an effect differs from window to window.
-    weights : ndarray of shape (n_columns,)
-        Precision of what is common: of effects, and of curves.
-    value : ndarray of shape (n_columns,)
+    weights : ndarray of shape (n_effects,)
+        Precision of what is common.
+    value : ndarray of shape (n_effects,)
         What is common, if nothing changed.
+    apart : ndarray of shape (n_effects,)
+        Variance by which an effect differs between the logs, though nothing changed.
     """
 
     noise: tuple[Array, Array]
     spread: Array
     weights: Array
     value: Array
+    apart: Array
 
 
-def _settled(sides: Sequence[Rows], k: int) -> _Law:
-    """Return noise of each row, variances of k effects between windows, and of curves; by turns.
+def _settled(sides: Sequence[Rows]) -> _Law:
+    """Return noise of each row, variances of effects between windows, and what is common; by turns.
 
     The second log has effects of its own, so that a change makes no variance.
     """
-    K = sides[0].columns.shape[1]
+    k = sides[0].columns.shape[1]
     together = _joined(sides)
     first = np.arange(len(together.target)) < len(sides[0].target)
     masks = first, ~first
     noise = noise_of(together, together.target**2, flat=True)
-    spread, weights = np.full(k, BEGUN**2), np.full(K, 1.0)
-    family = _curve_of(together, k)
-    weights[k:] = BEGUN**-2
-    pick = np.eye(K)[:, :k]
+    spread, weights = np.full(k, BEGUN**2), np.ones(k)
+    maps = np.eye(k, 2 * k), np.hstack([np.eye(k), np.eye(k)])
     for turn in range(2 * NOISE_TURNS):
         squares = np.empty(len(noise))
-        for _ in range(WINDOW_TURNS):
+        for turn_of_window in range(WINDOW_TURNS):
             windows = [_Windows.of(rows, noise[own]) for rows, own in zip(sides, masks)]
             (G0, h0), (G1, h1) = (one.without(spread) for one in windows)
-            H = np.block(
-                [[G0 + G1 + np.diag(weights), G1 @ pick], [pick.T @ G1, pick.T @ G1 @ pick + np.eye(k) / BEGUN**2]]
-            )
+            H = np.block([[G0 + G1 + np.diag(weights), G1], [G1, G1 + np.eye(k) / BEGUN**2]])
             law = np.linalg.inv(H)
-            solved = law @ np.r_[h0 + h1, h1[:k]]
-            maps = np.eye(K, K + k), np.hstack([np.eye(K), pick])
+            solved = law @ np.r_[h0 + h1, h1]
             moments, told = np.zeros(k), np.zeros(k)
             for rows, own, window, map_ in zip(sides, masks, windows, maps):
                 value, cover = map_ @ solved, map_ @ law @ map_.T
                 for place, one in enumerate(np.unique(rows.stretch)):
                     G, h = window.products[place], window.projections[place]
-                    inner = np.linalg.inv(G[:k, :k] + np.diag(1 / spread))
-                    apart = inner @ G[:k]
-                    mean = inner @ h[:k] - apart @ value
+                    inner = np.linalg.inv(G + np.diag(1 / spread))
+                    apart = inner @ G
+                    mean = inner @ h - apart @ value
                     moments += mean**2
-                    told += 1 - (np.diag(inner) + np.einsum("ij,jk,ik->i", apart, cover, apart)) / spread
+                    told += 1 - (np.diag(inner) + np.sum((apart @ cover) * apart, axis=1)) / spread
+                    if turn_of_window < WINDOW_TURNS - 1:
+                        continue
                     mine = rows.stretch == one
                     N = rows.columns[mine] / noise[own][mine, None]
-                    seen = N - N[:, :k] @ apart
-                    lever = np.einsum("ij,jk,ik->i", N[:, :k], inner, N[:, :k])
-                    lever += np.einsum("ij,jk,ik->i", seen, cover, seen)
-                    left = rows.target[mine] - rows.columns[mine] @ value - rows.columns[mine, :k] @ mean
+                    seen = N - N @ apart
+                    lever = np.sum((N @ inner) * N, axis=1) + np.sum((seen @ cover) * seen, axis=1)
+                    left = rows.target[mine] - rows.columns[mine] @ (value + mean)
                     squares[np.flatnonzero(own)[mine]] = left**2 / np.maximum(1 - lever, 0.1)
             # MacKay's fixed point: squares over how many of them the rows tell, and not the law itself.
             spread = (moments + PSEUDO * APART_AT_LEAST**2) / (np.maximum(told, 0) + PSEUDO)
-            weights[:k] = 2 / (1 + solved[:k] ** 2)
-            for joint in np.unique(family):
-                own_curves = k + np.flatnonzero(family == joint)
-                shown = 1 - law[own_curves, own_curves] * weights[own_curves]
-                power = (solved[own_curves] ** 2).sum() / max(float(shown.sum()), 1e-9)
-                weights[own_curves] = 1 / np.clip(power, 1e-6, 10.0)
+            weights = 2 / (1 + solved[:k] ** 2)
         noise = noise_of(together, squares, flat=turn < NOISE_TURNS)
-    return _Law((noise[first], noise[~first]), spread, weights, solved[:K])
+    return _Law((noise[first], noise[~first]), spread, weights, solved[:k], np.zeros(k))
 
 
-def _curve_of(rows: Rows, k: int) -> NDArray[np.intp]:
-    """Return to which joint each curve belongs."""
-    joints = np.unique(rows.joint)
-    sizes = np.array([np.abs(rows.columns[rows.joint == joint, k:]).sum(axis=0) for joint in joints])
-    return joints[np.argmax(sizes, axis=0)] if sizes.size else np.zeros(0, dtype=int)
+def _unlike(halves: Sequence[_Half]) -> Array:
+    """Return of each joint the share of the variance of its motion that is between the logs, not within, (nv,).
 
-
-def _curves(simulator: MujocoSimulator, halves: Sequence[_Half]) -> list[Array]:
-    """Return for each log smooth functions of each joint's place, speed and force, (n_blocks, nv, n_curves).
-
-    Random Fourier features of a Matern kernel; their number stands for the Gaussian process.
+    A window's motion is told by its mean place, and by the logarithms of its rms speed and acceleration.
     """
-    nv = len(halves[0].motion.slip)
-    forces = []
-    for half in halves:
-        motion = half.motion
-        still = np.zeros((1, len(motion.states), motion.commands.shape[1]))
-        forces.append(simulator.missing_forces(motion.states, motion.accelerations, still, [{}], slip=motion.slip)[0])
-    inputs = [
-        np.stack([half.motion.states[:, :nv], half.motion.states[:, nv:], force], axis=-1)
-        for half, force in zip(halves, forces)
-    ]
-    whole = np.concatenate(inputs)
-    centre, scale = whole.mean(axis=0), np.maximum(whole.std(axis=0), 1e-9)
-    rng = np.random.default_rng(0)
-    rates = rng.standard_normal((CURVES, 3)) / np.sqrt(rng.chisquare(3, (CURVES, 1)) / 3)
     found = []
-    for one in inputs:
-        phase = ((one - centre) / scale) @ rates.T
-        found.append(np.concatenate([np.cos(phase), np.sin(phase)], axis=-1) / np.sqrt(CURVES))
-    return found
-
-
-def _with_curves(rows: Rows, half: _Half, curves: Array) -> Rows:
-    """Return rows with the columns of curves, each joint's in units of what it lacks."""
-    n, nv, m = curves.shape
-    columns = np.zeros((len(rows.target), nv * m))
-    for joint in range(nv):
-        sent = np.zeros((m, n, 2 * nv))
-        sent[:, :, joint] = curves[:, joint].T
-        # Rows of speeds that were not measured are left out.
-        whole, of, frequency, stretch = transformed(
-            replace(half.motion, cutoff=np.tile(half.motion.cutoff, 2)), sent.transpose(1, 2, 0)
+    for half in halves:
+        motion, nv = half.motion, len(half.motion.slip)
+        own = [motion.stretches == one for one in np.unique(motion.stretches)]
+        q, v, a = motion.states[:, :nv], motion.states[:, nv:], motion.accelerations
+        found.append(
+            np.array(
+                [
+                    [q[one].mean(axis=0), *(0.5 * np.log(np.mean(x[one] ** 2, axis=0) + 1e-12) for x in (v, a))]
+                    for one in own
+                ]
+            )
         )
-        mine = rows.joint == joint
-        columns[mine, joint * m : (joint + 1) * m] = whole[of == joint] * np.sqrt(np.mean(rows.nominal[mine] ** 2))
-    return replace(rows, columns=np.column_stack([rows.columns, columns]))
+    n0, n1 = map(len, found)
+    within = sum(((one - one.mean(axis=0)) ** 2).sum(axis=0) for one in found) / max(n0 + n1 - 2, 1)
+    apart = 0.5 * (found[0].mean(axis=0) - found[1].mean(axis=0)) ** 2
+    between = np.maximum(apart - 0.5 * within * (1 / n0 + 1 / n1), 0)
+    return np.asarray(np.max(between / np.maximum(between + within, 1e-12), axis=0))
+
+
+def _apart(halves: Sequence[_Half], sides: Sequence[Rows], law: "_Law", k: int) -> Array:
+    """Return the variance by which effects may differ between logs that move otherwise, though nothing changed.
+
+    What a model leaves of a joint's force may look, by a share, like any effect on it.
+    """
+    rows, noise = _joined(sides), np.concatenate(law.noise)
+    left = rows.target - rows.columns @ law.value
+    unlike = np.tile(_unlike(halves), 2)
+    worst = np.zeros(k)
+    joints = np.unique(rows.joint)
+    exerted = np.array([np.sum(rows.columns[rows.joint == joint, :k] ** 2, axis=0) for joint in joints])
+    remains = np.array([np.sum(left[rows.joint == joint] ** 2) for joint in joints])
+    feels = np.argmax(exerted / np.array([np.sum(rows.nominal[rows.joint == joint] ** 2) for joint in joints])[:, None], axis=0)
+    worst = ALIGNED**2 * remains[feels] / np.maximum(exerted[feels, np.arange(k)], 1e-300)
+    return np.asarray(APART * unlike[joints[feels]] * (law.spread + worst) + 1e-12)
 
 
 def _joined(sides: Sequence[Rows]) -> Rows:
@@ -690,18 +695,11 @@ def _base(
     simulator: MujocoSimulator,
     halves: Sequence[_Half],
     sides: Sequence[Rows],
-    effects: Sequence[Effect],
-    sizes: Array,
     law: _Law,
 ) -> _Model:
-    """Return a model with what is common of motors, and by how much commands come late in both logs."""
-    factors = {
-        effect.name: float(np.clip(effect.neutral + size * one, WEAKEST, effect.bounds[1]))
-        for effect, size, one in zip(effects, sizes, law.value)
-        if effect.family in MOTORS
-    }
+    """Return the model with commands as late as they come in both logs."""
     if not halves[0].motion.commands.shape[1]:
-        return _Model(factors)
+        return _Model({})
     spread = law.spread
     models = [_Model({}, late) for late in LATE_IN_BOTH]
     total_G, total_h, squares = 0.0, np.zeros((len(models), len(law.value))), np.zeros(len(models))
@@ -717,7 +715,13 @@ def _base(
         total_G = total_G + G
     H = total_G + np.diag(law.weights)
     worth = 0.5 * np.einsum("ij,ij->i", total_h, np.linalg.solve(H, total_h.T).T) - 0.5 * squares
-    return _Model(factors, LATE_IN_BOTH[int(np.argmax(worth))])
+    return _Model({}, LATE_IN_BOTH[int(np.argmax(worth))])
+
+
+def _within(effect: Effect, value: float) -> float:
+    """Return a value within the bounds; no factor so small that a machine would not be one."""
+    low, high = effect.bounds
+    return float(np.clip(value, max(low, WEAKEST) if effect.neutral == 1 else low, high))
 
 
 def _own_share(products: Array, projections: Array, spread: Array) -> float:
@@ -761,13 +765,13 @@ class _Common:
 
 def _differences(question: _Question) -> tuple[Gram, _Common]:
     """Return the Gram matrix of differences with all else integrated out, and what is common given them."""
-    law, k = question.law, question.sides[0].columns.shape[1]
+    law, k = question.law, len(question.effects)
     spread = law.spread
     G, h = _Windows.of(question.sides[0], law.noise[0]).without(spread)
     kept = ~question.held_out
     fitted = _Windows.of(_part(question.sides[1], kept), law.noise[1][kept])
-    every = np.arange(len(spread))
-    products, projections = _integrated(*fitted.without(spread), every, 1 / (APART * spread))
+    every = np.arange(k)
+    products, projections = _integrated(*fitted.without(spread), every, 1 / law.apart)
     H = products[:k, :k] + G + np.diag(law.weights)
     right = np.column_stack([projections[:k] + h, products[:k, k:]])
     solved = np.linalg.solve(H, right)
@@ -775,41 +779,10 @@ def _differences(question: _Question) -> tuple[Gram, _Common]:
     gram = Gram(
         products[k:, k:] - cross @ solved[:, 1:],
         projections[k:] - cross @ solved[:, 0],
-        question.origin,
+        np.zeros(len(question.candidates)),
     )
-    level = solved[:, 0] + solved[:, 1:] @ question.origin
     alone = np.linalg.solve(G + np.diag(law.weights), h)
-    return gram, _Common(level, solved[:, 1:], alone)
-
-
-def _polished(
-    question: _Question, best: Weighed, priors: Priors, common: _Common
-) -> tuple[_Question, Weighed, _Common]:
-    """Return the best set at forces that were taken anew at its values."""
-    if not best.members:
-        return question, best, common
-    k, members = question.sides[0].columns.shape[1], list(best.members)
-    for _ in range(POLISHED):
-        model, origin = question.base, np.zeros(len(question.candidates))
-        for place, value in zip(members, best.values):
-            moved = question.candidates[place].moved(
-                model, float(value * question.scales[place]), question.simulator.dt
-            )
-            if moved is not None:
-                model, origin[place] = moved, value
-        half = question.halves[1]
-        moving = [place for place in members if origin[place]]
-        slopes = [replace(question.candidates[place], late=0.25 * bool(question.candidates[place].late)) for place in moving]
-        forces, steps = _steps(question.simulator, half, model, slopes, question.scales[moving])
-        whole = np.concatenate([forces[:1], (forces[0] - forces[1:]) / steps[:, None, None]])
-        coefficients = _transformed(half, whole)[0]
-        columns = question.sides[1].columns.copy()
-        columns[:, [k + place for place in moving]] = coefficients[:, 1:]
-        rows = replace(question.sides[1], target=coefficients[:, 0], columns=columns)
-        question = replace(question, sides=(question.sides[0], rows), origin=origin)
-        gram, common = _differences(question)
-        best = Weigher(gram, priors)(members)
-    return question, best, common
+    return gram, _Common(solved[:, 0], solved[:, 1:], alone)
 
 
 def _causes(
@@ -828,17 +801,15 @@ def _causes(
             if name != one.effect.name:
                 aliases[name] = aliases.get(name, 0.0) + float(np.exp(-lost))
         total = 1 + sum(aliases.values()) + float(np.exp(-nats[place]))
-        unit = question.scales[place]
-        if one.is_factor:
-            unit = unit / question.base.values.get(one.effect.name, 1.0)
-        centre, width = float(value * unit) + one.is_factor, WIDTH_95 * float(error * unit)
+        told = [float(one.told(at * question.scales[place])) for at in (value, *(value + WIDTH_95 * error * np.array([-1, 1])))]
+        centre = told[0]
         found.append(
             Cause(
                 name=one.effect.name,
                 family=one.effect.family,
                 target=one.effect.target,
                 value=centre,
-                interval=(centre - width, centre + width),
+                interval=(told[1], told[2]),
                 unit=one.effect.unit,
                 probability=1 / total,
                 evidence=float(nats[place]),
@@ -863,27 +834,20 @@ def _sentence(one: _Candidate, value: float) -> str:
     return f"{words}: {abs(value):.4g}{unit} {'more' if value > 0 else 'less'} than it was{place}"
 
 
-def _whole(question: _Question, best: Weighed) -> Array:
-    """Return values of all candidates."""
-    values = np.zeros(len(question.candidates))
-    values[list(best.members)] = best.values
-    return values
-
-
 def _left(question: _Question, value: Array, differences: Array) -> tuple[Array, Array]:
     """Return what common values and differences leave of the rows of both logs."""
     first, second = question.sides
-    step = np.r_[value, differences - question.origin]
+    step = np.r_[value, differences]
     return first.target - first.columns @ value, second.target - second.columns @ step
 
 
-def _gain(question: _Question, there: _Question, value: Array, best: Weighed) -> Gain | None:
+def _gain(question: _Question, value: Array, differences: Array) -> Gain | None:
     """Return the gain on the windows that were held out."""
     mine = question.held_out
     if not mine.any():
         return None
     nominal = _left(question, value, np.zeros(len(question.candidates)))[1][mine]
-    extended = _left(there, value, _whole(there, best))[1][mine]
+    extended = _left(question, value, differences)[1][mine]
     noise, rows = question.law.noise[1][mine], question.sides[1]
     windows = [rows.stretch[mine] == one for one in np.unique(rows.stretch[mine])]
     squares = np.array(
@@ -931,16 +895,14 @@ def _sizes(question: _Question, value: Array) -> dict[str, tuple[float, float]]:
 
 
 def _mistake(
-    question: _Question, there: _Question, best: Weighed, common: _Common, needed: float
+    question: _Question, differences: Array, common: _Common, needed: float
 ) -> str:
     """Return how columns of the second log seem to be mixed up, if that explains it better than all changes."""
     half, simulator, rows = question.halves[1], question.simulator, question.sides[1]
     known = {effect.name: (effect, size) for effect, size in zip(question.effects, question.sizes)}
     values = dict(question.base.values)
     for (name, (effect, size)), one in zip(known.items(), common.alone):
-        low = max(effect.bounds[0], WEAKEST) if effect.neutral == 1 else effect.bounds[0]
-        start = values.get(name, effect.neutral)
-        values[name] = float(np.clip(start + size * one, low, effect.bounds[1]))
+        values[name] = _within(effect, values.get(name, effect.neutral) + size * one)
     model = replace(question.base, values=values)
 
     def misfit(left: Array) -> float:
@@ -949,8 +911,7 @@ def _mistake(
 
     forces = [(words, _forces(simulator, other, [model])) for words, other in _mixed_up(simulator, half)]
     as_is = _transformed(half, _forces(simulator, half, [model]))[0][:, 0]
-    k, differences = question.sides[0].columns.shape[1], _whole(there, best)
-    explained = as_is - rows.columns[:, k:] @ differences
+    explained = as_is - rows.columns[:, len(question.effects) :] @ differences
     least = min(misfit(as_is), misfit(explained))
     if not forces:
         return ""
