@@ -51,13 +51,13 @@ PLACES, ALIKE = 3, 0.9995
 # Rows by which commands may come late in both logs, and by how many later, or earlier, in the second.
 LATE_IN_BOTH = tuple(0.5 * one for one in range(17))
 LATER = (0.5, 1.0, 2.0, 3.0, 4.0)
-# Turns of noise, and within each of what windows differ by; and of values about which forces are taken anew.
-NOISE_TURNS, WINDOW_TURNS, POLISHED = 4, 5, 3
+# Turns of noise, and within each of what windows differ by.
+NOISE_TURNS, WINDOW_TURNS = 4, 5
 # Of its typical size, by which an effect differs from window to window until the logs tell; and a slope is taken over.
 BEGUN, STEP = 0.3, 0.01
 # Families that a machine does not change from one log to another, and those that forces do not show.
 FIXED = ("gravity", "tilt", "length", "wind", "air_drag", "position_friction", "inertia")
-UNSEEN = ("lag", "timestep", "backlash", "lag_torque", "delay", "payload")
+UNSEEN = ("force_limit", "lag", "timestep", "backlash", "lag_torque", "delay", "payload")
 # Factors that all of a joint's force is divided by, in units of what its motor exerts.
 MOTORS = ("gain", "kp")
 # Odds that two columns of a log were mixed up, or that one has its sign turned.
@@ -128,7 +128,8 @@ class _Candidate:
     def told(self, value: float) -> float:
         """Return a difference as it is told."""
         if self.effect.family in MOTORS:
-            return 1 / max(1 - value, 1e-3)
+            share = 1 - value
+            return 1 / (share if abs(share) > 1e-3 else 1e-3)
         return value + self.is_factor
 
     def moved(self, model: _Model, value: float, dt: float) -> _Model | None:
@@ -460,7 +461,10 @@ def _forces(simulator: MujocoSimulator, half: _Half, models: Sequence[_Model]) -
     }
     found = np.empty((len(models), len(motion.states), 2 * nv))
     for places, scale in _by_scale(simulator, models):
-        values = [{**unlimited, **models[place].values} for place in places]
+        values = [
+            {**unlimited, **{name: one for name, one in models[place].values.items() if not _is_sensed(name)}}
+            for place in places
+        ]
         commands = np.empty((len(places), *motion.states.shape[:1], motion.commands.shape[1]))
         lates = np.array([models[place].late for place in places])
         for late in np.unique(lates):
@@ -468,16 +472,21 @@ def _forces(simulator: MujocoSimulator, half: _Half, models: Sequence[_Model]) -
             sent = _later(motion.commands, motion.episodes, late)
             acting = simulator.acting_commands(sent, [values[one] for one in own], groups=motion.episodes)
             commands[own] = acting[:, motion.rows].mean(axis=2)
-        states, moved = motion.states.copy(), motion.accelerations / scale
-        states[:, nv:] /= scale
+        states, moved = motion.states / np.tile(scale, 2), motion.accelerations / scale
         forces = simulator.missing_forces(states, moved, commands, values, slip=motion.slip)
         found[places, :, :nv] = forces / _strengths(simulator, motion, states, moved, commands, values)[:, None]
         found[places, :, nv:] = half.speeds - states[:, nv:]
-        for place, one in zip(places, values):
+        for place in places:
+            one = models[place].values
             for joint, name in enumerate(simulator.residual_names[nv:]):
                 found[place, :, nv + joint] -= one.get(f"bias[{name}]", 0.0)
                 found[place, :, nv + joint] -= (one.get(f"scale[{name}]", 1.0) - 1) * states[:, nv + joint]
     return found
+
+
+def _is_sensed(name: str) -> bool:
+    """Whether an effect is of what scales the motion, or of measured speeds."""
+    return name.startswith(("scale[q", "bias[qvel."))
 
 
 def _by_scale(simulator: MujocoSimulator, models: Sequence[_Model]) -> list[tuple[list[int], Array]]:
@@ -609,14 +618,14 @@ def _settled(sides: Sequence[Rows]) -> _Law:
     first = np.arange(len(together.target)) < len(sides[0].target)
     masks = first, ~first
     noise = noise_of(together, together.target**2, flat=True)
-    spread, weights = np.full(k, BEGUN**2), np.ones(k)
+    spread, weights = np.full(k, BEGUN**2), np.r_[np.ones(k), np.full(k, BEGUN**-2)]
     maps = np.eye(k, 2 * k), np.hstack([np.eye(k), np.eye(k)])
     for turn in range(2 * NOISE_TURNS):
         squares = np.empty(len(noise))
         for turn_of_window in range(WINDOW_TURNS):
             windows = [_Windows.of(rows, noise[own]) for rows, own in zip(sides, masks)]
             (G0, h0), (G1, h1) = (one.without(spread) for one in windows)
-            H = np.block([[G0 + G1 + np.diag(weights), G1], [G1, G1 + np.eye(k) / BEGUN**2]])
+            H = np.block([[G0 + G1 + np.diag(weights[:k]), G1], [G1, G1 + np.diag(weights[k:])]])
             law = np.linalg.inv(H)
             solved = law @ np.r_[h0 + h1, h1]
             moments, told = np.zeros(k), np.zeros(k)
@@ -639,9 +648,9 @@ def _settled(sides: Sequence[Rows]) -> _Law:
                     squares[np.flatnonzero(own)[mine]] = left**2 / np.maximum(1 - lever, 0.1)
             # MacKay's fixed point: squares over how many of them the rows tell, and not the law itself.
             spread = (moments + PSEUDO * APART_AT_LEAST**2) / (np.maximum(told, 0) + PSEUDO)
-            weights = 2 / (1 + solved[:k] ** 2)
+            weights = 2 / (1 + solved**2)
         noise = noise_of(together, squares, flat=turn < NOISE_TURNS)
-    return _Law((noise[first], noise[~first]), spread, weights, solved[:k], np.zeros(k))
+    return _Law((noise[first], noise[~first]), spread, weights[:k], solved[:k], np.zeros(k))
 
 
 def _unlike(halves: Sequence[_Half]) -> Array:
@@ -898,26 +907,35 @@ def _mistake(
     question: _Question, differences: Array, common: _Common, needed: float
 ) -> str:
     """Return how columns of the second log seem to be mixed up, if that explains it better than all changes."""
-    half, simulator, rows = question.halves[1], question.simulator, question.sides[1]
+    simulator = question.simulator
     known = {effect.name: (effect, size) for effect, size in zip(question.effects, question.sizes)}
     values = dict(question.base.values)
     for (name, (effect, size)), one in zip(known.items(), common.alone):
         values[name] = _within(effect, values.get(name, effect.neutral) + size * one)
     model = replace(question.base, values=values)
 
-    def misfit(left: Array) -> float:
-        joints = [left[rows.joint == joint] / question.law.noise[1][rows.joint == joint] for joint in np.unique(rows.joint)]
-        return 0.5 * sum(len(one) * float(np.log1p(np.mean(one**2))) for one in joints)
+    def misfits(side: int, halves: Sequence[_Half]) -> list[float]:
+        rows, noise = question.sides[side], question.law.noise[side]
+        joints = [rows.joint == joint for joint in np.unique(rows.joint)]
+        found = []
+        for half in halves:
+            left = _transformed(half, _forces(simulator, half, [model]))[0][:, 0]
+            left = left - (rows.columns[:, len(question.effects) :] @ differences if side and half is halves[0] else 0)
+            found.append(0.5 * sum(own.sum() * float(np.log1p(np.mean((left / noise)[own] ** 2))) for own in joints))
+        return found
 
-    forces = [(words, _forces(simulator, other, [model])) for words, other in _mixed_up(simulator, half)]
-    as_is = _transformed(half, _forces(simulator, half, [model]))[0][:, 0]
-    explained = as_is - rows.columns[:, len(question.effects) :] @ differences
-    least = min(misfit(as_is), misfit(explained))
-    if not forces:
+    mixed = [_mixed_up(simulator, half) for half in question.halves]
+    if not mixed[0]:
         return ""
-    found = [(misfit(_transformed(half, one)[0][:, 0]), words) for words, one in forces]
-    lowest, words = min(found)
-    return words if lowest + needed + np.log(len(found) / MIXED_UP) < least else ""
+    first, second = (
+        misfits(side, [half, *(one for _, one in others)])
+        for side, (half, others) in enumerate(zip(question.halves, mixed))
+    )
+    # What as well mends the first log is the model's matter.
+    share = len(question.sides[1].target) / len(question.sides[0].target)
+    mended = [second[0] - one - share * max(first[0] - other, 0) for one, other in zip(second[1:], first[1:])]
+    best = int(np.argmax(mended))
+    return mixed[1][best][0] if mended[best] > needed + np.log(len(mended) / MIXED_UP) else ""
 
 
 def _mixed_up(simulator: MujocoSimulator, half: _Half) -> list[tuple[str, _Half]]:
