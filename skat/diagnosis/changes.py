@@ -57,7 +57,7 @@ NOISE_TURNS, WINDOW_TURNS = 4, 5
 BEGUN, STEP = 0.3, 0.01
 # Families that a machine does not change from one log to another, and those that forces do not show.
 FIXED = ("gravity", "tilt", "length", "wind", "air_drag", "position_friction", "inertia")
-UNSEEN = ("force_limit", "lag", "timestep", "backlash", "lag_torque", "delay", "payload")
+UNSEEN = ("force_limit", "lag", "timestep", "backlash", "lag_torque", "payload")
 # Factors that all of a joint's force is divided by, in units of what its motor exerts.
 MOTORS = ("gain", "kp")
 # Odds that two columns of a log were mixed up, or that one has its sign turned.
@@ -127,7 +127,7 @@ class _Candidate:
 
     def told(self, value: float) -> float:
         """Return a difference as it is told."""
-        if self.effect.family in MOTORS:
+        if self.effect.family in MOTORS or self.effect.name.startswith("scale[qpos."):
             share = 1 - value
             return 1 / (share if abs(share) > 1e-3 else 1e-3)
         return value + self.is_factor
@@ -346,12 +346,15 @@ def _asked(
     base = _base(simulator, halves, sides, law)
     sides = [_rows(simulator, half, base, common, sizes) for half in halves]
     law = _settled(sides)
-    law = replace(law, apart=_apart(halves, sides, law, len(common)))
+    apart = _apart(halves, sides, law, len(common))
+    # Drivers filter speeds, which takes from a fast motion more than from a slow one.
+    filtered = [effect.name.startswith("scale[qvel.") for effect in common]
+    law = replace(law, apart=np.where(filtered, np.maximum(apart, 1.0), apart))
     names = {effect.name for effect in common}
     offered = [
         _Candidate(effect, effect.odds, {})
         for effect in seen
-        if effect.family not in FIXED and (effect.name in names or effect.target == "all")
+        if effect.family not in (*FIXED, "delay") and (effect.name in names or effect.target == "all")
     ]
     offered += _weights(simulator)
     offered += [
@@ -543,7 +546,7 @@ def _rows(
     simulator: MujocoSimulator, half: _Half, base: _Model, effects: Sequence[Effect], sizes: Array
 ) -> Rows:
     """Return the rows of a log about a model, with the columns of effects in units of their sizes."""
-    candidates = [_Candidate(effect, 1.0, {}) for effect in effects]
+    candidates = [_Candidate(effect, 1.0, {}, float(effect.family == "delay")) for effect in effects]
     forces, steps = _steps(simulator, half, base, candidates, sizes)
     whole = np.concatenate([forces[:1], (forces[0] - forces[1:]) / steps[:, None, None]])
     nominal = _forces(simulator, half, [_Model({})])
@@ -749,6 +752,9 @@ def _laws(question: _Question) -> Priors:
             for one, most in zip(question.candidates, high)
         ]
     )
+    # One over a gain is searched for: from 1 / WEAKEST to that of a motor that turns the other way.
+    motors = np.array([one.effect.family in MOTORS for one in question.candidates], dtype=bool)
+    low, high = np.where(motors, 1 - 1 / WEAKEST, low), np.where(motors, 2.5, high)
     names = tuple(one.effect.name for one in question.candidates)
     scales = question.scales
     return Priors(names, np.ones(len(names)), np.log(odds / (odds.sum() + 1)), low / scales, high / scales)
