@@ -37,6 +37,8 @@ KEPT = 0.75
 BLOCKS_A_PERIOD = 4
 # Of the power of a speed, and how far beyond the frequency below which it is forces are compared.
 MOTION, BEYOND_MOTION = 0.99, 2.0
+# The same where logs are cut into windows: of hard stops, which ring, less is lost than is gained.
+MOTION_OF_WINDOWS = 0.95
 # Fewest blocks of a stretch without contacts, and rows about a contact that a smoothed motion blurs.
 SHORTEST = 12
 BLURRED = 2
@@ -123,6 +125,7 @@ def smooth_motion(
         return None
     q, v, a = (np.empty((len(instants), nv)) for _ in range(3))
     slip, cutoff = np.empty(nv), np.empty(nv)
+    share = MOTION if window is None else MOTION_OF_WINDOWS
     for joint in range(nv):
         try:
             smooth = smooth_coordinate(instants[:, joint], instants[:, nv + joint], episodes, dt)
@@ -130,7 +133,7 @@ def smooth_motion(
             return None
         q[:, joint], v[:, joint], a[:, joint] = smooth.position, smooth.velocity, smooth.acceleration
         slip[joint] = smooth.velocity_error
-        cutoff[joint] = min(smooth.cutoff(KEPT, dt), _busy(v[:, joint], episodes, dt))
+        cutoff[joint] = min(smooth.cutoff(KEPT, dt), _busy(v[:, joint], episodes, dt, share))
     free = ~simulator.constrained(np.column_stack([q, v]))
     for _ in range(BLURRED):
         free = free & np.r_[True, free[:-1]] & np.r_[free[1:], True]
@@ -171,7 +174,7 @@ def smooth_motion(
     )
 
 
-def _busy(speed: Array, episodes: Array, dt: float) -> float:
+def _busy(speed: Array, episodes: Array, dt: float, share: float) -> float:
     """Return the frequency below which nearly all of a motion is; above, it is what structures ring with, Hz."""
     frequencies, powers = [], []
     for episode in np.unique(episodes):
@@ -180,8 +183,8 @@ def _busy(speed: Array, episodes: Array, dt: float) -> float:
         frequencies.append(np.arange(len(own)) / (2 * len(own) * dt))
     frequency, power = np.concatenate(frequencies), np.concatenate(powers)
     order = np.argsort(frequency)
-    share = np.cumsum(power[order]) / max(float(power.sum()), 1e-300)
-    return float(BEYOND_MOTION * frequency[order][min(int(np.searchsorted(share, MOTION)), len(share) - 1)])
+    below = np.cumsum(power[order]) / max(float(power.sum()), 1e-300)
+    return float(BEYOND_MOTION * frequency[order][min(int(np.searchsorted(below, share)), len(below) - 1)])
 
 
 def _fewer(rows: NDArray[np.intp], stretch: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
