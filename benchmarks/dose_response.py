@@ -98,7 +98,11 @@ def cases(cut):
             ("scale", JOINTS["double_pendulum"][index % 2], DOSES["scale"][index % 4]),
         ):
             settings = {"kind": kind, "target": target, "dose": dose, "before": one, "after": other}
-            found.append(Case(f"dose across | double_pendulum | {one} to {other} | {kind} {target} {dose}", 0, settings))
+            found.append(
+                Case(
+                    f"dose across | double_pendulum | {one} to {other} | {kind} {target} {dose}", 0, settings
+                )
+            )
     found.append(Case("real | pendulum | 1 kg for .5 kg", 0, {"before": 0.5, "after": 1.0}))
     found.append(Case("real | pendulum | .5 kg for 1 kg", 0, {"before": 1.0, "after": 0.5}))
     for load in ("170 g on one arm", "200 g on both arms"):
@@ -149,7 +153,9 @@ def dosed(simulator, log, kind, target, dose):
             X[:, column] += dose
             return (X, y, groups), {f"offset[{target}]": -dose}
         X[:, column] *= dose if kind == "gain" else -1
-        return (X, y, groups), {f"gain[{target}]": 1 / dose} if kind == "gain" else {f"ctrl.{target} sign": 1.0}
+        return (X, y, groups), {f"gain[{target}]": 1 / dose} if kind == "gain" else {
+            f"ctrl.{target} sign": 1.0
+        }
     if kind == "swap":
         column = inputs.index(f"ctrl.{target}")
         other = controls[(controls.index(column) + 1) % len(controls)]
@@ -227,11 +233,18 @@ def report(lines, shown):
             if len(some) > 2:
                 neutral = 1.0 if kind in ("gain", "scale") else 0.0
                 x, found = np.array(some).T - neutral
-                shown.number(f"... {kind}: slope of size against dose", [float(x @ found / (x @ x))], "1 +- .03")
-    shown.share("... intervals that cover", [one for line in dose for one in tables.in_interval(line)], "92 %")
+                shown.number(
+                    f"... {kind}: slope of size against dose", [float(x @ found / (x @ x))], "1 +- .03"
+                )
+    shown.share(
+        "... intervals that cover", [one for line in dose for one in tables.in_interval(line)], "92 %"
+    )
     mixed = [line for line in lines if line["what"] == "dose" and line["kind"] in ("swap", "flip")]
     shown.share("swapped and turned columns told", map(told_mixed_up, mixed), "every one")
-    for what, label, wanted in (("nothing", "nothing changed: named", "<= 2 %"), ("across", "other motions: named", "<= 3 %")):
+    for what, label, wanted in (
+        ("nothing", "nothing changed: named", "<= 2 %"),
+        ("across", "other motions: named", "<= 3 %"),
+    ):
         for machine in (None, *RUNS):
             mine = [line for line in lines if line["what"] == what and machine in (None, line["machine"])]
             mine = [line for line in mine if line["verdict"] != "too short"]

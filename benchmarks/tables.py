@@ -124,7 +124,12 @@ def ask_change(simulator, before, after, *, seed, parameters=None):
                 "mistake": next((str(one.message) for one in told if "reads as if" in str(one.message)), ""),
             }
         except Exception as error:
-            answer = {"verdict": "error", "causes": [], "mistake": "", "error": f"{type(error).__name__}: {error}"}
+            answer = {
+                "verdict": "error",
+                "causes": [],
+                "mistake": "",
+                "error": f"{type(error).__name__}: {error}",
+            }
     return answer | {
         "seconds": round(time.perf_counter() - start, 2),
         "cpu_seconds": round(time.process_time() - start_cpu, 2),

@@ -87,7 +87,14 @@ def run(case, parameters):
     answer = tables.ask_change(
         simulator, *((log.X, log.y, log.groups) for log in logs), seed=case.seed, parameters=parameters
     )
-    return {"what": what, "robot": robot, "kind": (kind or [""])[0], "truth": truth, "n_wrong": len(before), **answer}
+    return {
+        "what": what,
+        "robot": robot,
+        "kind": (kind or [""])[0],
+        "truth": truth,
+        "n_wrong": len(before),
+        **answer,
+    }
 
 
 def report(lines, shown):
@@ -97,10 +104,16 @@ def report(lines, shown):
         label = "" if robot is None else f"... {robot}: "
         shown.share(f"{label}named alone", map(tables.alone, changed), "92 %")
         shown.share(f"{label}alone, or an alias of the only one", map(tables.or_alias, changed))
-        shown.share(f"{label}nothing changed: named", [line["verdict"] != "nothing changed" for line in mine if line["what"] == "same"], "<= 2 %")
+        shown.share(
+            f"{label}nothing changed: named",
+            [line["verdict"] != "nothing changed" for line in mine if line["what"] == "same"],
+            "<= 2 %",
+        )
     changed = [line for line in lines if line["what"] == "changed"]
     for kind in KINDS:
-        shown.share(f"{kind}: alone or alias", [tables.or_alias(line) for line in changed if line["kind"] == kind])
+        shown.share(
+            f"{kind}: alone or alias", [tables.or_alias(line) for line in changed if line["kind"] == kind]
+        )
     errors = [
         abs(cause["value"] / line["truth"][cause["name"]] - 1)
         for line in changed

@@ -15,6 +15,7 @@ out, and sparse :math:`\delta`, by how much the logs differ more than that, are 
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +46,7 @@ WINDOWS, LONGEST = 8, 2.0
 APART_AT_LEAST, PSEUDO = 0.1, 1.0
 # Two logs that move otherwise differ by the variance of two windows, and by what is left of a joint's force, of which
 # this share may look like an effect.
-APART, ALIGNED = 2.0, 0.3
+APART, ALIGNED = 2.0, 1.0
 # Places along each side of a body at which a weight is tried; those that act alike are one.
 PLACES, ALIKE = 3, 0.9995
 # Rows by which commands may come late in both logs, and by how many later, or earlier, in the second.
@@ -139,7 +140,9 @@ class _Candidate:
         name = self.effect.name
         new = model.values.get(name, self.effect.neutral) + value
         low, high = self.effect.bounds
-        return replace(model, values={**model.values, **self.beside, name: new}) if low <= new <= high else None
+        return (
+            replace(model, values={**model.values, **self.beside, name: new}) if low <= new <= high else None
+        )
 
 
 @dataclass(frozen=True)
@@ -248,7 +251,6 @@ def find_changes(
     return Changes(causes, verdict, gain, _sizes(question, value))
 
 
-
 def _half(simulator: MujocoSimulator, log: Log, name: str) -> _Half:
     X, y, groups = (np.asarray(one) for one in log)
     n_states, nv = len(simulator.state_names), len(simulator.residual_names) // 2
@@ -342,8 +344,10 @@ def _asked(
     )
     sizes = sizes * units
     sides = [replace(side, columns=side.columns[:, shown] * units) for side in sides]
-    law = _settled(sides)
-    base = _base(simulator, halves, sides, law)
+    late = np.array([effect.family == "delay" for effect in common])
+    # What is late in the first log is told by a grid, not by a slope.
+    prompt = [replace(side, columns=side.columns * ~late) for side in sides]
+    base = _base(simulator, halves[0], prompt[0], _settled(prompt))
     sides = [_rows(simulator, half, base, common, sizes) for half in halves]
     law = _settled(sides)
     apart = _apart(halves, sides, law, len(common))
@@ -477,7 +481,9 @@ def _forces(simulator: MujocoSimulator, half: _Half, models: Sequence[_Model]) -
             commands[own] = acting[:, motion.rows].mean(axis=2)
         states, moved = motion.states / np.tile(scale, 2), motion.accelerations / scale
         forces = simulator.missing_forces(states, moved, commands, values, slip=motion.slip)
-        found[places, :, :nv] = forces / _strengths(simulator, motion, states, moved, commands, values)[:, None]
+        found[places, :, :nv] = (
+            forces / _strengths(simulator, motion, states, moved, commands, values)[:, None]
+        )
         found[places, :, nv:] = half.speeds - states[:, nv:]
         for place in places:
             one = models[place].values
@@ -669,7 +675,10 @@ def _unlike(halves: Sequence[_Half]) -> Array:
         found.append(
             np.array(
                 [
-                    [q[one].mean(axis=0), *(0.5 * np.log(np.mean(x[one] ** 2, axis=0) + 1e-12) for x in (v, a))]
+                    [
+                        q[one].mean(axis=0),
+                        *(0.5 * np.log(np.mean(x[one] ** 2, axis=0) + 1e-12) for x in (v, a)),
+                    ]
                     for one in own
                 ]
             )
@@ -686,47 +695,48 @@ def _apart(halves: Sequence[_Half], sides: Sequence[Rows], law: "_Law", k: int) 
 
     What a model leaves of a joint's force may look, by a share, like any effect on it.
     """
-    rows, noise = _joined(sides), np.concatenate(law.noise)
-    left = rows.target - rows.columns @ law.value
+    # Each log has effects of its own in it: a change is no misfit.
+    rows, left = _joined(sides), np.concatenate(law.noise)
     unlike = np.tile(_unlike(halves), 2)
-    worst = np.zeros(k)
     joints = np.unique(rows.joint)
     exerted = np.array([np.sum(rows.columns[rows.joint == joint, :k] ** 2, axis=0) for joint in joints])
-    remains = np.array([np.sum(left[rows.joint == joint] ** 2) for joint in joints])
-    feels = np.argmax(exerted / np.array([np.sum(rows.nominal[rows.joint == joint] ** 2) for joint in joints])[:, None], axis=0)
-    worst = ALIGNED**2 * remains[feels] / np.maximum(exerted[feels, np.arange(k)], 1e-300)
+    # Of the frequencies at which an effect acts: noise that differentiation lifts is no misfit.
+    remains = np.array(
+        [
+            own.sum() * (left[own] ** 2 @ rows.columns[own, :k] ** 2)
+            for joint in joints
+            for own in [rows.joint == joint]
+        ]
+    )
+    feels = np.argmax(
+        exerted / np.array([np.sum(rows.nominal[rows.joint == joint] ** 2) for joint in joints])[:, None],
+        axis=0,
+    )
+    at = feels, np.arange(k)
+    worst = ALIGNED**2 * remains[at] / np.maximum(exerted[at], 1e-300) ** 2
     return np.asarray(APART * unlike[joints[feels]] * (law.spread + worst) + 1e-12)
 
 
 def _joined(sides: Sequence[Rows]) -> Rows:
     # Both logs have one noise: with one each, a fit may give one of them up.
-    return Rows(*(np.concatenate([getattr(side, name) for side in sides]) for name in Rows.__dataclass_fields__))
+    return Rows(
+        *(np.concatenate([getattr(side, name) for side in sides]) for name in Rows.__dataclass_fields__)
+    )
 
 
-def _base(
-    simulator: MujocoSimulator,
-    halves: Sequence[_Half],
-    sides: Sequence[Rows],
-    law: _Law,
-) -> _Model:
-    """Return the model with commands as late as they come in both logs."""
-    if not halves[0].motion.commands.shape[1]:
+def _base(simulator: MujocoSimulator, half: _Half, rows: Rows, law: _Law) -> _Model:
+    """Return the model with commands as late as they come in the first log."""
+    if not half.motion.commands.shape[1]:
         return _Model({})
-    spread = law.spread
     models = [_Model({}, late) for late in LATE_IN_BOTH]
-    total_G, total_h, squares = 0.0, np.zeros((len(models), len(law.value))), np.zeros(len(models))
-    for half, rows, deviation in zip(halves, sides, law.noise):
-        targets = _transformed(half, _forces(simulator, half, models))[0]
-        for place, target in enumerate(targets.T):
-            windows = _Windows.of(replace(rows, target=target), deviation)
-            G, h = windows.without(spread)
-            total_h[place] += h
-            squares[place] += float(np.sum((target / deviation) ** 2))
-            for products, projections in zip(windows.products, windows.projections):
-                squares[place] -= _own_share(products, projections, spread)
-        total_G = total_G + G
-    H = total_G + np.diag(law.weights)
-    worth = 0.5 * np.einsum("ij,ij->i", total_h, np.linalg.solve(H, total_h.T).T) - 0.5 * squares
+    targets = _transformed(half, _forces(simulator, half, models))[0]
+    deviation, worth = law.noise[0], []
+    for target in targets.T:
+        windows = _Windows.of(replace(rows, target=target), deviation)
+        G, h = windows.without(law.spread)
+        square = float(np.sum((target / deviation) ** 2))
+        square -= sum(map(partial(_own_share, spread=law.spread), windows.products, windows.projections))
+        worth.append(float(h @ np.linalg.solve(G + np.diag(law.weights), h)) - square)
     return _Model({}, LATE_IN_BOTH[int(np.argmax(worth))])
 
 
@@ -816,7 +826,10 @@ def _causes(
             if name != one.effect.name:
                 aliases[name] = aliases.get(name, 0.0) + float(np.exp(-lost))
         total = 1 + sum(aliases.values()) + float(np.exp(-nats[place]))
-        told = [float(one.told(at * question.scales[place])) for at in (value, *(value + WIDTH_95 * error * np.array([-1, 1])))]
+        told = [
+            float(one.told(at * question.scales[place]))
+            for at in (value, *(value + WIDTH_95 * error * np.array([-1, 1])))
+        ]
         centre = told[0]
         found.append(
             Cause(
@@ -909,9 +922,7 @@ def _sizes(question: _Question, value: Array) -> dict[str, tuple[float, float]]:
     }
 
 
-def _mistake(
-    question: _Question, differences: Array, common: _Common, needed: float
-) -> str:
+def _mistake(question: _Question, differences: Array, common: _Common, needed: float) -> str:
     """Return how columns of the second log seem to be mixed up, if that explains it better than all changes."""
     simulator = question.simulator
     known = {effect.name: (effect, size) for effect, size in zip(question.effects, question.sizes)}
@@ -926,8 +937,12 @@ def _mistake(
         found = []
         for half in halves:
             left = _transformed(half, _forces(simulator, half, [model]))[0][:, 0]
-            left = left - (rows.columns[:, len(question.effects) :] @ differences if side and half is halves[0] else 0)
-            found.append(0.5 * sum(own.sum() * float(np.log1p(np.mean((left / noise)[own] ** 2))) for own in joints))
+            left = left - (
+                rows.columns[:, len(question.effects) :] @ differences if side and half is halves[0] else 0
+            )
+            found.append(
+                0.5 * sum(own.sum() * float(np.log1p(np.mean((left / noise)[own] ** 2))) for own in joints)
+            )
         return found
 
     mixed = [_mixed_up(simulator, half) for half in question.halves]
@@ -952,11 +967,20 @@ def _mixed_up(simulator: MujocoSimulator, half: _Half) -> list[tuple[str, _Half]
     found = []
     for index, name in enumerate(controls):
         signs = np.where(np.arange(len(controls)) == index, -1.0, 1.0)
-        found.append((f"{name} has its sign turned", replace(half, motion=replace(motion, commands=motion.commands * signs))))
+        found.append(
+            (
+                f"{name} has its sign turned",
+                replace(half, motion=replace(motion, commands=motion.commands * signs)),
+            )
+        )
     for index, name in enumerate(joints):
         signs = np.where(np.arange(nv) == index, -1.0, 1.0)
-        turned = replace(motion, states=motion.states * np.tile(signs, 2), accelerations=motion.accelerations * signs)
-        found.append((f"{name} has its sign turned", replace(half, motion=turned, speeds=half.speeds * signs)))
+        turned = replace(
+            motion, states=motion.states * np.tile(signs, 2), accelerations=motion.accelerations * signs
+        )
+        found.append(
+            (f"{name} has its sign turned", replace(half, motion=turned, speeds=half.speeds * signs))
+        )
     for one, other in itertools.combinations(range(len(controls)), 2):
         order = _swapped(len(controls), one, other)
         swapped = replace(motion, commands=motion.commands[:, order])
@@ -970,7 +994,10 @@ def _mixed_up(simulator: MujocoSimulator, half: _Half) -> list[tuple[str, _Half]
                 accelerations=motion.accelerations[:, order],
             )
             found.append(
-                (f"{joints[one]} and {joints[other]} are swapped", replace(half, motion=swapped, speeds=half.speeds[:, order]))
+                (
+                    f"{joints[one]} and {joints[other]} are swapped",
+                    replace(half, motion=swapped, speeds=half.speeds[:, order]),
+                )
             )
     return found
 

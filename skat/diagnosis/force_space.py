@@ -275,9 +275,7 @@ class Rows:
         return self.target / deviations, self.columns / deviations[:, None]
 
 
-def transformed(
-    motion: Motion, forces: Array
-) -> tuple[Array, NDArray[np.intp], Array, NDArray[np.intp]]:
+def transformed(motion: Motion, forces: Array) -> tuple[Array, NDArray[np.intp], Array, NDArray[np.intp]]:
     """Return the cosine coefficients (n_rows, k) of forces (n_blocks, nv, k); joint, frequency, stretch of each."""
     nv = forces.shape[1]
     parts, joints, frequencies, stretches = [], [], [], []
