@@ -1,9 +1,10 @@
 """What changed between two measured logs of one machine: doses of exact size, and pairs in which nothing changed.
 
 The doses are made in the measured log: commands scaled (a motor's gain), late by rows (delay), a constant added to a
-servo's target (offset), a position's sensor scaled or shifted (scale, bias), two columns swapped, a sign turned. Within a
-run, odd blocks of time are the log before and even ones the log after; across runs, motions differ. Beside them what was
-really changed: the load of a pendulum, and weights on a brachiating robot. Logs are looked for in ``$SKAT_DATA_HOME``::
+servo's target (offset), a position's sensor scaled or shifted (scale, bias), two columns swapped, a sign turned. Within
+a run, odd blocks of time are the log before and even ones the log after; across runs, motions differ. Beside them what
+was really changed: the load of a pendulum, and weights on a brachiating robot. Logs are looked for in
+``$SKAT_DATA_HOME``::
 
     SKAT_DATA_HOME=... python benchmarks/dose_response.py --cut
     SKAT_DATA_HOME=... python benchmarks/dose_response.py --cases ur10     # see tables.py for the rest
@@ -195,6 +196,10 @@ def run(case, parameters):
 def told_mixed_up(line):
     """Whether the columns that were mixed up are told, by their names."""
     (what,) = line["truth"]
+    if what.endswith("sign"):
+        motor = what.removeprefix("ctrl.").removesuffix(" sign")
+        if any(cause["name"] == f"gain[{motor}]" and cause["value"] < 0 for cause in line["causes"]):
+            return True
     return all(word in line["mistake"] for word in what.split() if word.startswith("ctrl."))
 
 

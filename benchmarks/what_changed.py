@@ -1,8 +1,8 @@
 """What changed, on simulated arms whose models are wrong in eight to fifteen ways at once.
 
-A six-joint arm and one of two links, with masses 5 to 30 % off, friction, damping and rotor inertias that the model
-lacks, centres of mass off, and a force that grows with the cube of a speed, which is no effect at all. Log before and log
-after move otherwise. One thing is changed, a payload, a friction, a gain, an offset or a delay, or nothing::
+A six-joint arm and one of two links, with masses 5 to 30 % off, and friction, damping and rotor inertias that the
+model lacks. Log before and log after move otherwise. One thing is changed, a mass, a friction, a damping, a gain or a
+delay, or nothing::
 
     python benchmarks/what_changed.py --cut
     python benchmarks/what_changed.py --cases two_link     # see tables.py for the rest
@@ -35,10 +35,10 @@ def names_of(robot):
 
 def wrong(robot, rng):
     """Return what the model has wrong in both logs."""
-    joints, bodies, motors = names_of(robot)
+    joints, bodies, _ = names_of(robot)
     friction = ARMS[robot]["friction"]
     truth = {}
-    for place, (joint, size) in enumerate(zip(joints, friction)):
+    for joint, size in zip(joints, friction):
         truth[f"dry_friction[{joint}]"] = size * rng.uniform(0.6, 1.5)
         truth[f"damping[{joint}]"] = size * rng.uniform(0.3, 1.0)
     for body in bodies:

@@ -44,9 +44,8 @@ Log = tuple[Array, Array, Array]
 WINDOWS, LONGEST = 8, 2.0
 # Effects differ between windows by this share of their typical size, told as by so many windows.
 APART_AT_LEAST, PSEUDO = 0.1, 1.0
-# Two logs that move otherwise differ by the variance of two windows, and by what is left of a joint's force, of which
-# this share may look like an effect.
-APART, ALIGNED = 2.0, 1.0
+# Two logs that move otherwise differ by the variance of two windows, and of what is left of a joint's force.
+APART = 2.0
 # Places along each side of a body at which a weight is tried; those that act alike are one.
 PLACES, ALIKE = 3, 0.9995
 # Rows by which commands may come late in both logs, and by how many later, or earlier, in the second.
@@ -64,6 +63,8 @@ MOTORS = ("gain", "kp")
 # Odds that two columns of a log were mixed up, or that one has its sign turned.
 MIXED_UP = 1e-3
 BOOTSTRAPS = 400
+# Log odds of what is not named, and the share of its range from neutral that a value keeps to.
+NEVER, INSIDE = -1e6, 1 - 1e-6
 
 
 @dataclass(frozen=True)
@@ -235,8 +236,15 @@ def find_changes(
     question = _asked(simulator, halves, effects, typical or {}, test_size)
     priors, needed = _laws(question), -np.log(alpha)
     gram, common = _differences(question)
-    best, worth = search_sets(gram, priors, {}, rivals=_rivals(question.candidates))
-    best, nats = without_weak(best, worth, needed)
+    while True:
+        best, worth = search_sets(gram, priors, {}, rivals=_rivals(question.candidates))
+        best, nats = without_weak(best, worth, needed)
+        absurd = _at_bounds(best, priors)
+        if not absurd:
+            break
+        log_odds = priors.log_odds.copy()
+        log_odds[absurd] = NEVER
+        priors = replace(priors, log_odds=log_odds)
     differences = np.zeros(len(question.candidates))
     differences[list(best.members)] = best.values
     mistake = _mistake(question, differences, common, needed)
@@ -390,7 +398,7 @@ def _held_out(stretch: NDArray[np.intp], share: float) -> Mask:
     """Return which rows are in windows that are held out: a share of them, evenly spread, not all."""
     kinds = np.unique(stretch)
     n = min(round(share * len(kinds)), len(kinds) - 2)
-    places = np.linspace(0, len(kinds) - 1, n + 2).astype(int)[1:-1] if n > 0 else []
+    places = np.linspace(0, len(kinds) - 1, max(n, 0) + 2).astype(int)[1:-1]
     return np.isin(stretch, kinds[places])
 
 
@@ -419,8 +427,8 @@ def _of_motors(
 ) -> Array:
     r"""Return columns with those of motors acting on all that is common.
 
-    In units of what its motor exerts a joint lacks :math:`\lambda f - u`, f all of its force and :math:`\lambda` one over
-    the gain; nearly u is what a change of :math:`\lambda` multiplies, whatever the model says of f.
+    In units of what its motor exerts a joint lacks :math:`\lambda f - u`, f all of its force and :math:`\lambda` one
+    over the gain; nearly u is what a change of :math:`\lambda` multiplies, whatever the model says of f.
     """
     columns, explained = columns.copy(), rows.columns @ value
     for place, one in enumerate(offered):
@@ -556,8 +564,8 @@ def _rows(
     forces, steps = _steps(simulator, half, base, candidates, sizes)
     whole = np.concatenate([forces[:1], (forces[0] - forces[1:]) / steps[:, None, None]])
     nominal = _forces(simulator, half, [_Model({})])
-    coefficients, *places = _transformed(half, np.concatenate([whole, nominal]))
-    return Rows(coefficients[:, 0], coefficients[:, 1:-1], *places, coefficients[:, -1])
+    coefficients, joint, frequency, stretch = _transformed(half, np.concatenate([whole, nominal]))
+    return Rows(coefficients[:, 0], coefficients[:, 1:-1], joint, frequency, stretch, coefficients[:, -1])
 
 
 def _columns(
@@ -712,8 +720,8 @@ def _apart(halves: Sequence[_Half], sides: Sequence[Rows], law: "_Law", k: int) 
         exerted / np.array([np.sum(rows.nominal[rows.joint == joint] ** 2) for joint in joints])[:, None],
         axis=0,
     )
-    at = feels, np.arange(k)
-    worst = ALIGNED**2 * remains[at] / np.maximum(exerted[at], 1e-300) ** 2
+    # Of an effect that several joints feel it would have to look alike on each.
+    worst = 1 / np.maximum(np.sum(exerted**2 / np.maximum(remains, 1e-300), axis=0), 1e-300)
     return np.asarray(APART * unlike[joints[feels]] * (law.spread + worst) + 1e-12)
 
 
@@ -770,6 +778,15 @@ def _laws(question: _Question) -> Priors:
     return Priors(names, np.ones(len(names)), np.log(odds / (odds.sum() + 1)), low / scales, high / scales)
 
 
+def _at_bounds(best: Weighed, priors: Priors) -> list[int]:
+    """Return the members at an end of what is possible: a sign that something else is behind them."""
+    return [
+        place
+        for place, value in zip(best.members, best.values)
+        if not priors.low[place] * INSIDE < value < priors.high[place] * INSIDE
+    ]
+
+
 def _rivals(candidates: Sequence[_Candidate]) -> dict[int, list[int]]:
     """Return which candidates exclude each other: of one effect, all of a family and each of it."""
     rivals = rivals_of([one.effect for one in candidates])
@@ -807,7 +824,7 @@ def _differences(question: _Question) -> tuple[Gram, _Common]:
         np.zeros(len(question.candidates)),
     )
     alone = np.linalg.solve(G + np.diag(law.weights), h)
-    return gram, _Common(solved[:, 0], solved[:, 1:], alone)
+    return gram, _Common(*(np.asarray(one, dtype=float) for one in (solved[:, 0], solved[:, 1:], alone)))
 
 
 def _causes(

@@ -307,8 +307,8 @@ def rows_at(
     forces = missing_force(simulator, motion, candidates)
     differences = (forces[1] - forces[2:]) / np.array(widths)[:, None, None]
     together = np.concatenate([forces[:2], differences]).transpose(1, 2, 0)
-    coefficients, *places = transformed(motion, together)
-    return Rows(coefficients[:, 1], coefficients[:, 2:], *places, coefficients[:, 0])
+    coefficients, joint, frequency, stretch = transformed(motion, together)
+    return Rows(coefficients[:, 1], coefficients[:, 2:], joint, frequency, stretch, coefficients[:, 0])
 
 
 def noise_of(rows: Rows, squares: Array, *, flat: bool = False) -> Array:
