@@ -3,19 +3,20 @@ r"""What changed between two logs of one machine, whatever its model gets wrong 
 Missing forces are a regression on the force of every effect, as in `force_space`, of positions alone; measured speeds
 are compared with those of the positions. Each log is cut into windows of time, each of which has effects of its own:
 
-.. math:: z_b = N_b (\theta + \eta_b + [b \in \text{after}] (\Delta + \delta)) + e_b, \qquad
-   \eta_b \sim N(0, T), \quad \Delta \sim N(0, 2 T).
+.. math:: z_b = N_b (\theta + \eta_b + [b \in \text{after}] (\Delta + \delta)) + e_b.
 
 :math:`\theta` is what is wrong in both logs, all effects at once, held by their priors. No model is right, and what it
 misses differs from motion to motion: :math:`\eta` is by how much, and T, of each effect, is estimated within the logs,
-each with values of its own. :math:`\Delta` says that two logs differ as windows of one do. All three are integrated
-out, and sparse :math:`\delta`, by how much the logs differ more than that, are searched for by evidence.
+each with values of its own. :math:`\Delta` says that logs that move otherwise differ though nothing changed: as windows
+do, and by what no effect explains, which may look like any. All three are integrated out, and sparse :math:`\delta`, by
+how much the logs differ more than that, are searched for by evidence. The theory page derives it.
 """
 
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +40,7 @@ from skat.diagnosis.set_search import Weigher, alternatives, search_sets, withou
 from skat.effects import Effect
 from skat.simulators import MujocoSimulator, Simulator
 
-Log = tuple[Array, Array, Array]
+Log = tuple[Array, Array, NDArray[Any]]
 # A log has so many windows, of so many seconds at most.
 WINDOWS, LONGEST = 8, 2.0
 # Effects differ between windows by this share of their typical size, told as by so many windows.
@@ -48,7 +49,7 @@ APART_AT_LEAST, PSEUDO = 0.1, 1.0
 APART = 2.0
 # Places along each side of a body at which a weight is tried; those that act alike are one.
 PLACES, ALIKE = 3, 0.9995
-# Rows by which commands may come late in both logs, and by how many later, or earlier, in the second.
+# Rows by which commands may come late in the first log, and by how many later, or earlier, in the second.
 LATE_IN_BOTH = tuple(0.5 * one for one in range(17))
 LATER = (0.5, 1.0, 2.0, 3.0, 4.0)
 # Turns of noise, and within each of what windows differ by.

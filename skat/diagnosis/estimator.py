@@ -281,7 +281,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             logs.append((log.X, log.y, log.episodes))
         found = find_changes(
             self.simulator,
-            *logs,
+            logs[0],
+            logs[1],
             effects,
             typical=self.priors,
             alpha=self.alpha,
