@@ -32,6 +32,7 @@ COMMANDS = {
 # A short log of a robot with the model's own time step, and one effect, is enough to see that a page's lines run.
 QUICK = {"timestep": 0.002, "n_episodes": 4, "n_rows": 40}
 SHORTER = {
+    "changed": [],
     "diagnose": ["--effect", "dry_friction[elbow]"],
     "preflight": ["--effect", "dry_friction[elbow]"],
     "check": ["--no-preflight"],

@@ -1,4 +1,4 @@
-"""The commands that take a model and a log: ``skat diagnose``, ``check`` and ``preflight``."""
+"""The commands that take a model and logs: ``skat diagnose``, ``changed``, ``check`` and ``preflight``."""
 
 import shlex
 import sys
@@ -176,6 +176,59 @@ def diagnose(
             write = better.to_urdf if extended.suffix.lower() == ".urdf" else better.to_mjcf
             for path in write(extended, force=force):
                 print_line(f"Extended model: {path}")
+
+
+@app.command()
+def changed(
+    model: Model,
+    before: Annotated[Path, typer.Argument(metavar="BEFORE", help="What was measured before.")],
+    after: Annotated[
+        Path, typer.Argument(metavar="AFTER", help="What was measured after, in the same form.")
+    ],
+    maps: Maps = None,
+    columns: Columns = None,
+    topic: Topic = None,
+    rate: Rate = None,
+    episodes: Episodes = None,
+    base: Base = None,
+    motors: Motors = None,
+    frame_skip: FrameSkip = None,
+    effect: Effects = None,
+    hidden: Annotated[
+        list[str] | None, typer.Option(help="Name of a state column that is a guess, no measurement; repeat.")
+    ] = None,
+    alpha: Alpha = 0.01,
+    test_size: Annotated[float, typer.Option(help="Part of AFTER that measures the gain; 0: none.")] = 0.3,
+):
+    """Say what changed on a machine between the logs BEFORE and AFTER, whatever MODEL gets wrong in both."""
+    with clear_errors():
+        import pandas as pd
+
+        from skat.diagnosis import SimulationDiagnosis
+
+        simulator = model_simulator(model, base, motors)
+        options = log_options(simulator, maps, columns, topic, rate, episodes, base, frame_skip)
+        first = read_log([before], simulator, options)
+        show_log(first, None, False)
+        second = read_log([after], first.simulator, options | {"rate": 1 / first.dt})
+        diagnosis = SimulationDiagnosis(
+            first.simulator, effects=effect or "all", hidden=hidden or (), alpha=alpha, test_size=test_size
+        ).fit_change(first, second)
+        print_line(f"Verdict: {diagnosis.verdict_}")
+        rows = [
+            (one.name, one.value, *one.interval, one.unit, one.probability, ", ".join(map(str, one.aliases)))
+            for one in diagnosis.changes_
+        ]
+        names = ["change", "value", "from", "to", "unit", "probability", "or"]
+        if rows:
+            output_console().print(table_of(pd.DataFrame(rows, columns=names)))
+        for one in diagnosis.changes_:
+            print_line(f"  {one.sentence}")
+        if diagnosis.gain_ is not None and rows:
+            gain = diagnosis.gain_
+            print_line(
+                f"Error on parts of {after.name} not used, in units of noise: {gain.nominal:.3g} -> {gain.extended:.3g}"
+            )
 
 
 @app.command()
