@@ -199,7 +199,7 @@ def changed(
     ] = None,
     alpha: Alpha = 0.01,
     test_size: Annotated[float, typer.Option(help="Part of AFTER that measures the gain; 0: none.")] = 0.3,
-):
+) -> None:
     """Say what changed on a machine between the logs BEFORE and AFTER, whatever MODEL gets wrong in both."""
     with clear_errors():
         import pandas as pd
