@@ -124,6 +124,19 @@ def test_quick_weighing_is_that_of_the_evidence():
         assert worth(members).evidence == pytest.approx(weigh(gram, priors, members).evidence, abs=0.02)
 
 
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_value_held_at_its_bound_is_worth_what_the_integral_says(sign):
+    # The density falls from the bound as exp(-slope x): its integral is 1 / slope, but for what the curvature adds.
+    stiffness, pull, bound = 100.0, 1e4, 9.0
+    low, high = sorted((0.0, sign * bound))
+    priors = Priors(("cause",), np.full(1, 1e3), np.zeros(1), np.full(1, low), np.full(1, high))
+    gram = Gram(np.full((1, 1), stiffness), np.full(1, sign * pull), np.zeros(1))
+    at_bound = pull * bound - stiffness * bound**2 / 2
+    prior = priors.log_density((0,), np.full(1, sign * bound))[0]
+    slope = pull - stiffness * bound
+    assert Weigher(gram, priors)((0,)).evidence == pytest.approx(at_bound + prior - np.log(slope), abs=0.01)
+
+
 def test_first_look_names_friction_and_damping_of_both_joints():
     simulator = MujocoSimulator(ARM, frame_skip=5)
     truth = {"dry_friction": (0.12, 0.06), "damping": (0.1, 0.05)}
@@ -161,3 +174,10 @@ def test_nothing_is_named_where_nothing_changed():
     wrong = {"friction": (0.12, 0.06), "damping": (0.1, 0.05), "mass": 1.15}
     found = find_changes(simulator, log_of(6, **wrong), log_of(7, **wrong), simulator.effects())
     assert found.verdict == "nothing changed"
+
+
+def test_smoother_takes_three_readings_of_an_episode_and_no_fewer():
+    place, unread = np.array([0.0, 1.0, 4.0]), np.full(3, np.nan)
+    assert np.isfinite(smooth_coordinate(place, unread, np.zeros(3), 0.1).acceleration).all()
+    with pytest.raises(ValueError, match="fewer than 3 readings"):
+        smooth_coordinate(place[:2], unread[:2], np.zeros(2), 0.1)
