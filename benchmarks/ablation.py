@@ -35,6 +35,7 @@ ENGINE = (
     "fitting",
     "evidence",
     "search",
+    "fits",
     "causes",
     "prediction",
     "remainder",
