@@ -214,7 +214,7 @@ def find_causes(
     fits = Fits(space, tuple(effects), priors, floor, given, power)
     state = resumed
     if state is None:
-        now = fits.first(start or {})
+        now = fits.first(start or {}, needed if shorter is not None else np.inf)
         if now.fitted.restless > needed and shorter is not None:
             # Paths that lie near by differ by more than a name needs: in short pieces they do not.
             length = SHORT_CHAIN
@@ -242,9 +242,10 @@ def find_causes(
         evidences, moved = dict(state.evidences), None
         misled = misled and state.dense is not None
         for one in _proposals(ranked, gram, priors, now, needed, power):
-            tried = fits.of(one.members, one.values, now)
+            wanted = now.score(needed) + needed * len(one.members) + TOLERANCE
+            tried = fits.of(one.members, one.values, now, wanted)
             evidences[tried.members] = max(tried.evidence, evidences.get(tried.members, -np.inf))
-            if tried.score(needed) > now.score(needed) + TOLERANCE:
+            if tried.evidence > wanted:
                 moved = tried
                 break
             misled = True
@@ -332,8 +333,9 @@ def _superfluous(fits: Fits, now: Fit, gram: Gram, needed: float) -> Fit | None:
         return whole - weigh(gram, fits.priors, rest, power=fits.power).evidence
 
     for one in sorted(now.members, key=worth)[:REFITTED]:
-        rest = fits.without(now, {one})
-        if rest.score(needed) > now.score(needed):
+        wanted = now.evidence - needed
+        rest = fits.without(now, {one}, wanted)
+        if rest.evidence > wanted:
             return rest
     return None
 
@@ -348,6 +350,7 @@ def _rivals(
     """
     found: list[Rival] = []
     better: Fit | None = None
+    near = now.evidence - np.log(ALIAS_FACTOR)
     for cause in now.members[:REFITTED]:
         looks = np.stack([_cosines(gram, cause) for gram in grams])
         alike = looks.max(axis=0)
@@ -357,7 +360,7 @@ def _rivals(
                 break
             members = tuple(sorted({*now.members, int(other)} - {cause}))
             moved = weigh(grams[int(np.argmax(looks[:, other]))], fits.priors, members)
-            own = fits.of(members, moved.values, now)
+            own = fits.of(members, moved.values, now, near)
             evidences[members] = max(own.evidence, evidences.get(members, -np.inf))
             found.append(Rival(cause, int(other), evidences[members]))
             if own.evidence > (now if better is None else better).evidence + TOLERANCE:

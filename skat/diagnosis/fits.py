@@ -66,12 +66,14 @@ class Fits:
     given: Array | None
     power: float
 
-    def first(self, values: Mapping[str, float]) -> Fit:
-        """Return the fit at values, from the log alone."""
+    def first(self, values: Mapping[str, float], patience: float = np.inf) -> Fit:
+        """Return the fit at values, from the log alone; not to its end where it is more restless than `patience`."""
         names = self.priors.names
         members = tuple(sorted(names.index(name) for name in values if name in names))
         fitted = settled(self.space, values, None, self.floor, given=self.given)
         for _ in range(FIT_TURNS):
+            if fitted.restless > patience:
+                break
             # From what was measured the way is long, and all that is compared with it begins where it ends.
             last, fitted = fitted, settled(self.space, values, fitted, self.floor, given=self.given)
             if fitted.bound < last.bound + STILL:
@@ -79,7 +81,7 @@ class Fits:
                 break
         return self._weighed(members, fitted)[0]
 
-    def of(self, members: Sequence[int], places: Array, near: Fit) -> Fit:
+    def of(self, members: Sequence[int], places: Array, near: Fit, wanted: float = -np.inf) -> Fit:
         """Return the fit of a set, about the path and from the noise of another fit.
 
         Parameters
@@ -88,37 +90,42 @@ class Fits:
         places : ndarray of shape (len(members),)
             Coordinates to begin with.
         near : Fit
+        wanted : float, optional
+            Log evidence below which the fit need not be good: it ends where slopes no longer promise as much.
         """
         members = tuple(members)
         chosen = [self.effects[one] for one in members]
         origin = np.array([self._place(one, near.values) for one in members])
         # What the set has beside `near` cannot make the log less likely, but for a step too far.
-        reached = near.fitted.bound if set(near.members) <= set(members) else -np.inf
+        reached = _lowest(near.fitted) if set(near.members) <= set(members) else -np.inf
         start, best = near.fitted, None
         for _ in range(FIT_TURNS):
             values = {effect.name: value_at(effect, at) for effect, at in zip(chosen, places)}
             fitted = settled(self.space, values, start, self.floor, given=self.given)
-            fit, moved, deviations = self._weighed(members, fitted)
+            fit, moved, curvature = self._weighed(members, fitted)
             if best is not None and fit.evidence < best.evidence + TOLERANCE and fitted.bound >= reached:
                 break
             if best is None or fit.evidence > best.evidence:
                 best = fit
+            step = moved - np.asarray(places)
+            if fit.evidence + step @ curvature @ step / 2 < wanted:
+                break
             if fitted.bound < reached:
                 places = (np.asarray(places) + origin) / 2
                 continue
-            if np.all(np.abs(moved - places) < STANDS_STILL * deviations):
+            if np.all(np.abs(step) < STANDS_STILL * np.sqrt(np.diag(np.linalg.inv(curvature)))):
                 break
-            origin, places, start, reached = places, moved, fitted, fitted.bound
+            origin, places, start, reached = places, moved, fitted, _lowest(fitted)
         if best is None:
             raise RuntimeError("no turn was made")
         return best
 
-    def without(self, fit: Fit, dropped: Sequence[int] | set[int]) -> Fit:
-        """Return the fit of a set without some of its members, near to it."""
+    def without(self, fit: Fit, dropped: Sequence[int] | set[int], wanted: float = -np.inf) -> Fit:
+        """Return the fit of a set without some of its members, near to it; see `of`."""
         inside = [place for place, one in enumerate(fit.members) if one not in dropped]
         gram = self.gram(fit.fitted, fit.members)
         start = weigh(gram, self.priors.part(fit.members), inside)
-        return self.of([fit.members[place] for place in inside], start.values, fit)
+        return self.of([fit.members[place] for place in inside], start.values, fit, wanted)
 
     def gram(self, fitted: Fitted, members: Sequence[int]) -> Gram:
         """Return the Gram matrices of some effects at a fit."""
@@ -131,16 +138,20 @@ class Fits:
         return coordinate(effect, values.get(effect.name, effect.neutral))
 
     def _weighed(self, members: tuple[int, ...], fitted: Fitted) -> tuple[Fit, Array, Array]:
-        """Return a fit, where slopes would move its values, and their standard errors."""
+        """Return a fit, where slopes would move its values, and the curvature there."""
         values = dict(fitted.values)
         if not members:
             evidence = self.power * fitted.bound
-            return Fit((), values, fitted, evidence), np.zeros(0), np.zeros(0)
+            return Fit((), values, fitted, evidence), np.zeros(0), np.zeros((0, 0))
         gram, priors = self.gram(fitted, members), self.priors.part(members)
         one = weigh(gram, priors, range(len(members)), power=self.power)
         evidence = self.power * (fitted.bound - one.likelihood) + one.evidence
-        deviations = np.sqrt(np.diag(np.linalg.inv(one.curvature)))
-        return Fit(members, values, fitted, evidence), one.values, deviations
+        return Fit(members, values, fitted, evidence), one.values, one.curvature
+
+
+def _lowest(fitted: Fitted) -> float:
+    """Return the bound that the same set may have about another path near by."""
+    return fitted.bound - STILL - fitted.restless
 
 
 __all__ = ["STANDS_STILL", "Fit", "Fits"]

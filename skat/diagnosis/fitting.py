@@ -23,8 +23,8 @@ from skat.diagnosis.velocities import noise_variance
 from skat.effects import Effect
 
 # A path stands still when taking it anew gains less than so many nats; a chain's own, when less than so many. A step is
-# halved where it gains nothing, to this share of it.
-STILL, RESTS, SLOWEST = 1.0, 0.05, 0.05
+# cut by a factor where it gains nothing, to this share of it.
+STILL, RESTS, SLOWER, SLOWEST = 1.0, 0.05, 4, 0.1
 # Memories of random forces that are tried, in rows; of at most this share of an episode, so that what is steady stays a
 # cause; and what each of their numbers must be worth, in nats.
 MEMORIES = (2.0, 5.0, 10.0, 20.0, 40.0)
@@ -162,7 +162,7 @@ def settled(
             )
             better = chosen & (gains > 0)
             lost = np.where(chosen & (pace == 1), np.maximum(0.0, -gains), lost)
-            pace = np.where(better, 1.0, pace / 2)
+            pace = np.where(better, 1.0, pace / SLOWER)
             going = np.where(better, gains > RESTS, chosen & (pace > SLOWEST) & (gains < -RESTS))
             linear = with_chains(space, linear, of_chains(part, moved, better[chosen]), better)
         else:
