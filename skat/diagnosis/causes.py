@@ -211,10 +211,10 @@ def find_causes(
     length = CHAIN_LENGTH if resumed is None else resumed.chain_length
     if length != CHAIN_LENGTH and shorter is not None:
         space = shorter(length)
-    fits = Fits(space, tuple(effects), priors, floor, given, power)
+    fits = Fits(space, tuple(effects), priors, floor, given, power, needed)
     state = resumed
     if state is None:
-        now = fits.first(start or {}, needed if shorter is not None else np.inf)
+        now = fits.first(start or {}, calm=shorter is not None)
         if now.fitted.restless > needed and shorter is not None:
             # Paths that lie near by differ by more than a name needs: in short pieces they do not.
             length = SHORT_CHAIN

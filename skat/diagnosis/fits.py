@@ -8,7 +8,6 @@ import numpy as np
 from skat.diagnosis.evidence import Gram, Priors, weigh
 from skat.diagnosis.filtering import Array
 from skat.diagnosis.fitting import STILL, Fitted, coordinate, gram_of, settled, slopes_of, value_at
-from skat.diagnosis.noise import TOLERANCE
 from skat.diagnosis.statespace import StateSpace
 from skat.effects import Effect
 
@@ -57,6 +56,8 @@ class Fits:
         Standard deviation of each channel's noise, where it is known.
     power : float
         To which the likelihood is taken.
+    patience : float
+        Nats. Where paths near by differ by more, a fit is not at its end as soon as its values stand still.
     """
 
     space: StateSpace
@@ -65,14 +66,15 @@ class Fits:
     floor: Array
     given: Array | None
     power: float
+    patience: float
 
-    def first(self, values: Mapping[str, float], patience: float = np.inf) -> Fit:
-        """Return the fit at values, from the log alone; not to its end where it is more restless than `patience`."""
+    def first(self, values: Mapping[str, float], *, calm: bool = False) -> Fit:
+        """Return the fit at values, from the log alone; if it is to be calm, not to its end where it is not."""
         names = self.priors.names
         members = tuple(sorted(names.index(name) for name in values if name in names))
         fitted = settled(self.space, values, None, self.floor, given=self.given)
         for _ in range(FIT_TURNS):
-            if fitted.restless > patience:
+            if calm and fitted.restless > self.patience:
                 break
             # From what was measured the way is long, and all that is compared with it begins where it ends.
             last, fitted = fitted, settled(self.space, values, fitted, self.floor, given=self.given)
@@ -103,17 +105,19 @@ class Fits:
             values = {effect.name: value_at(effect, at) for effect, at in zip(chosen, places)}
             fitted = settled(self.space, values, start, self.floor, given=self.given)
             fit, moved, curvature = self._weighed(members, fitted)
-            if best is not None and fit.evidence < best.evidence + TOLERANCE and fitted.bound >= reached:
+            if best is not None and fit.evidence < best.evidence + STILL and fitted.bound >= reached:
                 break
             if best is None or fit.evidence > best.evidence:
                 best = fit
             step = moved - np.asarray(places)
-            if fit.evidence + step @ curvature @ step / 2 < wanted:
+            hoped = fit.evidence + step @ curvature @ step / 2 + fitted.restless
+            if hoped < wanted:
                 break
             if fitted.bound < reached:
                 places = (np.asarray(places) + origin) / 2
                 continue
-            if np.all(np.abs(step) < STANDS_STILL * np.sqrt(np.diag(np.linalg.inv(curvature)))):
+            stands = np.all(np.abs(step) < STANDS_STILL * np.sqrt(np.diag(np.linalg.inv(curvature))))
+            if stands and fitted.restless < self.patience:
                 break
             origin, places, start, reached = places, moved, fitted, _lowest(fitted)
         if best is None:

@@ -24,7 +24,7 @@ from skat.effects import Effect
 
 # A path stands still when taking it anew gains less than so many nats; a chain's own, when less than so many. A step is
 # cut by a factor where it gains nothing, to this share of it.
-STILL, RESTS, SLOWER, SLOWEST = 1.0, 0.05, 4, 0.1
+STILL, RESTS, SLOWER, SLOWEST = 1.0, 0.05, 2, 0.05
 # Memories of random forces that are tried, in rows; of at most this share of an episode, so that what is steady stays a
 # cause; and what each of their numbers must be worth, in nats.
 MEMORIES = (2.0, 5.0, 10.0, 20.0, 40.0)
