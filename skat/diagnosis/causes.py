@@ -22,7 +22,7 @@ from skat.diagnosis.fitting import (
 )
 from skat.diagnosis.noise import TOLERANCE
 from skat.diagnosis.search import Ranked, search, without_weak
-from skat.diagnosis.statespace import CHAIN_LENGTH, StateSpace, derivatives
+from skat.diagnosis.statespace import StateSpace, derivatives
 from skat.effects import EVERY, Effect
 from skat.simulators.base import Simulator
 
@@ -33,8 +33,6 @@ KNOWN_UNITS = ("rad", "m", "rad/s", "m/s")
 BIAS_SHARE = 0.03
 # Moves from a set to a better one, or to better values.
 TURNS = 16
-# Transitions of a chain where longer ones have several paths.
-SHORT_CHAIN = 16
 # How often noise and what all effects explain are taken in turns, before any is a cause.
 DENSE_TURNS = 2
 # No model is exact: a log of so many rows counts half [Miller, Dunson 2019].
@@ -83,8 +81,6 @@ class Found:
     best : Weighed
     settled : bool
         Whether the search stands still.
-    chain_length : int
-        Of the chains that it was made with.
     """
 
     effects: tuple[Effect, ...]
@@ -100,7 +96,35 @@ class Found:
     ranked: Ranked
     best: Weighed
     settled: bool
-    chain_length: int
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What fits gave to sets of causes: where something hits, several about different paths differ.
+
+    Attributes
+    ----------
+    least, most : dict of tuple of int to float
+        Log evidence, nats.
+    """
+
+    least: dict[tuple[int, ...], float]
+    most: dict[tuple[int, ...], float]
+
+    def beside(self, fit: Fit) -> "Seen":
+        """Return these and one fit more."""
+        one, found = fit.members, fit.evidence
+        return Seen(
+            {**self.least, one: min(found, self.least.get(one, np.inf))},
+            {**self.most, one: max(found, self.most.get(one, -np.inf))},
+        )
+
+    def better(self, one: Sequence[int], other: Sequence[int], needed: float) -> bool:
+        """Whether a set is to be preferred: what has more names must be worth them in every fit of both."""
+        more = needed * (len(one) - len(other))
+        if more < 0:
+            return self.most[tuple(one)] > self.least[tuple(other)] + more
+        return self.least[tuple(one)] > self.most[tuple(other)] + more + TOLERANCE
 
 
 @dataclass(frozen=True)
@@ -111,8 +135,6 @@ class Search:
     ----------
     turn : int
         Of this relinearisation.
-    chain_length : int
-        Of the chains that it was made with.
     now : Fit
         The best so far.
     dense : Fitted or None
@@ -121,19 +143,17 @@ class Search:
         At `now`, of those effects that may still be causes.
     first : Gram or None
         Of the first turn; None in it.
-    evidences : dict of tuple of int to float
-        The most that a fit of its own gave to each set, nats.
+    seen : Seen
     banned : tuple of int
         Effects that were held at a bound.
     """
 
     turn: int
-    chain_length: int
     now: Fit
     dense: Fitted | None
     slopes: Array
     first: Gram | None
-    evidences: dict[tuple[int, ...], float]
+    seen: Seen
     banned: tuple[int, ...]
 
 
@@ -163,7 +183,6 @@ def find_causes(
     given: Array | None = None,
     max_effects: int | None = None,
     start: Mapping[str, float] | None = None,
-    shorter: Callable[[int], StateSpace] | None = None,
     resumed: Search | None = None,
     checkpoint: Callable[[Search], None] | None = None,
     progress: Callable[[str, int, int], None] | None = None,
@@ -190,8 +209,6 @@ def find_causes(
         Most causes at a time.
     start : mapping from name to value, optional
         Where to begin.
-    shorter : callable, optional
-        ``shorter(length)`` lays the log out in chains of at most so many transitions.
     resumed : Search, optional
         Go on from there.
     checkpoint : callable, optional
@@ -208,19 +225,8 @@ def find_causes(
     priors = priors_of(effects, {**_typical_biases(space, effects), **(typical or {})})
     power = COARSE_ROWS / (COARSE_ROWS + len(space.X))
     needed = -float(np.log(alpha))
-    length = CHAIN_LENGTH if resumed is None else resumed.chain_length
-    if length != CHAIN_LENGTH and shorter is not None:
-        space = shorter(length)
-    fits = Fits(space, tuple(effects), priors, floor, given, power, needed)
-    state = resumed
-    if state is None:
-        now = fits.first(start or {}, calm=shorter is not None)
-        if now.fitted.restless > needed and shorter is not None:
-            # Paths that lie near by differ by more than a name needs: in short pieces they do not.
-            length = SHORT_CHAIN
-            fits = replace(fits, space=shorter(length))
-            now = fits.first(start or {})
-        state = _begun(fits, now, length)
+    fits = Fits(space, tuple(effects), priors, floor, given, power)
+    state = resumed or _begun(fits, fits.first(start or {}))
     ask = partial(search, priors=priors, families=_families(effects), power=power, most=max_effects)
     rivals: list[Rival] = []
     stands = misled = False
@@ -239,17 +245,18 @@ def find_causes(
         ranked = ask(gram, start=now.members, banned=state.banned)
         if state.turn == TURNS:
             break
-        evidences, moved = dict(state.evidences), None
+        seen, moved = state.seen, None
         misled = misled and state.dense is not None
         for one in _proposals(ranked, gram, priors, now, needed, power):
-            wanted = now.score(needed) + needed * len(one.members) + TOLERANCE
+            wanted = now.evidence + needed * (len(one.members) - len(now.members))
             tried = fits.of(one.members, one.values, now, wanted)
-            evidences[tried.members] = max(tried.evidence, evidences.get(tried.members, -np.inf))
-            if tried.evidence > wanted:
+            seen = seen.beside(tried)
+            gains = tried.evidence > now.evidence + TOLERANCE
+            if gains if tried.members == now.members else seen.better(tried.members, now.members, needed):
                 moved = tried
                 break
             misled = True
-        state = replace(state, evidences=evidences)
+        state = replace(state, seen=seen)
         if moved is None and state.dense is not None:
             # What all effects together explain is noise again.
             state = replace(state, dense=None)
@@ -257,37 +264,32 @@ def find_causes(
         if moved is None:
             held = {one for one in now.members if is_held(effects[one], now.values[priors.names[one]])}
             banned |= held
-            moved = fits.without(now, held) if held else _superfluous(fits, now, gram, needed)
+            if held:
+                moved = fits.without(now, held)
+                seen = seen.beside(moved)
         if moved is None:
-            rivals, moved = _rivals(fits, now, (gram, state.first or gram), evidences)
+            seen, moved = _superfluous(fits, now, gram, seen, needed)
+        if moved is None:
+            seen, rivals, moved = _rivals(fits, now, (gram, state.first or gram), seen)
+        state = replace(state, seen=seen)
         if moved is None:
             stands = True
             break
-        evidences[moved.members] = max(moved.evidence, evidences.get(moved.members, -np.inf))
         live = _live(ranked, moved.members)
         slopes = state.slopes.copy()
         chosen = [effects[one] for one in live]
         slopes[..., live] = slopes_of(fits.space, moved.fitted, chosen, priors.part(live))
-        state = Search(
-            state.turn + 1,
-            length,
-            moved,
-            None,
-            slopes,
-            state.first,
-            evidences,
-            tuple(sorted(banned)),
-        )
+        state = Search(state.turn + 1, moved, None, slopes, state.first, seen, tuple(sorted(banned)))
     best = weigh(gram, priors, now.members, power=power)
     if misled:
         # What slopes say of other sets was seen to be wrong.
         inside = (one for one in ranked.sets if set(one.members) < set(now.members))
         ranked = Ranked(tuple(sorted((best, *inside), key=lambda one: -one.evidence)))
     also = {} if misled else _also(ask, gram, priors, effects, best, needed, state.banned)
-    return _found(fits, now, gram, ranked, best, rivals, also, stands, length)
+    return _found(fits, now, gram, ranked, best, rivals, state.seen, also, stands)
 
 
-def _begun(fits: Fits, now: Fit, length: int) -> Search:
+def _begun(fits: Fits, now: Fit) -> Search:
     """Return the search at its first fit, with a noise from which what all effects explain is taken out."""
     space, effects, priors = fits.space, fits.effects, fits.priors
     slopes = _with_chords(space, now.fitted, effects, slopes_of(space, now.fitted, effects, priors))
@@ -296,7 +298,7 @@ def _begun(fits: Fits, now: Fit, length: int) -> Search:
         columns = gram_of(space, dense, slopes, effects)
         moves = columns.dense(priors.scales)
         dense = noise_without(space, dense, slopes, moves, fits.floor, given=fits.given)
-    return Search(0, length, now, dense, slopes, None, {now.members: now.evidence}, ())
+    return Search(0, now, dense, slopes, None, Seen({}, {}).beside(now), ())
 
 
 def _proposals(
@@ -324,8 +326,11 @@ def _proposals(
             yield top
 
 
-def _superfluous(fits: Fits, now: Fit, gram: Gram, needed: float) -> Fit | None:
-    """Return the set without the member that, at fits of their own, the others hardly need; None if they need all."""
+def _superfluous(fits: Fits, now: Fit, gram: Gram, seen: Seen, needed: float) -> tuple[Seen, Fit | None]:
+    """Return the set without the member that, at fits of their own, the others hardly need, if there is one.
+
+    Where paths near by differ by as much as a member is worth, the set is fitted once more about that of the others.
+    """
     whole = weigh(gram, fits.priors, now.members, power=fits.power).evidence
 
     def worth(one: int) -> float:
@@ -333,24 +338,27 @@ def _superfluous(fits: Fits, now: Fit, gram: Gram, needed: float) -> Fit | None:
         return whole - weigh(gram, fits.priors, rest, power=fits.power).evidence
 
     for one in sorted(now.members, key=worth)[:REFITTED]:
-        wanted = now.evidence - needed
-        rest = fits.without(now, {one}, wanted)
-        if rest.evidence > wanted:
-            return rest
-    return None
+        rest = fits.without(now, {one}, now.evidence - needed)
+        seen = seen.beside(rest)
+        error = max(now.error, rest.error)
+        if now.evidence - needed - rest.evidence < error:
+            places = [
+                coordinate(fits.effects[one], now.values[fits.priors.names[one]]) for one in now.members
+            ]
+            seen = seen.beside(fits.of(now.members, np.array(places), rest))
+        if seen.better(rest.members, now.members, needed):
+            return seen, rest
+    return seen, None
 
 
-def _rivals(
-    fits: Fits, now: Fit, grams: Sequence[Gram], evidences: dict[tuple[int, ...], float]
-) -> tuple[list[Rival], Fit | None]:
+def _rivals(fits: Fits, now: Fit, grams: Sequence[Gram], seen: Seen) -> tuple[Seen, list[Rival], Fit | None]:
     """Return sets in which an effect that acts much like a cause has its place, and the one that does better, if any.
 
     Slopes say that two effects act alike for small values; whether they do at this one, a fit must say. Some act alike
     only where neither is a cause yet: of two limits the lower one hides the other.
     """
     found: list[Rival] = []
-    better: Fit | None = None
-    near = now.evidence - np.log(ALIAS_FACTOR)
+    better = now
     for cause in now.members[:REFITTED]:
         looks = np.stack([_cosines(gram, cause) for gram in grams])
         alike = looks.max(axis=0)
@@ -360,12 +368,12 @@ def _rivals(
                 break
             members = tuple(sorted({*now.members, int(other)} - {cause}))
             moved = weigh(grams[int(np.argmax(looks[:, other]))], fits.priors, members)
-            own = fits.of(members, moved.values, now, near)
-            evidences[members] = max(own.evidence, evidences.get(members, -np.inf))
-            found.append(Rival(cause, int(other), evidences[members]))
-            if own.evidence > (now if better is None else better).evidence + TOLERANCE:
+            own = fits.of(members, moved.values, now, seen.least[now.members] - np.log(ALIAS_FACTOR))
+            seen = seen.beside(own)
+            found.append(Rival(cause, int(other), seen.most[members]))
+            if seen.better(own.members, better.members, 0.0):
                 better = own
-    return found, better
+    return seen, found, None if better is now else better
 
 
 def _found(
@@ -375,14 +383,14 @@ def _found(
     ranked: Ranked,
     best: Weighed,
     rivals: Sequence[Rival],
+    seen: Seen,
     also: dict[str, float],
     stands: bool,
-    length: int,
 ) -> Found:
     effects, priors = fits.effects, fits.priors
     names = priors.names
     probabilities = {name: ranked.probability(place) for place, name in enumerate(names)}
-    shares = _shares(rivals, now.evidence)
+    shares = _shares(rivals, seen.least[now.members])
     for one, others in shares.items():
         probabilities[names[one]] = min(probabilities[names[one]], 1 - sum(share for _, share in others))
     refitted = {
@@ -411,7 +419,6 @@ def _found(
         ranked,
         best,
         stands,
-        length,
     )
 
 
@@ -421,7 +428,7 @@ def _shares(rivals: Sequence[Rival], evidence: float) -> dict[int, tuple[tuple[i
     shares = {}
     for cause in {rival.cause for rival in near}:
         own = [rival for rival in near if rival.cause == cause]
-        odds = np.exp(np.minimum([rival.evidence - evidence for rival in own], 50.0))
+        odds = np.exp(np.minimum([rival.evidence - evidence for rival in own], 0.0))
         shares[cause] = tuple((rival.other, float(one / (1 + odds.sum()))) for rival, one in zip(own, odds))
     return shares
 

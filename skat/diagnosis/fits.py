@@ -36,9 +36,10 @@ class Fit:
     fitted: Fitted
     evidence: float
 
-    def score(self, needed: float) -> float:
-        """Return the evidence less what each name needs."""
-        return self.evidence - needed * len(self.members)
+    @property
+    def error(self) -> float:
+        """By how much the evidence may differ about other paths near by, nats; seldom as much."""
+        return self.fitted.restless
 
 
 @dataclass(frozen=True)
@@ -56,8 +57,6 @@ class Fits:
         Standard deviation of each channel's noise, where it is known.
     power : float
         To which the likelihood is taken.
-    patience : float
-        Nats. Where paths near by differ by more, a fit is not at its end as soon as its values stand still.
     """
 
     space: StateSpace
@@ -66,16 +65,13 @@ class Fits:
     floor: Array
     given: Array | None
     power: float
-    patience: float
 
-    def first(self, values: Mapping[str, float], *, calm: bool = False) -> Fit:
-        """Return the fit at values, from the log alone; if it is to be calm, not to its end where it is not."""
+    def first(self, values: Mapping[str, float]) -> Fit:
+        """Return the fit at values, from the log alone."""
         names = self.priors.names
         members = tuple(sorted(names.index(name) for name in values if name in names))
         fitted = settled(self.space, values, None, self.floor, given=self.given)
         for _ in range(FIT_TURNS):
-            if calm and fitted.restless > self.patience:
-                break
             # From what was measured the way is long, and all that is compared with it begins where it ends.
             last, fitted = fitted, settled(self.space, values, fitted, self.floor, given=self.given)
             if fitted.bound < last.bound + STILL:
@@ -105,19 +101,20 @@ class Fits:
             values = {effect.name: value_at(effect, at) for effect, at in zip(chosen, places)}
             fitted = settled(self.space, values, start, self.floor, given=self.given)
             fit, moved, curvature = self._weighed(members, fitted)
-            if best is not None and fit.evidence < best.evidence + STILL and fitted.bound >= reached:
-                break
-            if best is None or fit.evidence > best.evidence:
+            gained = fit.evidence - (-np.inf if best is None else best.evidence)
+            if best is None or fitted.bound >= reached or gained > 0:
+                # What lies as far as paths near by differ is no worse, and its values are those of a later step.
                 best = fit
+                if gained < STILL:
+                    break
             step = moved - np.asarray(places)
-            hoped = fit.evidence + step @ curvature @ step / 2 + fitted.restless
+            hoped = fit.evidence + step @ curvature @ step / 2 + fit.error
             if hoped < wanted:
                 break
             if fitted.bound < reached:
                 places = (np.asarray(places) + origin) / 2
                 continue
-            stands = np.all(np.abs(step) < STANDS_STILL * np.sqrt(np.diag(np.linalg.inv(curvature))))
-            if stands and fitted.restless < self.patience:
+            if np.all(np.abs(step) < STANDS_STILL * np.sqrt(np.diag(np.linalg.inv(curvature)))):
                 break
             origin, places, start, reached = places, moved, fitted, _lowest(fitted)
         if best is None:
