@@ -114,7 +114,8 @@ class Fits:
             if fitted.bound < reached:
                 places = (np.asarray(places) + origin) / 2
                 continue
-            if np.all(np.abs(step) < STANDS_STILL * np.sqrt(np.diag(np.linalg.inv(curvature)))):
+            stands = np.abs(step) < STANDS_STILL * np.sqrt(np.diag(np.linalg.inv(curvature)))
+            if stands.all() and fit.error < STILL:
                 break
             origin, places, start, reached = places, moved, fitted, _lowest(fitted)
         if best is None:
