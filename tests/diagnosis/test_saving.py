@@ -484,7 +484,7 @@ def test_fit_that_is_not_interrupted_writes_and_leaves_nothing_behind(of_mujoco,
 def begun(of_function, tmp_path):
     """The file of a fit that was interrupted."""
     path = tmp_path / "fit.skat"
-    interrupted(a_diagnosis(), of_function[1], path, "search", 1)
+    interrupted(a_diagnosis(), of_function[1], path, "search", 0)
     return path
 
 
