@@ -9,7 +9,7 @@ import numpy as np
 
 from skat.diagnosis.evidence import Gram, Priors, Weighed, weigh
 from skat.diagnosis.filtering import Array
-from skat.diagnosis.fits import STANDS_STILL, Fit, Fits
+from skat.diagnosis.fits import Fit, Fits
 from skat.diagnosis.fitting import (
     Columns,
     Fitted,
@@ -251,8 +251,7 @@ def find_causes(
             wanted = now.evidence + needed * (len(one.members) - len(now.members))
             tried = fits.of(one.members, one.values, now, wanted)
             seen = seen.beside(tried)
-            gains = tried.evidence > now.evidence + TOLERANCE
-            if gains if tried.members == now.members else seen.better(tried.members, now.members, needed):
+            if seen.better(tried.members, now.members, needed):
                 moved = tried
                 break
             misled = True
@@ -306,24 +305,19 @@ def _proposals(
 ) -> Iterator[Weighed]:
     """Yield sets that slopes put before the present one: the best, and the best of half its size, and so on.
 
-    Each without what is worth less than a name needs; so also the present one at other values.
+    Each without what is worth less than a name needs.
     """
     here = weigh(gram, priors, now.members, power=power)
-    asked: set[tuple[int, ...]] = set() if now.members else {()}
+    asked = {now.members}
     most = len(priors.names)
     while most:
         top = next((one for one in ranked.sets if len(one.members) <= most), here)
         top, _ = without_weak(top, gram, priors, needed, power=power)
         most = len(top.members) // 2
-        if top.members in asked:
-            continue
-        asked.add(top.members)
-        if top.members == now.members:
-            moved = np.abs(top.values - gram.origin[list(now.members)])
-            if np.any(moved > STANDS_STILL * np.sqrt(np.diag(np.linalg.inv(top.curvature)))):
-                yield top
-        elif top.evidence - here.evidence > needed * (len(top.members) - len(here.members)) + TOLERANCE:
+        gain = top.evidence - here.evidence
+        if top.members not in asked and gain > needed * (len(top.members) - len(here.members)) + TOLERANCE:
             yield top
+        asked.add(top.members)
 
 
 def _superfluous(fits: Fits, now: Fit, gram: Gram, seen: Seen, needed: float) -> tuple[Seen, Fit | None]:

@@ -23,8 +23,8 @@ from skat.diagnosis.velocities import noise_variance
 from skat.effects import Effect
 
 # A path stands still when taking it anew gains less than so many nats; a chain's own, when less than so many. A step is
-# cut by a factor where it gains nothing, to this share of it.
-STILL, RESTS, SLOWER, SLOWEST = 1.0, 0.05, 2, 0.05
+# halved where it gains nothing, to this share of it; the next fit begins with one this many times longer.
+STILL, RESTS, SLOWEST, LONGER = 1.0, 0.05, 0.05, 4
 # Memories of random forces that are tried, in rows; of at most this share of an episode, so that what is steady stays a
 # cause; and what each of their numbers must be worth, in nats.
 MEMORIES = (2.0, 5.0, 10.0, 20.0, 40.0)
@@ -50,8 +50,10 @@ class Fitted:
         Those of `linear`, with forces of memory where the noise has such.
     shares : ndarray of shape (n_forces,) or (0,)
         What is left of such a force a row later.
-    restless : float
-        By how much the next step of its path makes a chain less likely, at most, nats: there are other paths near by.
+    paces : ndarray of shape (n_chains,)
+        Share of a step that each chain's path was moved by last.
+    losses : ndarray of shape (n_chains,)
+        By how much a full step made each chain less likely when it was last tried, nats: there are other paths near by.
     """
 
     values: Mapping[str, float]
@@ -59,12 +61,18 @@ class Fitted:
     chains: Chains
     estimate: Estimate
     shares: Array
-    restless: float = 0.0
+    paces: Array
+    losses: Array
 
     @property
     def bound(self) -> float:
         """Of the log likelihood, at this fit's own noise."""
         return self.estimate.bound
+
+    @property
+    def restless(self) -> float:
+        """Largest loss of a chain by a full step, nats."""
+        return float(self.losses.max())
 
 
 def priors_of(
@@ -144,13 +152,16 @@ def settled(
     estimate = estimate_noise(chains, noise, space.real, floor=known.least(chains), held=known.held(chains))
     best: Fitted | None = None
     at_once = remembers(space.simulator, values)
-    pace, lost = np.ones(len(space.real)), np.zeros(len(space.real))
+    paces, losses = np.ones(len(space.real)), np.zeros(len(space.real))
+    if start is not None:
+        # A path that was cut short there will be here.
+        paces, losses = np.minimum(1.0, LONGER * start.paces), start.losses
     going: Mask = np.ones(len(space.real), dtype=bool)
     for turn in range(turns):
         part = space if at_once else space.part(going)
         here = linear if at_once else of_chains(space, linear, going)
         chosen = np.ones(len(space.real), dtype=bool) if at_once else going
-        steps = (pace[:, None, None] * estimate.smoothed.means[..., : space.d])[chosen]
+        steps = (paces[:, None, None] * estimate.smoothed.means[..., : space.d])[chosen]
         moved = linearise(
             part, moved_path(space, here.path, steps), values, _covariances(space, estimate)[chosen]
         )
@@ -161,9 +172,10 @@ def settled(
                 space, here, shares, estimate, chosen
             )
             better = chosen & (gains > 0)
-            lost = np.where(chosen & (pace == 1), np.maximum(0.0, -gains), lost)
-            pace = np.where(better, 1.0, pace / SLOWER)
-            going = np.where(better, gains > RESTS, chosen & (pace > SLOWEST) & (gains < -RESTS))
+            losses = np.where(chosen & (paces == 1), np.maximum(0.0, -gains), losses)
+            shorter = going & ~better
+            going = np.where(better, gains > RESTS, shorter & (paces > SLOWEST) & (gains < -RESTS))
+            paces = np.where(better, np.minimum(1.0, 2 * paces), np.where(shorter, paces / 2, paces))
             linear = with_chains(space, linear, of_chains(part, moved, better[chosen]), better)
         else:
             linear = moved
@@ -177,9 +189,9 @@ def settled(
         gain = np.inf if best is None else estimate.bound - best.bound
         if gain > 0:
             best = Fitted(
-                dict(values), linear, _remembering(space, linear, shares), estimate, shares, float(lost.max())
+                dict(values), linear, _remembering(space, linear, shares), estimate, shares, paces, losses
             )
-        if not going.any() or (gain < STILL and not (pace[going] < 1).any()):
+        if not going.any() or (gain < STILL and not (paces[going] < 1).any()):
             break
     if best is None:
         raise ValueError("turns must be at least 1")

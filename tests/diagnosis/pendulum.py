@@ -66,4 +66,12 @@ def known(space, values, force, *, share=None, nu=np.inf):
         variance, error = [1e-12, force**2 * (1 - share**2)], np.r_[error, 1.0]
     noise = normal_noise(chains, np.array(variance), error)
     noise = replace(noise, error_nu=np.full(len(error), nu))
-    return Fitted(values, linear, chains, passed(chains, noise, space.real, covariances=True), shares)
+    return Fitted(
+        values,
+        linear,
+        chains,
+        passed(chains, noise, space.real, covariances=True),
+        shares,
+        np.ones(len(space.real)),
+        np.zeros(len(space.real)),
+    )
