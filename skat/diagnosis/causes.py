@@ -119,12 +119,12 @@ class Seen:
             {**self.most, one: max(found, self.most.get(one, -np.inf))},
         )
 
-    def better(self, one: Sequence[int], other: Sequence[int], needed: float) -> bool:
+    def better(self, one: Sequence[int], other: Sequence[int], needed: float, error: float = 0.0) -> bool:
         """Whether a set is to be preferred: what has more names must be worth them in every fit of both."""
         more = needed * (len(one) - len(other))
         if more < 0:
             return self.most[tuple(one)] > self.least[tuple(other)] + more
-        return self.least[tuple(one)] > self.most[tuple(other)] + more + TOLERANCE
+        return self.least[tuple(one)] > self.most[tuple(other)] + more + error + TOLERANCE
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ class Rival:
     ----------
     cause, other : int
     evidence : float
-        The most that a fit of its own gave to this set, nats.
+        The most that fits gave to this set, and that other paths may add, nats.
     """
 
     cause: int
@@ -364,8 +364,10 @@ def _rivals(fits: Fits, now: Fit, grams: Sequence[Gram], seen: Seen) -> tuple[Se
             moved = weigh(grams[int(np.argmax(looks[:, other]))], fits.priors, members)
             own = fits.of(members, moved.values, now, seen.least[now.members] - np.log(ALIAS_FACTOR))
             seen = seen.beside(own)
-            found.append(Rival(cause, int(other), seen.most[members]))
-            if seen.better(own.members, better.members, 0.0):
+            # As much as other paths may add tells none of two from the other.
+            error = max(own.error, now.error)
+            found.append(Rival(cause, int(other), seen.most[members] + error))
+            if seen.better(own.members, better.members, 0.0, error):
                 better = own
     return seen, found, None if better is now else better
 

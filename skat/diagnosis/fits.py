@@ -101,21 +101,20 @@ class Fits:
             values = {effect.name: value_at(effect, at) for effect, at in zip(chosen, places)}
             fitted = settled(self.space, values, start, self.floor, given=self.given)
             fit, moved, curvature = self._weighed(members, fitted)
+            deviations = np.sqrt(np.diag(np.linalg.inv(curvature)))
+            # Within its standard errors no step goes too far: what it loses is another path's.
+            too_far = fitted.bound < reached and bool(np.any(np.abs(places - origin) > deviations))
             gained = fit.evidence - (-np.inf if best is None else best.evidence)
-            if best is None or fitted.bound >= reached or gained > 0:
-                # What lies as far as paths near by differ is no worse, and its values are those of a later step.
-                best = fit
-                if gained < STILL:
-                    break
             step = moved - np.asarray(places)
             hoped = fit.evidence + step @ curvature @ step / 2 + fit.error
-            if hoped < wanted:
+            if best is not None and hoped < wanted:
                 break
-            if fitted.bound < reached:
+            if best is None or gained > 0 or fitted.bound >= reached:
+                best = fit
+            if too_far:
                 places = (np.asarray(places) + origin) / 2
                 continue
-            stands = np.abs(step) < STANDS_STILL * np.sqrt(np.diag(np.linalg.inv(curvature)))
-            if stands.all() and fit.error < STILL:
+            if gained < STILL or (fit.error < STILL and np.all(np.abs(step) < STANDS_STILL * deviations)):
                 break
             origin, places, start, reached = places, moved, fitted, _lowest(fitted)
         if best is None:
