@@ -89,7 +89,7 @@ class Fits:
             Coordinates to begin with.
         near : Fit
         wanted : float, optional
-            Log evidence below which the fit need not be good: it ends where slopes no longer promise as much.
+            Log evidence below which the fit need not be good: it ends where no turn promises as much.
         """
         members = tuple(members)
         chosen = [self.effects[one] for one in members]
@@ -106,8 +106,9 @@ class Fits:
             too_far = fitted.bound < reached and bool(np.any(np.abs(places - origin) > deviations))
             gained = fit.evidence - (-np.inf if best is None else best.evidence)
             step = moved - np.asarray(places)
-            hoped = fit.evidence + step @ curvature @ step / 2 + fit.error
-            if best is not None and hoped < wanted:
+            # Slopes promise too little where a better fit leaves less noise, too.
+            promised = max(gained, float(step @ curvature @ step) / 2) + fit.error
+            if best is not None and fit.evidence + promised < wanted:
                 break
             if best is None or gained > 0 or fitted.bound >= reached:
                 best = fit
