@@ -89,8 +89,8 @@ class Weigher:
         roots = 1 / unit
         centres = values + slope * unit**2
         upper, lower = (high - centres) * roots, (low - centres) * roots
-        below = upper < 0
-        upper, lower = np.where(below, -lower, upper), np.where(below, -upper, lower)
+        above = lower > 0
+        upper, lower = np.where(above, -lower, upper), np.where(above, -upper, lower)
         inside = log_ndtr(upper) + np.log1p(-np.exp(np.minimum(log_ndtr(lower) - log_ndtr(upper), -1e-12)))
         evidence += float(np.sum(0.5 * (slope * unit) ** 2 + inside))
         return Weighed(members, values, evidence, likelihood, curvature)

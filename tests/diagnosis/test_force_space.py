@@ -124,6 +124,19 @@ def test_quick_weighing_is_that_of_the_evidence():
         assert worth(members).evidence == pytest.approx(weigh(gram, priors, members).evidence, abs=0.02)
 
 
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_value_held_at_its_bound_is_worth_what_the_integral_says(sign):
+    # The density falls from the bound as exp(-slope x): its integral is 1 / slope, but for what the curvature adds.
+    stiffness, pull, bound = 100.0, 1e4, 9.0
+    low, high = sorted((0.0, sign * bound))
+    priors = Priors(("cause",), np.full(1, 1e3), np.zeros(1), np.full(1, low), np.full(1, high))
+    gram = Gram(np.full((1, 1), stiffness), np.full(1, sign * pull), np.zeros(1))
+    at_bound = pull * bound - stiffness * bound**2 / 2
+    prior = priors.log_density((0,), np.full(1, sign * bound))[0]
+    slope = pull - stiffness * bound
+    assert Weigher(gram, priors)((0,)).evidence == pytest.approx(at_bound + prior - np.log(slope), abs=0.01)
+
+
 def test_first_look_names_friction_and_damping_of_both_joints():
     simulator = MujocoSimulator(ARM, frame_skip=5)
     truth = {"dry_friction": (0.12, 0.06), "damping": (0.1, 0.05)}
