@@ -132,6 +132,14 @@ class Log:
             labels = tuple(self.labels[episode] for episode in self.episodes[chosen][first])
         return replace(self, X=self.X[chosen], y=self.y[chosen], episodes=episodes, labels=labels)
 
+    def few(self, most: int, stretch: int) -> "Log":
+        """Return evenly spread rows, at most so many, in stretches that follow each other in time."""
+        if len(self) <= most:
+            return self
+        length = min(stretch, most) if self.consecutive else 1
+        starts = np.linspace(0, len(self) - length, most // length).astype(int)
+        return self.rows(np.unique(starts[:, None] + np.arange(length)))
+
     def split(self, test_size: float, random_state: np.random.RandomState) -> tuple["Log", "Log | None"]:
         """Return (fitted, held out) logs: whole episodes where there are several, otherwise blocks of time.
 
@@ -310,6 +318,22 @@ def measured_channels(simulator: Simulator, hidden: Sequence[str]) -> Mask:
     """Return for each residual channel whether it was measured, (n_channels,): a rotation as its quaternion was."""
     seen = np.array([name not in set(hidden) for name in simulator.output_names])
     return tangent_mask(simulator, seen)
+
+
+def tangent_variances(simulator: Simulator, variances: Array) -> Array:
+    """Return the variance of the noise of each residual channel, (n_channels,), from that of each output.
+
+    A small turn moves its quaternion by half of it, in the direction of each axis.
+    """
+    outputs = simulator.output_names
+    found = np.empty(len(simulator.residual_names))
+    for channel, name in enumerate(simulator.residual_names):
+        if name in outputs:
+            found[channel] = variances[outputs.index(name)]
+        else:
+            joint = name[: -len(".rx")]
+            found[channel] = 4 * np.mean([variances[outputs.index(f"{joint}.{part}")] for part in QUATERNION])
+    return found
 
 
 def check_matrix(values: Any, what: str, names: Sequence[str], *, optional: Sequence[str] = ()) -> Array:
