@@ -5,16 +5,19 @@ Each changed line meets the tests of its own folder, the long ones left out, in 
 stays as it is. A run that fails, or takes much longer than that of the commit, has caught the change. Some changes are
 none, as ``<`` for ``<=`` where equality has no chance: look at the survivors before adding a test.
 
-    python benchmarks/mutations.py                      # 50 lines; an hour or two
+    python benchmarks/mutations.py --output FILE        # 50 lines; two hours or three; ended by anybody, it goes on
     python benchmarks/mutations.py --lines 5 --only transport
 """
 
 import argparse
 import ast
+import contextlib
 import copy
 import io
 import os
 import random
+import re
+import signal
 import subprocess
 import sys
 import tarfile
@@ -58,6 +61,8 @@ OTHER_NAME = {
     "minimum": "maximum",
     "maximum": "minimum",
 }
+CAUGHT, SURVIVED = "caught  ", "SURVIVED"
+RUNNING = set()
 
 
 @dataclass(frozen=True)
@@ -69,6 +74,9 @@ class Mutation:
     before: str
     after: str
     source: str
+
+    def __str__(self):
+        return f"{self.path}:{self.line}: {self.before} -> {self.after}"
 
 
 def mutations(path, source):
@@ -129,49 +137,81 @@ def drawn(root, seed, n_lines, only=None):
 
 
 def main():
-    """Draw, try and list."""
+    """Draw, try and list; what the file of the output has of this commit already is not tried again."""
     arguments = _arguments()
-    commit = _git("rev-parse", "HEAD").decode().strip()
-    report = [f"commit {commit}"]
+    commit = _git("rev-parse", arguments.commit).decode().strip()
+    report = Report(arguments.output, f"commit {commit}")
+    for number in (signal.SIGTERM, signal.SIGHUP) if os.name == "posix" else (signal.SIGTERM,):
+        signal.signal(number, _ended)
     with tempfile.TemporaryDirectory() as folder:
-        copies = Queue()
-        for number in range(arguments.jobs):
-            copies.put(_checked_out(commit, Path(folder) / str(number)))
-        chosen = drawn(Path(folder) / "0", commit, arguments.lines, arguments.only)
+        places = [_checked_out(commit, Path(folder) / str(number)) for number in range(arguments.jobs)]
+        chosen = drawn(places[0], commit, arguments.lines, arguments.only)
+        left = [
+            each for each in chosen if not {f"{word} {each}" for word in (CAUGHT, SURVIVED)} & {*report.lines}
+        ]
+        tests_of = {each: folder_of_tests(each.path, places[0]) for each in left}
         seconds = {}
-        for tests in sorted({folder_of_tests(each.path, ROOT) for each in chosen}):
+        for tests in sorted(set(tests_of.values())):
+            if told := re.search(
+                rf"^{re.escape(tests)} unchanged: (\d+) s$", "\n".join(report.lines), re.MULTILINE
+            ):
+                seconds[tests] = float(told[1])
+                continue
             began = time.monotonic()
-            code = _run(Path(folder) / "0", [tests], 3600)
+            code = _run(places[0], [tests], 3600)
             if code:
                 raise SystemExit(f"{tests} fails (exit code {code}) before anything is changed.")
             seconds[tests] = time.monotonic() - began
-            _say(report, f"{tests} unchanged: {seconds[tests]:.0f} s", arguments.output)
+            report.say(f"{tests} unchanged: {seconds[tests]:.0f} s")
+
+        copies = Queue()
+        for place in places:
+            copies.put(place)
 
         def caught(mutation):
-            place, tests = copies.get(), folder_of_tests(mutation.path, ROOT)
+            place, tests = copies.get(), tests_of[mutation]
             file = place / mutation.path
             source = file.read_text("utf-8")
             try:
                 file.write_text(mutation.source, "utf-8")
                 # Some changes make a loop endless: that is noticed, too.
-                return _run(place, by_mention(mutation.path, tests, ROOT), 60 + 3 * seconds[tests]) != 0
+                return _run(place, by_mention(mutation.path, tests, place), 60 + 3 * seconds[tests]) != 0
             finally:
                 file.write_text(source, "utf-8")
                 copies.put(place)
 
-        survivors = 0
-        with ThreadPoolExecutor(arguments.jobs) as pool:
-            for mutation, noticed in zip(chosen, pool.map(caught, chosen)):
-                survivors += not noticed
-                word = "caught  " if noticed else "SURVIVED"
-                _say(
-                    report,
-                    f"{word} {mutation.path}:{mutation.line}: {mutation.before} -> {mutation.after}",
-                    arguments.output,
-                )
-    share = 1 - survivors / len(chosen)
-    _say(report, f"{len(chosen) - survivors} of {len(chosen)} caught ({share:.0%})", arguments.output)
-    sys.exit(share < arguments.least)
+        pool = ThreadPoolExecutor(arguments.jobs)
+        try:
+            for mutation, noticed in zip(left, pool.map(caught, left)):
+                report.say(f"{CAUGHT if noticed else SURVIVED} {mutation}")
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+            _end_tests()
+            pool.shutdown()
+    n_caught = sum(f"{CAUGHT} {each}" in report.lines for each in chosen)
+    report.say(f"{n_caught} of {len(chosen)} caught ({n_caught / len(chosen):.0%})")
+    sys.exit(n_caught < arguments.least * len(chosen))
+
+
+class Report:
+    """The lines of a run, kept in a file where one is given; those of an earlier run of the same commit are kept."""
+
+    def __init__(self, path, head):
+        self.path, self.lines = path and Path(path), [head]
+        if path and self.path.exists():
+            self.lines = self.path.read_text("utf-8").splitlines()
+            if self.lines[:1] != [head]:
+                raise SystemExit(f"{path} holds something other than a run of {head}; name another file.")
+        print("\n".join(self.lines), flush=True)
+
+    def say(self, line):
+        """Print a line and keep it, once."""
+        if line in self.lines:
+            return
+        print(line, flush=True)
+        self.lines.append(line)
+        if self.path:
+            self.path.write_text("\n".join([*self.lines, ""]), "utf-8")
 
 
 def _expressions(tree):
@@ -221,10 +261,34 @@ def _run(place, tests, limit):
         "MPLBACKEND": "agg",
     }
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    # A session of its own: what a test has started is ended with it.
+    process = subprocess.Popen(command, cwd=place, env=environment, start_new_session=True, **quiet)
+    RUNNING.add(process)
     try:
-        return subprocess.run(command, cwd=place, env=environment, timeout=limit, **quiet).returncode
+        return process.wait(limit)
     except subprocess.TimeoutExpired:
         return 124
+    finally:
+        _end(process)
+        RUNNING.discard(process)
+
+
+def _end(process):
+    if os.name == "posix":
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+    process.kill()
+    process.wait()
+
+
+def _end_tests():
+    for process in list(RUNNING):
+        _end(process)
+
+
+def _ended(number, frame):
+    signal.signal(number, signal.SIG_IGN)
+    raise SystemExit(f"Ended by {signal.Signals(number).name}; run it again with the same --output to go on.")
 
 
 def _checked_out(commit, place):
@@ -238,13 +302,6 @@ def _git(*arguments):
     return subprocess.run(["git", "-C", str(ROOT), *arguments], check=True, capture_output=True).stdout
 
 
-def _say(report, line, output):
-    print(line, flush=True)
-    report.append(line)
-    if output:
-        Path(output).write_text("\n".join([*report, ""]), "utf-8")
-
-
 def _arguments():
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -253,7 +310,8 @@ def _arguments():
     parser.add_argument("--only", nargs="+", help="pieces of the paths to draw from")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--least", type=float, default=0.85, help="exit code 1 if a smaller share is caught")
-    parser.add_argument("--output", help="a file for what is printed")
+    parser.add_argument("--commit", default="HEAD", help="the commit whose lines are changed, default HEAD")
+    parser.add_argument("--output", help="a file for what is printed; a run that ended early goes on from it")
     return parser.parse_args()
 
 

@@ -105,28 +105,67 @@ def ask(simulator, X, y, groups, *, seed, parameters=None, progress=None):
     return answer, diagnosis
 
 
+def ask_change(simulator, before, after, *, seed, parameters=None):
+    """Return what a diagnosis says has changed between two logs, as `ask` does."""
+    from skat.diagnosis import SimulationDiagnosis
+
+    start, start_cpu = time.perf_counter(), time.process_time()
+    _forget_peak()
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        try:
+            diagnosis = SimulationDiagnosis(
+                simulator, **{"random_state": seed, "n_jobs": 1, **(parameters or {})}
+            ).fit_change(before, after)
+            answer = {
+                "verdict": diagnosis.verdict_,
+                "causes": _causes(diagnosis.changes_),
+                "gain": _gain(diagnosis.gain_),
+                "mistake": next((str(one.message) for one in told if "reads as if" in str(one.message)), ""),
+            }
+        except Exception as error:
+            answer = {
+                "verdict": "error",
+                "causes": [],
+                "mistake": "",
+                "error": f"{type(error).__name__}: {error}",
+            }
+    return answer | {
+        "seconds": round(time.perf_counter() - start, 2),
+        "cpu_seconds": round(time.process_time() - start_cpu, 2),
+        "peak_megabytes": round(_peak() / 2**20),
+    }
+
+
 def read(diagnosis):
     """Return verdict, causes and gain of a fitted diagnosis."""
-    gain = diagnosis.gain_
     return {
         "verdict": diagnosis.verdict_,
-        "causes": [
-            {
-                "name": cause.name,
-                "value": float(cause.value),
-                "interval": [float(bound) for bound in cause.interval],
-                "probability": float(cause.probability),
-                "evidence": float(cause.evidence),
-                "aliases": [[alias.name, float(alias.probability)] for alias in cause.aliases],
-            }
-            for cause in diagnosis.causes_
-        ],
-        "gain": None
-        if gain is None
-        else {name: float(getattr(gain, name)) for name in ("nominal", "extended", "floor", "explained")},
+        "causes": _causes(diagnosis.causes_),
+        "gain": _gain(diagnosis.gain_),
         "noise": np.asarray(diagnosis.noise_, float).tolist(),
         "velocities": "computed" if diagnosis.computed_velocities_ else "measured",
     }
+
+
+def _causes(causes):
+    return [
+        {
+            "name": cause.name,
+            "value": float(cause.value),
+            "interval": [float(bound) for bound in cause.interval],
+            "probability": float(cause.probability),
+            "evidence": float(cause.evidence),
+            "aliases": [[alias.name, float(alias.probability)] for alias in cause.aliases],
+        }
+        for cause in causes
+    ]
+
+
+def _gain(gain):
+    if gain is None:
+        return None
+    return {name: float(getattr(gain, name)) for name in ("nominal", "extended", "floor", "explained")}
 
 
 def _forget_peak():

@@ -3,6 +3,7 @@
 import warnings
 
 import numpy as np
+from numpy.typing import NDArray
 from sklearn.utils import Bunch, check_random_state
 
 FEWEST_ROWS = 20
@@ -12,7 +13,14 @@ LEAST_FITTED = 0.5
 LEAST_TESTED = 0.5
 
 
-def drawn_episodes(sizes, test_size, random_state, *, most=None, stacklevel=2):
+def drawn_episodes(
+    sizes: NDArray[np.integer],
+    test_size: float,
+    random_state: np.random.RandomState,
+    *,
+    most: int | None = None,
+    stacklevel: int = 2,
+) -> list[int]:
     """Return episodes that make up a share of the rows, as far as enough remains to be fitted; none where none fits.
 
     Parameters
@@ -53,7 +61,9 @@ def drawn_episodes(sizes, test_size, random_state, *, most=None, stacklevel=2):
     return drawn
 
 
-def split_episodes(log, *, test_size, random_state=None):
+def split_episodes(
+    log: Bunch, *, test_size: float, random_state: int | np.random.RandomState | None = None
+) -> tuple[Bunch, Bunch]:
     """Split a log into two, by whole episodes where there are several.
 
     Parameters
@@ -95,7 +105,7 @@ def split_episodes(log, *, test_size, random_state=None):
             f"are set aside, and at least {FEWEST_ROWS} rows stay to be fitted. Choose another value, such as 0.3, or "
             "measure longer."
         )
-    return tuple(
+    fit, test = (
         Bunch(
             **{
                 **log,
@@ -108,3 +118,4 @@ def split_episodes(log, *, test_size, random_state=None):
         )
         for rows in (~chosen, chosen)
     )
+    return fit, test

@@ -7,7 +7,7 @@ from os import PathLike
 from pathlib import Path
 
 
-def writable(path: str | PathLike, *, force: bool, remedy: str = "force=True") -> Path:
+def writable(path: str | PathLike[str], *, force: bool, remedy: str = "force=True") -> Path:
     """Return a path to write to, before the work begins that would be lost otherwise.
 
     Parameters
@@ -36,7 +36,7 @@ def writable(path: str | PathLike, *, force: bool, remedy: str = "force=True") -
 
 
 @contextmanager
-def whole(path: str | PathLike) -> Iterator[Path]:
+def whole(path: str | PathLike[str]) -> Iterator[Path]:
     """Yield the name of a draft beside a file, which becomes the file once it is written as a whole.
 
     Parameters

@@ -5,6 +5,8 @@ import io
 import math
 import pickle
 import zipfile
+from os import PathLike
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -17,7 +19,7 @@ _STORAGES = {
 }
 
 
-def read_torch_array(path):
+def read_torch_array(path: str | PathLike[str]) -> np.ndarray:
     """Return the array that ``torch.save(tensor, path)`` wrote in the format before PyTorch 1.6.
 
     A pickle may name any function for the reader to call. This reader knows three names, those that a
@@ -70,7 +72,7 @@ def read_torch_array(path):
     return tensor.of(np.frombuffer(content, dtype=storage.dtype))
 
 
-def read_torch_arrays(path):
+def read_torch_arrays(path: str | PathLike[str]) -> dict[str, np.ndarray]:
     """Return the arrays that ``torch.save({name: tensor, ...}, path)`` wrote in the format since PyTorch 1.6.
 
     The names that may be read are those of `read_torch_array`: what a tensor needs, and nothing else.
@@ -122,7 +124,9 @@ def read_torch_arrays(path):
         raise ValueError(f"{path} is not a PyTorch file of tensors by name: {error}") from error
 
 
-def _stored(archive, folder, storage, path):
+def _stored(
+    archive: zipfile.ZipFile, folder: str, storage: "_Storage", path: str | PathLike[str]
+) -> np.ndarray:
     content = archive.read(f"{folder}data/{storage.key}")
     if len(content) != storage.size * storage.dtype.itemsize:
         raise ValueError(
@@ -133,19 +137,21 @@ def _stored(archive, folder, storage, path):
 
 
 class _Storage:
-    def __init__(self, dtype, key, size):
+    def __init__(self, dtype: np.dtype, key: str, size: int) -> None:
         self.dtype, self.key, self.size = dtype, key, size
 
 
 class _Tensor:
     """What a pickled tensor says of itself: where in its storage its elements lie."""
 
-    def __init__(self, storage, offset, shape, strides, *_):
+    def __init__(
+        self, storage: _Storage, offset: int, shape: tuple[int, ...], strides: tuple[int, ...], *_: Any
+    ) -> None:
         if not isinstance(storage, _Storage):
             raise pickle.UnpicklingError("a tensor without a storage")
         self.storage, self.offset, self.shape, self.strides = storage, offset, shape, strides
 
-    def of(self, values):
+    def of(self, values: np.ndarray) -> np.ndarray:
         last = self.offset + sum((n - 1) * stride for n, stride in zip(self.shape, self.strides, strict=True))
         too_many = math.prod(self.shape) > len(
             values
@@ -159,19 +165,19 @@ class _Tensor:
 
 
 class _TensorUnpickler(pickle.Unpickler):
-    _ALLOWED = {
+    _ALLOWED: ClassVar[dict[tuple[str, str], Any]] = {
         ("torch._utils", "_rebuild_tensor_v2"): _Tensor,
         ("collections", "OrderedDict"): collections.OrderedDict,
         **{("torch", name): dtype for name, dtype in _STORAGES.items()},
     }
 
-    def find_class(self, module, name):
+    def find_class(self, module: str, name: str) -> Any:
         try:
             return self._ALLOWED[module, name]
         except KeyError:
             raise pickle.UnpicklingError(f"it asks for {module}.{name}, which no tensor needs") from None
 
-    def persistent_load(self, reference):
+    def persistent_load(self, reference: Any) -> _Storage:
         kind, dtype, key, location, size, *view = reference  # of a view only the older format tells
         if (
             kind != "storage"

@@ -2,6 +2,7 @@
 
 import ast
 import runpy
+import sys
 from pathlib import Path
 
 import pytest
@@ -57,3 +58,28 @@ def test_tests_that_speak_of_a_module_come_first_and_none_is_left_out(script):
     assert sorted(files) == sorted(
         f"tests/transport/{each.name}" for each in (ROOT / "tests/transport").glob("test_*.py")
     )
+
+
+def test_a_run_goes_on_from_what_its_file_has_and_refuses_that_of_another_commit(script, tmp_path, capsys):
+    path = tmp_path / "found.txt"
+    first = script["Report"](path, "commit a")
+    first.say("caught   skat/x.py:1: 1 -> (2)")
+    again = script["Report"](path, "commit a")
+    again.say("caught   skat/x.py:1: 1 -> (2)")
+    assert again.lines == first.lines == path.read_text().splitlines()
+    with pytest.raises(SystemExit, match="commit b; name another file"):
+        script["Report"](path, "commit b")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are looked up in /proc")
+def test_what_outlasts_its_limit_is_ended_with_all_that_it_started(script, tmp_path):
+    (tmp_path / "test_it.py").write_text(
+        "import subprocess, sys, time\n"
+        "def test_it():\n"
+        "    child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(300)'])\n"
+        "    open('child', 'w').write(str(child.pid))\n"
+        "    time.sleep(300)\n"
+    )
+    assert script["_run"](tmp_path, ["test_it.py"], 10) == 124
+    child = Path("/proc") / (tmp_path / "child").read_text()
+    assert not child.exists() or "Z" in (child / "stat").read_text().split()[2]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from skat.rounding import interval_text, size_text
+from skat.rounding import amount, interval_text, size_text
 
 
 @pytest.mark.parametrize(
@@ -26,3 +26,17 @@ def test_interval_has_as_many_digits_as_tell_how_far_apart_its_ends_are(interval
 )
 def test_size_has_as_many_digits_as_its_interval(value, interval, text):
     assert size_text(value, interval) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.012345, "0.0123"),
+        (999.4, "999"),
+        (34321.0, "34\u202f300"),
+        (2.5e6, "2\u202f500\u202f000"),
+        (3e12, "3e+12"),
+    ],
+)
+def test_amounts_are_written_as_in_a_sentence(value, text):
+    assert amount(value) == text

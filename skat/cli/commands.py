@@ -1,8 +1,9 @@
 """The commands, each of which reads, calls one function of skat, and shows what that returns."""
 
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -20,8 +21,14 @@ from skat.cli.terminal import (
 from skat.files import whole
 from skat.progress import progress_bars
 
+if TYPE_CHECKING:
+    import pandas as pd
 
-def _version(wanted: bool):
+    from skat.diagnosis.findings import Cause
+    from skat.experiments.studies import Study
+
+
+def _version(wanted: bool) -> None:
     if wanted:
         print_line(f"skat {__version__}")
         raise typer.Exit
@@ -38,7 +45,7 @@ def main(
     version: Annotated[
         bool, typer.Option("--version", is_eager=True, callback=_version, help="Print the version and end.")
     ] = False,
-):
+) -> None:
     """Find out what a simulation gets wrong, and carry simulated samples onto measured ones."""
 
 
@@ -58,7 +65,7 @@ Alpha = Annotated[float, typer.Option(help="A cause is named where the odds for 
 
 
 @demo.callback()
-def demo_puck(context: typer.Context, output: Output = None, force: Force = False, seed: Seed = 0):
+def demo_puck(context: typer.Context, output: Output = None, force: Force = False, seed: Seed = 0) -> None:
     """Puck shots, simulated with a hidden effect; or measured data: demo ball-drops, cube-tosses, pendulum."""
     if context.invoked_subcommand is not None:
         return
@@ -84,7 +91,7 @@ def demo_ball_drops(
     output: Output = None,
     force: Force = False,
     seed: Seed = 0,
-):
+) -> None:
     """Sports balls dropped from 48 m: fit on drop 1 of each ball, test on drop 2."""
     with clear_errors():
         from skat.experiments.studies import ball_drop_table, study_ball_drops
@@ -109,7 +116,7 @@ def demo_cube_tosses(
     output: Output = None,
     force: Force = False,
     seed: Seed = 0,
-):
+) -> None:
     """A cube tossed onto a table: fit on some tosses, test on others."""
     with clear_errors():
         from skat.experiments.studies import study_cube_tosses
@@ -127,7 +134,7 @@ def demo_pendulum(
     output: Output = None,
     force: Force = False,
     seed: Seed = 0,
-):
+) -> None:
     """A motor swings up a pendulum: fit on some pieces of the run, test on the others."""
     with clear_errors():
         from skat.experiments.studies import study_pendulum
@@ -155,7 +162,7 @@ def effects(
     motors: Annotated[
         str | None, typer.Option(metavar="torque|position:KP,KV", help="What drives the joints of a URDF.")
     ] = None,
-):
+) -> None:
     """List the effects that MODEL may be diagnosed for."""
     with clear_errors():
         import pandas as pd
@@ -199,7 +206,7 @@ def transport(
         Method, typer.Option(help="procrustes needs pairs: row i of SOURCE belongs to row i of TARGET.")
     ] = Method.affine,
     force: Force = False,
-):
+) -> None:
     """Carry the rows of SOURCE.csv onto those of TARGET.csv."""
     with clear_errors():
         import pandas as pd
@@ -256,7 +263,7 @@ def experiment(
     n_repeats: Annotated[int | None, typer.Option(min=1, help="Repetitions with other rows.")] = None,
     n_transitions: Annotated[int, typer.Option(min=50, help="Rows to fit on (robots).")] = 2000,
     seed: Seed = 0,
-):
+) -> None:
     """Run an experiment of the paper, every method side by side."""
     with clear_errors():
         from skat import experiments
@@ -292,7 +299,7 @@ def experiment(
             print_line(f"Picture: {plot}")
 
 
-def show_study(study):
+def show_study(study: "Study") -> None:
     """Print the verdict, the causes, and the errors on data not used."""
     from skat.diagnosis.report.sentences import capital, share_sentence, verdict_sentences
 
@@ -304,7 +311,7 @@ def show_study(study):
         print_line(f"  {sentence}")
     if diagnosis.causes_:
         console.print(table_of(_causes(diagnosis.causes_)))
-    if gain is not None:
+    if gain is not None and study.errors is not None:
         whose = "Error of whole episodes" if tuple(diagnosis.hidden) else "One-step error"
         print_line(f"{whose} on data not used, in standard deviations of each channel")
         console.print(table_of(study.errors[["method", "error", "ratio"]]))
@@ -325,7 +332,7 @@ def show_study(study):
         print_line(f"Now the answer: {study.truth}")
 
 
-def _causes(causes):
+def _causes(causes: "Sequence[Cause]") -> "pd.DataFrame":
     import pandas as pd
 
     from skat.diagnosis.report.sentences import plain_percent
@@ -347,7 +354,7 @@ def _causes(causes):
     )
 
 
-def _moments(**tables):
+def _moments(**tables: "pd.DataFrame") -> "pd.DataFrame":
     import pandas as pd
 
     moments = {"column": list(tables["source"])}
@@ -357,12 +364,12 @@ def _moments(**tables):
     return pd.DataFrame(moments)
 
 
-def report_path(given, default, force):
+def report_path(given: Path | None, default: str, force: bool) -> Path:
     """Return where to write the report: where the user said, or under a name that is free."""
     return unused(default) if given is None else output_file(given, force=force)
 
 
-def write_report(study, path, force):
+def write_report(study: "Study", path: Path, force: bool) -> None:
     """Write the report, and say where."""
     study.diagnosis.report_.to_html(path, force=force)
     print_line(f"Report with pictures: {path}")

@@ -1,9 +1,10 @@
-"""The commands that take a model and a log: ``skat diagnose``, ``check`` and ``preflight``."""
+"""The commands that take a model and logs: ``skat diagnose``, ``changed``, ``check`` and ``preflight``."""
 
 import shlex
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -29,6 +30,14 @@ from skat.cli.terminal import (
 )
 from skat.files import whole
 from skat.progress import progress_bars
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from skat.experiments.studies import Study
+    from skat.logs import Log
+    from skat.logs.suspects import Suspect
+    from skat.simulators import MujocoSimulator, Simulator
 
 Logs = Annotated[
     list[Path],
@@ -106,7 +115,7 @@ def diagnose(
     force: Force = False,
     seed: Seed = 0,
     jobs: Jobs = None,
-):
+) -> None:
     """Find out what MODEL gets wrong about LOG.
 
     MODEL is MJCF, URDF or a robot's folder; LOG is CSV, Parquet, NPZ, HDF5, a ROS bag, MCAP, LeRobot or Minari.
@@ -170,6 +179,59 @@ def diagnose(
 
 
 @app.command()
+def changed(
+    model: Model,
+    before: Annotated[Path, typer.Argument(metavar="BEFORE", help="What was measured before.")],
+    after: Annotated[
+        Path, typer.Argument(metavar="AFTER", help="What was measured after, in the same form.")
+    ],
+    maps: Maps = None,
+    columns: Columns = None,
+    topic: Topic = None,
+    rate: Rate = None,
+    episodes: Episodes = None,
+    base: Base = None,
+    motors: Motors = None,
+    frame_skip: FrameSkip = None,
+    effect: Effects = None,
+    hidden: Annotated[
+        list[str] | None, typer.Option(help="Name of a state column that is a guess, no measurement; repeat.")
+    ] = None,
+    alpha: Alpha = 0.01,
+    test_size: Annotated[float, typer.Option(help="Part of AFTER that measures the gain; 0: none.")] = 0.3,
+) -> None:
+    """Say what changed on a machine between the logs BEFORE and AFTER, whatever MODEL gets wrong in both."""
+    with clear_errors():
+        import pandas as pd
+
+        from skat.diagnosis import SimulationDiagnosis
+
+        simulator = model_simulator(model, base, motors)
+        options = log_options(simulator, maps, columns, topic, rate, episodes, base, frame_skip)
+        first = read_log([before], simulator, options)
+        show_log(first, None, False)
+        second = read_log([after], first.simulator, options | {"rate": 1 / first.dt})
+        diagnosis = SimulationDiagnosis(
+            first.simulator, effects=effect or "all", hidden=hidden or (), alpha=alpha, test_size=test_size
+        ).fit_change(first, second)
+        print_line(f"Verdict: {diagnosis.verdict_}")
+        rows = [
+            (one.name, one.value, *one.interval, one.unit, one.probability, ", ".join(map(str, one.aliases)))
+            for one in diagnosis.changes_
+        ]
+        names = ["change", "value", "from", "to", "unit", "probability", "or"]
+        if rows:
+            output_console().print(table_of(pd.DataFrame(rows, columns=names)))
+        for one in diagnosis.changes_:
+            print_line(f"  {one.sentence}")
+        if diagnosis.gain_ is not None and rows:
+            gain = diagnosis.gain_
+            print_line(
+                f"Error on parts of {after.name} not used, in units of noise: {gain.nominal:.3g} -> {gain.extended:.3g}"
+            )
+
+
+@app.command()
 def check(
     model: Model,
     log: Logs,
@@ -187,7 +249,7 @@ def check(
     ] = True,
     alpha: Alpha = 0.01,
     force: Force = False,
-):
+) -> None:
     """Say how LOG is read with MODEL, and what it could show: names, units, clock, limits, excitation; no diagnosis."""
     with clear_errors():
         from skat.diagnosis.checks import channel_table
@@ -229,7 +291,7 @@ def preflight_log(
     alpha: Alpha = 0.01,
     output: Annotated[Path | None, typer.Option("--output", "-o", help="CSV file for the table.")] = None,
     force: Force = False,
-):
+) -> None:
     """Say, before measuring, how small an effect a log like LOG would show, and what it would pass for.
 
     LOG has states and actions such as you plan to measure; it may come from the simulation.
@@ -252,7 +314,7 @@ def preflight_log(
             print_line(f"Table: {output}")
 
 
-def model_simulator(model, base, motors):
+def model_simulator(model: Path, base: str | None, motors: str | None) -> "MujocoSimulator":
     """Return the simulator of a model that the user named, and say what was chosen for it."""
     from skat.simulators import MujocoSimulator
 
@@ -264,7 +326,16 @@ def model_simulator(model, base, motors):
     return simulator
 
 
-def log_options(simulator, maps, columns, topic, rate, episodes, base, frame_skip) -> dict[str, Any]:
+def log_options(
+    simulator: "MujocoSimulator",
+    maps: Sequence[str] | None,
+    columns: Path | None,
+    topic: str | None,
+    rate: float | None,
+    episodes: str | None,
+    base: str | None,
+    frame_skip: int | None,
+) -> dict[str, Any]:
     """Return the keyword arguments of `load_log`; a root that is fixed has been welded in the model already."""
     from skat.logs import read_map
 
@@ -281,7 +352,7 @@ def log_options(simulator, maps, columns, topic, rate, episodes, base, frame_ski
     }
 
 
-def read_log(paths, simulator, options):
+def read_log(paths: Sequence[Path], simulator: "Simulator", options: Mapping[str, Any]) -> "Log":
     """Return the log of the files that the user named."""
     from skat.logs import load_log
 
@@ -290,7 +361,7 @@ def read_log(paths, simulator, options):
     return load_log(paths[0] if len(paths) == 1 else list(paths), simulator, **options)
 
 
-def show_log(log, save_map, force, *, table=True):
+def show_log(log: "Log", save_map: Path | None, force: bool, *, table: bool = True) -> list[str]:
     """Show which column was taken for what, where that was not said by its name, and all that was done."""
     from skat.logs import write_map
 
@@ -306,7 +377,17 @@ def show_log(log, save_map, force, *, table=True):
     return list(log.notes)
 
 
-def _describe(study, model, paths, tested, log, told, mistakes, warned, seed):
+def _describe(
+    study: "Study",
+    model: Path,
+    paths: Sequence[Path],
+    tested: Sequence[Path] | None,
+    log: "Log",
+    told: Sequence[str],
+    mistakes: "Sequence[Suspect]",
+    warned: Sequence[str],
+    seed: int,
+) -> None:
     """Say on the report what it is of, and how it was made."""
     from skat.diagnosis.report.provenance import provenance
 
@@ -326,7 +407,7 @@ def _describe(study, model, paths, tested, log, told, mistakes, warned, seed):
     study.diagnosis.report_.describe(title=f"{model.name} against {names}", made=made)
 
 
-def _show_mistakes(study, log):
+def _show_mistakes(study: "Study", log: "Log") -> "list[Suspect]":
     """Show the usual mistakes in columns that would explain much of what is left."""
     from skat.logs import suspects
     from skat.logs.errors import shell_options
@@ -352,7 +433,9 @@ ROWS_LOOKED_AT = 600
 WORTH_TELLING = 0.7
 
 
-def _show_preflight(log, effect, alpha, most=None):
+def _show_preflight(
+    log: "Log", effect: Sequence[str] | None, alpha: float, most: int | None = None
+) -> "pd.DataFrame":
     from skat.diagnosis import SimulationDiagnosis
     from skat.diagnosis.checks import rows_of
 
@@ -377,7 +460,7 @@ def _show_preflight(log, effect, alpha, most=None):
     return table
 
 
-def _extended_file(path, simulator, force):
+def _extended_file(path: Path, simulator: "MujocoSimulator", force: bool) -> Path:
     """Return where to write the extended model, after a check that its name says a form that it can have."""
     forms = [".xml", ".mjcf"] + ([".urdf"] if simulator.model.urdf is not None else [])
     if path.suffix.lower() not in forms:
@@ -387,7 +470,7 @@ def _extended_file(path, simulator, force):
     return output_file(path, force=force)
 
 
-def _write_json(path, content):
+def _write_json(path: Path, content: Any) -> None:
     import json
 
     with whole(path) as draft:

@@ -461,7 +461,8 @@ def _shares(rivals: Sequence[Rival], evidence: float) -> dict[int, tuple[tuple[i
 def _cosines(gram: Gram, one: int) -> Array:
     """Return the cosines of the angles between an effect's response and those of all."""
     sizes = np.sqrt(np.maximum(np.diag(gram.products), 1e-300))
-    return (np.abs(gram.products[one]) / (sizes[one] * sizes)).astype(np.float64)
+    cosines: Array = np.abs(gram.products[one]) / (sizes[one] * sizes)
+    return cosines
 
 
 def _with_refitted(

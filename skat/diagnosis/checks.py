@@ -1,7 +1,10 @@
 """What can be said of a log before it is diagnosed: how each channel moves, and where a command is at its limit."""
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 # A command this close to its limit, as a share of the range, is at it.
 AT_LIMIT = 1e-6
@@ -9,7 +12,7 @@ AT_LIMIT = 1e-6
 RUNS = 6
 
 
-def channel_table(log):
+def channel_table(log: Any) -> pd.DataFrame:
     """Return how each of a simulator's channels stands in a log.
 
     Parameters
@@ -51,7 +54,7 @@ def channel_table(log):
     return pd.DataFrame(rows)
 
 
-def _remark(seen, saturated):
+def _remark(seen: NDArray[np.float64], saturated: float) -> str:
     if not len(seen):
         return "not measured"
     if np.ptp(seen) == 0:
@@ -61,7 +64,7 @@ def _remark(seen, saturated):
     return ""
 
 
-def rows_of(log, most=None):
+def rows_of(log: Any, most: int | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Return the rows of a log that were measured as a whole, and their episodes.
 
     Parameters

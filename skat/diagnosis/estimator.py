@@ -16,6 +16,7 @@ from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted
 
 from skat.diagnosis.causes import Found, find_causes, is_held
+from skat.diagnosis.changes import find_changes
 from skat.diagnosis.doubts import warn_of_doubts
 from skat.diagnosis.filtering import Array
 from skat.diagnosis.findings import Alias, Cause, Gain
@@ -277,6 +278,53 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         if checkpoint is not None:
             checkpoint.remove()
         progress("done", 1, 1)
+        return self
+
+    def fit_change(self, before: Any, after: Any) -> "SimulationDiagnosis":
+        """Say what changed between two logs of one machine, whatever the simulation gets wrong in both.
+
+        Errors that are in both logs are not named, and the simulation needs no calibration. Changes are searched for in
+        the forces on joints, in seconds: for machines of hinges and slides that move freely.
+
+        Parameters
+        ----------
+        before, after : log, or tuple of (X, y) or (X, y, groups)
+            As `skat.logs.load_log` returns, or as in `fit`.
+
+        Returns
+        -------
+        SimulationDiagnosis
+            With `changes_`, a list of `Cause` whose value is by how much an effect is more in the log after, or, of a
+            factor, how many times what it was; `verdict_`, "nothing changed", "named", "ambiguous" or, where columns
+            of the log after seem to be mixed up, "unexplained"; `gain_`, on parts of the log after that were held out;
+            and `common_`: for each degree of freedom the rms force that the simulation lacks in both logs, and what
+            is left with all that is common in it, N or N m.
+
+        Raises
+        ------
+        ValueError
+            If the simulator is no `MujocoSimulator` or has free joints, or contacts push all the time; as in `fit`.
+        """
+        self._check_parameters()
+        effects, logs = self._chosen_effects(), []
+        for one in (before, after):
+            X, y, *groups = one if isinstance(one, tuple | list) else (one.X, one.y, one.groups)
+            log = check_log(self.simulator, X, y, groups[0] if groups else np.zeros(len(y), dtype=int))
+            log = without_channels(self.simulator, log, self.hidden)
+            logs.append((log.X, log.y, log.episodes))
+        found = find_changes(
+            self.simulator,
+            logs[0],
+            logs[1],
+            effects,
+            typical=self.priors,
+            alpha=self.alpha,
+            test_size=self.test_size,
+        )
+        if found.mistake:
+            warnings.warn(f"The log after reads as if {found.mistake}.", stacklevel=2)
+        self.changes_, self.verdict_ = list(found.changes), found.verdict
+        self.gain_, self.common_ = found.gain, found.common
         return self
 
     def save(self, path: str | PathLike[str], *, force: bool = False) -> Path:

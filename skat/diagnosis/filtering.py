@@ -279,4 +279,5 @@ def student_log_density(squares: Array, variance: Array | float, nu: float) -> A
     if np.isinf(nu):
         return -0.5 * (np.log(2 * np.pi * variance) + squares / variance)
     constant = gammaln((nu + 1) / 2) - gammaln(nu / 2) - 0.5 * np.log(nu * np.pi * variance)
-    return constant - (nu + 1) / 2 * np.log1p(squares / (nu * variance))
+    expected: Array = constant - (nu + 1) / 2 * np.log1p(squares / (nu * variance))
+    return expected

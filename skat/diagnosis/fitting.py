@@ -260,7 +260,8 @@ class Known:
 
     def least(self, chains: Chains) -> Array:
         """Return the least variance of each channel, hidden states with them."""
-        return np.r_[self.floor, np.zeros(chains.drive.shape[-1] - len(self.floor))]
+        hidden = np.zeros(chains.drive.shape[-1] - len(self.floor))
+        return np.concatenate([self.floor, hidden])
 
     def held(self, chains: Chains) -> Mask | None:
         """Return which channels have a noise that was given."""
@@ -271,7 +272,8 @@ class Known:
 
 
 def _covariances(space: StateSpace, estimate: Estimate) -> Array:
-    return estimate.smoothed.covariances[..., : space.d, : space.d]
+    covariances: Array = estimate.smoothed.covariances[..., : space.d, : space.d]
+    return covariances
 
 
 def slopes_of(space: StateSpace, fitted: Fitted, effects: Sequence[Effect], priors: Priors) -> Array:
@@ -281,7 +283,8 @@ def slopes_of(space: StateSpace, fitted: Fitted, effects: Sequence[Effect], prio
     stretch = [
         fitted.values.get(effect.name, effect.neutral) if on_logarithm(effect) else 1.0 for effect in effects
     ]
-    return slopes * np.array(stretch)
+    stretched: Array = slopes * np.array(stretch)
+    return stretched
 
 
 def gram_of(space: StateSpace, fitted: Fitted, slopes: Array, effects: Sequence[Effect]) -> "Columns":
@@ -356,7 +359,8 @@ class Columns:
         model = np.maximum(information.sum(axis=0), 1e-300)
         scores -= information * (scores.sum(axis=0) / model)
         variances = np.sum(scores**2, axis=0) * n_blocks / (n_blocks - 1)
-        return np.maximum(variances / model - 1, 0.0)
+        excess: Array = np.maximum(variances / model - 1, 0.0)
+        return excess
 
     def predictive(self, members: Sequence[int], scales: Array, low: Array, high: Array) -> Array:
         """Return what a set of effects gains in each block with the values that the other blocks have, nats.
@@ -398,7 +402,7 @@ def _blocks(space: StateSpace) -> NDArray[np.intp]:
     n_chains, steps = space.real.shape
     length = max(1, min(BLOCK_ROWS, int(space.real.sum()) // MOST_BLOCKS))
     per_chain = -(-(steps + 1) // length)
-    block = np.arange(n_chains)[:, None] * per_chain + np.arange(steps + 1) // length
+    block: NDArray[np.intp] = np.arange(n_chains)[:, None] * per_chain + np.arange(steps + 1) // length
     if steps == 1:  # rows that are independent of each other
         block = np.repeat(np.arange(n_chains)[:, None] // max(1, n_chains // MOST_BLOCKS), 2, axis=1)
     return block

@@ -37,9 +37,13 @@ KEPT = 0.75
 BLOCKS_A_PERIOD = 4
 # Of the power of a speed, and how far beyond the frequency below which it is forces are compared.
 MOTION, BEYOND_MOTION = 0.99, 2.0
+# The same where logs are cut into windows: of hard stops, which ring, less is lost than is gained.
+MOTION_OF_WINDOWS = 0.95
 # Fewest blocks of a stretch without contacts, and rows about a contact that a smoothed motion blurs.
 SHORTEST = 12
 BLURRED = 2
+# Blocks of a window, at least.
+FEWEST_OF_WINDOW = 16
 # Blocks of a log that are compared at most, in stretches of so many.
 MOST_BLOCKS, STRETCH = 6000, 1000
 # Rows of a joint without which its noise is white; and the share of the highest frequency below which drift is level.
@@ -98,7 +102,9 @@ class Motion:
     cutoff: Array
 
 
-def smooth_motion(simulator: MujocoSimulator, X: Array, y: Array, groups: Array) -> Motion | None:
+def smooth_motion(
+    simulator: MujocoSimulator, X: Array, y: Array, groups: Array, *, window: float | None = None
+) -> Motion | None:
     """Return the smoothed motion of a log without what contacts push, None if nothing is left.
 
     Parameters
@@ -107,6 +113,8 @@ def smooth_motion(simulator: MujocoSimulator, X: Array, y: Array, groups: Array)
     X, y : ndarray of shape (n_rows, n_inputs), (n_rows, n_outputs)
         NaN in states where nothing was measured.
     groups : ndarray of shape (n_rows,)
+    window : float, optional
+        About how long a stretch is, s.
     """
     n_states, dt = len(simulator.state_names), simulator.dt
     nv = len(simulator.residual_names) // 2
@@ -117,6 +125,7 @@ def smooth_motion(simulator: MujocoSimulator, X: Array, y: Array, groups: Array)
         return None
     q, v, a = (np.empty((len(instants), nv)) for _ in range(3))
     slip, cutoff = np.empty(nv), np.empty(nv)
+    share = MOTION if window is None else MOTION_OF_WINDOWS
     for joint in range(nv):
         try:
             smooth = smooth_coordinate(instants[:, joint], instants[:, nv + joint], episodes, dt)
@@ -124,12 +133,16 @@ def smooth_motion(simulator: MujocoSimulator, X: Array, y: Array, groups: Array)
             return None
         q[:, joint], v[:, joint], a[:, joint] = smooth.position, smooth.velocity, smooth.acceleration
         slip[joint] = smooth.velocity_error
-        cutoff[joint] = min(smooth.cutoff(KEPT, dt), _busy(v[:, joint], episodes, dt))
+        cutoff[joint] = min(smooth.cutoff(KEPT, dt), _busy(v[:, joint], episodes, dt, share))
     free = ~simulator.constrained(np.column_stack([q, v]))
     for _ in range(BLURRED):
         free = free & np.r_[True, free[:-1]] & np.r_[free[1:], True]
     # A block ends where the next one begins, and has the mean speed and acceleration of what is in between.
     length = max(1, int(1 / (BLOCKS_A_PERIOD * dt * max(float(cutoff.max()), 1e-9))))
+    most = STRETCH
+    if window is not None:
+        length = min(length, max(1, int(window / (FEWEST_OF_WINDOW * dt))))
+        most = max(SHORTEST, round(window / (length * dt)))
     blocks, stretches = [], []
     instant_of_row = np.arange(len(X)) + np.cumsum(np.r_[0, groups[1:] != groups[:-1]])
     usable = free[instant_of_row] & free[instant_of_row + 1]
@@ -138,7 +151,7 @@ def smooth_motion(simulator: MujocoSimulator, X: Array, y: Array, groups: Array)
         count = (stop - start) // length if usable[start] else 0
         if count >= SHORTEST:
             blocks.append(start + np.arange(count * length).reshape(count, length))
-            stretches.append(number * (1 + len(X)) + np.arange(count) // STRETCH)
+            stretches.append(number * (1 + len(X)) + np.arange(count) * max(1, round(count / most)) // count)
     if not blocks:
         return None
     rows, stretch = np.concatenate(blocks), np.unique(np.concatenate(stretches), return_inverse=True)[1]
@@ -161,7 +174,7 @@ def smooth_motion(simulator: MujocoSimulator, X: Array, y: Array, groups: Array)
     )
 
 
-def _busy(speed: Array, episodes: Array, dt: float) -> float:
+def _busy(speed: Array, episodes: Array, dt: float, share: float) -> float:
     """Return the frequency below which nearly all of a motion is; above, it is what structures ring with, Hz."""
     frequencies, powers = [], []
     for episode in np.unique(episodes):
@@ -170,8 +183,8 @@ def _busy(speed: Array, episodes: Array, dt: float) -> float:
         frequencies.append(np.arange(len(own)) / (2 * len(own) * dt))
     frequency, power = np.concatenate(frequencies), np.concatenate(powers)
     order = np.argsort(frequency)
-    share = np.cumsum(power[order]) / max(float(power.sum()), 1e-300)
-    return float(BEYOND_MOTION * frequency[order][min(int(np.searchsorted(share, MOTION)), len(share) - 1)])
+    below = np.cumsum(power[order]) / max(float(power.sum()), 1e-300)
+    return float(BEYOND_MOTION * frequency[order][min(int(np.searchsorted(below, share)), len(below) - 1)])
 
 
 def _fewer(rows: NDArray[np.intp], stretch: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -244,6 +257,8 @@ class Rows:
         Degree of freedom of each row.
     frequency : ndarray of shape (n_rows,)
         Hz.
+    stretch : ndarray of int of shape (n_rows,)
+        Of blocks.
     nominal : ndarray of shape (n_rows,)
         The target of the model as it is.
     """
@@ -252,6 +267,7 @@ class Rows:
     columns: Array
     joint: NDArray[np.intp]
     frequency: Array
+    stretch: NDArray[np.intp]
     nominal: Array
 
     def whitened(self, deviations: Array) -> tuple[Array, Array]:
@@ -259,10 +275,10 @@ class Rows:
         return self.target / deviations, self.columns / deviations[:, None]
 
 
-def transformed(motion: Motion, forces: Array) -> tuple[Array, NDArray[np.intp], Array]:
-    """Return the cosine coefficients (n_rows, k) of forces (n_blocks, nv, k), the joint and frequency of each."""
+def transformed(motion: Motion, forces: Array) -> tuple[Array, NDArray[np.intp], Array, NDArray[np.intp]]:
+    """Return the cosine coefficients (n_rows, k) of forces (n_blocks, nv, k); joint, frequency, stretch of each."""
     nv = forces.shape[1]
-    parts, joints, frequencies = [], [], []
+    parts, joints, frequencies, stretches = [], [], [], []
     for stretch in np.unique(motion.stretches):
         own = forces[motion.stretches == stretch]
         coefficients = dct(own, axis=0, norm="ortho")
@@ -272,7 +288,8 @@ def transformed(motion: Motion, forces: Array) -> tuple[Array, NDArray[np.intp],
             parts.append(coefficients[kept, joint])
             joints.append(np.full(int(kept.sum()), joint))
             frequencies.append(frequency[kept])
-    return np.concatenate(parts), np.concatenate(joints), np.concatenate(frequencies)
+            stretches.append(np.full(int(kept.sum()), stretch))
+    return tuple(map(np.concatenate, (parts, joints, frequencies, stretches)))  # type: ignore[return-value]
 
 
 def rows_at(
@@ -290,8 +307,8 @@ def rows_at(
     forces = missing_force(simulator, motion, candidates)
     differences = (forces[1] - forces[2:]) / np.array(widths)[:, None, None]
     together = np.concatenate([forces[:2], differences]).transpose(1, 2, 0)
-    coefficients, joint, frequency = transformed(motion, together)
-    return Rows(coefficients[:, 1], coefficients[:, 2:], joint, frequency, coefficients[:, 0])
+    coefficients, joint, frequency, stretch = transformed(motion, together)
+    return Rows(coefficients[:, 1], coefficients[:, 2:], joint, frequency, stretch, coefficients[:, 0])
 
 
 def noise_of(rows: Rows, squares: Array, *, flat: bool = False) -> Array:

@@ -31,7 +31,8 @@ class Ranked:
         """Of each set, of all that were weighed."""
         evidence = np.array([one.evidence for one in self.sets])
         weights = np.exp(evidence - evidence[0])
-        return weights / weights.sum()
+        probabilities: Array = weights / weights.sum()
+        return probabilities
 
     def probability(self, cause: int) -> float:
         """Return the probability that an effect is a cause."""

@@ -130,7 +130,7 @@ def _variances(read: Array, seen: Array, joined: Array) -> tuple[float, float]:
         log_jerk = np.clip(parameters[0], *LOG_JERK)
         log_velocity = np.clip(parameters[1], *LOG_VELOCITY) if both else 0.0
         beyond = abs(parameters[0] - log_jerk) + (abs(parameters[1] - log_velocity) if both else 0.0)
-        return _posterior(read, seen, joined, np.exp(log_jerk), np.exp(log_velocity))[0] + beyond
+        return float(_posterior(read, seen, joined, np.exp(log_jerk), np.exp(log_velocity))[0] + beyond)
 
     noise = _ratio_of_differences(read, seen, joined) if both else 0.0
     grid = [np.array([jerk, noise][: 1 + both]) for jerk in np.arange(-24.0, 10.0, 3.0)]

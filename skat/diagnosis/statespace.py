@@ -63,7 +63,7 @@ class StateSpace:
     @property
     def d(self) -> int:
         """Number of channels of a residual."""
-        return self.mask.shape[-1]
+        return int(self.mask.shape[-1])
 
     def rows(self, path: Array) -> Array:
         """Return the rows of inputs that start on a path, (n_rows, n_inputs)."""

@@ -38,9 +38,9 @@ def moments_of(sides: Any) -> Any:
     """
     lazy = [_lazy_moments(rows, weight) if is_dask(rows) else None for rows, weight in sides]
     if any(part is not None for part in lazy):
-        import dask
+        from dask.base import compute
 
-        lazy = list(dask.compute(*lazy))
+        lazy = list(compute(*lazy))
     return [
         done if is_dask(rows) else _eager_moments(rows, weight) for done, (rows, weight) in zip(lazy, sides)
     ]
@@ -175,7 +175,7 @@ def _apply_on_device(affine: Any, X: Any, keep: Any, check: Any, xp: Any, device
 
 def _lazy_moments(X: Any, weight: Any) -> Any:
     """Return a delayed value: the moments of dask rows, merged pairwise over their blocks."""
-    import dask
+    from dask.delayed import delayed
 
     blocks = _row_blocks(X)
     weights = [None] * len(blocks) if weight is None else _row_blocks(_aligned(weight, X))
@@ -184,9 +184,9 @@ def _lazy_moments(X: Any, weight: Any) -> Any:
             f"rows and their weights must be partitioned alike; there are {len(blocks)} and {len(weights)} "
             "blocks."
         )
-    level = [dask.delayed(_block_moments)(block, part) for block, part in zip(blocks, weights)]
+    level = [delayed(_block_moments)(block, part) for block, part in zip(blocks, weights)]
     while len(level) > 1:
-        level = [dask.delayed(_merged)(level[start : start + 2]) for start in range(0, len(level), 2)]
+        level = [delayed(_merged)(level[start : start + 2]) for start in range(0, len(level), 2)]
     return level[0]
 
 

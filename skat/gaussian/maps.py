@@ -7,7 +7,7 @@ remain.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from scipy.linalg import bandwidth, blas, lapack, solve_triangular
@@ -82,7 +82,7 @@ class AffineMap:
     unscaled: np.ndarray | None = None
 
     @classmethod
-    def between(cls, coef: Any, source: Any, target: Any) -> Any:
+    def between(cls, coef: Any, source: Any, target: Any) -> Self:
         """Return the map that carries the mean of one `Moments` to that of another."""
         image = target.mean + (target.mean_remainder - coef @ source.mean_remainder)
         return cls(coef, source.mean, image)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from scipy.linalg import lapack
@@ -166,7 +166,7 @@ class Moments:
             factor=None if self.factor is None else self.factor * factors,
         )
 
-    def columns(self, indices: Any) -> Any:
+    def columns(self, indices: Any) -> Self:
         """Return the moments of some of the columns, in the order given.
 
         Parameters
@@ -186,7 +186,7 @@ class Moments:
             factor=None if self.factor is None else self.factor[:, indices],
         )
 
-    def __mul__(self, factor: Any) -> Any:
+    def __mul__(self, factor: float) -> Self:
         """Return the moments of the rows with every weight times a positive factor: older rows fade so."""
         if not isinstance(factor, int | float | np.number):
             return NotImplemented
@@ -203,7 +203,7 @@ class Moments:
 
     __rmul__ = __mul__
 
-    def __getstate__(self) -> Any:
+    def __getstate__(self) -> dict[str, Any]:
         # A symmetric matrix or a triangle, of which half the numbers do.
         state: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
         n_features = self.n_features
@@ -213,7 +213,7 @@ class Moments:
             state["factor"] = triangle(self.factor)[np.triu_indices(n_features)]
         return state
 
-    def __setstate__(self, state: Any) -> None:
+    def __setstate__(self, state: dict[str, Any]) -> None:
         state = dict(state)
         n_features = len(state["mean"])
         upper = np.triu_indices(n_features)
@@ -227,7 +227,7 @@ class Moments:
             state["factor"] = factor
         vars(self).update(state)
 
-    def __add__(self, other: Any) -> Any:
+    def __add__(self, other: "Moments") -> "Moments":
         if not isinstance(other, Moments):
             return NotImplemented
         if self.n_features != other.n_features:

@@ -82,7 +82,7 @@ def _iso(values: np.ndarray, where: str) -> NDArray[np.int64]:
     """Return ns since 1970 of texts in ISO 8601."""
     try:
         stamps = pd.to_datetime(pd.Series(values), utc=True, format="ISO8601")
-        return stamps.astype("datetime64[ns, UTC]").astype("int64").to_numpy()
+        return np.asarray(stamps.astype("datetime64[ns, UTC]"), dtype="datetime64[ns]").astype(np.int64)
     except (ValueError, TypeError, OverflowError) as error:
         raise LogError(
             where,

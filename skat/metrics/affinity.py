@@ -577,7 +577,8 @@ def _loosened(X: Floats, y: Floats, paired: bool, rng: np.random.Generator) -> F
     """Return fitted rows whose moments differ from those of y as two samples do, by a bootstrap."""
     y_weight = rng.exponential(size=len(y))
     x_weight = y_weight if paired else rng.exponential(size=len(X))
-    return _affine_map(row_moments(y, y_weight), row_moments(X, x_weight))(X)
+    moved: Floats = _affine_map(row_moments(y, y_weight), row_moments(X, x_weight))(X)
+    return moved
 
 
 def _swapped_pairs(X: Floats, y: Floats, rng: np.random.Generator) -> tuple[Floats, Floats]:
@@ -593,7 +594,8 @@ def _dealt_out_anew(X: Floats, y: Floats, rng: np.random.Generator) -> tuple[Flo
 
 def _refitted(source: Floats, target: Floats) -> Floats:
     """Return the source rows carried to the target rows by the affine transport between them."""
-    return _affine_map(row_moments(source), row_moments(target))(source)
+    moved: Floats = _affine_map(row_moments(source), row_moments(target))(source)
+    return moved
 
 
 def _affine_map(source: Moments, target: Moments) -> AffineMap:

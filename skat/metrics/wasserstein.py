@@ -6,6 +6,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
+from skat.gaussian.arrays import AnyArray, Floats, Places
 from skat.metrics.samples import one_sample, row_weight, twice_the_spread, two_samples
 
 __all__ = ["affinity", "is_large_cost", "optimal_plan", "refuse_large_cost", "wasserstein_distance"]
@@ -13,7 +14,9 @@ __all__ = ["affinity", "is_large_cost", "optimal_plan", "refuse_large_cost", "wa
 LARGEST_COST_MATRIX_BYTES = 8e9
 
 
-def wasserstein_distance(X: Any, y: Any, *, x_weight: Any = None, y_weight: Any = None) -> Any:
+def wasserstein_distance(
+    X: AnyArray, y: AnyArray, *, x_weight: AnyArray = None, y_weight: AnyArray = None
+) -> float:
     r"""Return the exact 2-Wasserstein distance between two weighted samples.
 
     .. math:: W_2^2 = \min_{\gamma} \sum_{ij} \gamma_{ij} \|x_i - y_j\|^2
@@ -58,7 +61,9 @@ def wasserstein_distance(X: Any, y: Any, *, x_weight: Any = None, y_weight: Any 
     return size * float(np.sqrt(max(_network_simplex(cost, *weights, plan=False), 0.0)))
 
 
-def optimal_plan(X: Any, y: Any, *, x_weight: Any = None, y_weight: Any = None) -> Any:
+def optimal_plan(
+    X: AnyArray, y: AnyArray, *, x_weight: AnyArray = None, y_weight: AnyArray = None
+) -> tuple[Floats, float]:
     r"""Return the coupling of two weighted samples of least mean squared distance, and the distance.
 
     Parameters
@@ -84,7 +89,9 @@ def optimal_plan(X: Any, y: Any, *, x_weight: Any = None, y_weight: Any = None) 
     return plan, size * float(np.sqrt((plan * cost).sum()))
 
 
-def affinity(X_transported: Any, y: Any, *, x_weight: Any = None, y_weight: Any = None) -> Any:
+def affinity(
+    X_transported: AnyArray, y: AnyArray, *, x_weight: AnyArray = None, y_weight: AnyArray = None
+) -> float:
     r"""Return the affinity of transported rows and target rows.
 
     .. math:: \rho = 1 - \frac{W_2(T X, Y)}{\sqrt{2 \operatorname{tr} \Sigma(Y)}}
@@ -129,12 +136,12 @@ def affinity(X_transported: Any, y: Any, *, x_weight: Any = None, y_weight: Any 
     return float(1.0 - distance / np.sqrt(twice_the_spread(y, row_weight(y_weight, len(y), "y_weight"))))
 
 
-def is_large_cost(n_x: Any, n_y: Any) -> bool:
+def is_large_cost(n_x: int, n_y: int) -> bool:
     """Whether the cost matrix between so many rows is larger than what is computed."""
     return 8.0 * n_x * n_y > LARGEST_COST_MATRIX_BYTES
 
 
-def refuse_large_cost(n_x: Any, n_y: Any) -> None:
+def refuse_large_cost(n_x: int, n_y: int) -> None:
     """Raise where the exact transport would need a cost matrix that few machines can hold.
 
     Parameters
@@ -157,7 +164,9 @@ def refuse_large_cost(n_x: Any, n_y: Any) -> None:
         )
 
 
-def _problem(X: Any, y: Any, x_weight: Any, y_weight: Any) -> Any:
+def _problem(
+    X: AnyArray, y: AnyArray, x_weight: AnyArray, y_weight: AnyArray
+) -> tuple[Floats, Floats, float, tuple[Floats | None, Floats | None]]:
     """Return rows about one of them in units of the largest entry, that unit, and their weights; all checked.
 
     The solvers stop at absolute tolerances, and squares have half the range of the numbers.
@@ -176,19 +185,20 @@ def _problem(X: Any, y: Any, x_weight: Any, y_weight: Any) -> Any:
     return X / size, y / size, size, weights
 
 
-def _is_uniform(weight: Any) -> bool:
+def _is_uniform(weight: Floats) -> bool:
     return bool((weight == weight[0]).all())
 
 
-def _assignment(cost: Any) -> Any:
+def _assignment(cost: Floats) -> Places:
     """Return the column of each row of least total cost, and reduce the cost in place on the way."""
     # Which columns are best does not change, but the solver's searches end two to three times sooner.
     cost -= cost.min(axis=0)
     cost -= cost.min(axis=1)[:, np.newaxis]
-    return linear_sum_assignment(cost)[1]
+    columns: Places = linear_sum_assignment(cost)[1]
+    return columns
 
 
-def _network_simplex(cost: Any, x_weight: Any, y_weight: Any, *, plan: Any) -> Any:
+def _network_simplex(cost: Floats, x_weight: Floats | None, y_weight: Floats | None, *, plan: bool) -> Any:
     """Return the coupling of least mean cost, or that cost, by POT."""
     import ot
 

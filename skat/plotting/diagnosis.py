@@ -357,7 +357,8 @@ class CauseDisplay:
         )
         self.ax_.hlines(rows, low, high, color=AFTER, linewidth=5, alpha=0.45)
         self.ax_.plot(middle, rows, "o", color=AFTER, markersize=7)
-        for row, interval in enumerate(ends):
+        for row, (least, most) in enumerate(ends):
+            interval = float(least), float(most)
             unit = "" if self.units[row] in ("", "1") else f" {self.units[row]}"
             size = f"{size_text(values[row], interval)}{unit}"
             text = f"{size}  ({interval_text(interval)}; neutral {number(neutrals[row])})"

@@ -218,7 +218,8 @@ class Anatomy:
     @cached_property
     def inertia(self) -> Array:
         """Inertia of each degree of freedom in the reference pose, kg or kg m2."""
-        return np.maximum(self.model.dof_M0, 1e-6)
+        inertia: Array = np.maximum(self.model.dof_M0, 1e-6)
+        return inertia
 
     @cached_property
     def force(self) -> Array:
@@ -271,7 +272,8 @@ class Anatomy:
         """Largest damping that the integrator bears on each degree of freedom, force per velocity."""
         if not self.damps_explicitly and int(self.model.opt.integrator) != EXPLICIT_INTEGRATOR:
             return np.full(self.model.nv, np.inf)
-        return 1 / (self.model.opt.timestep * np.maximum(self.model.dof_invweight0, 1e-9))
+        rate: Array = 1 / (self.model.opt.timestep * np.maximum(self.model.dof_invweight0, 1e-9))
+        return rate
 
     @cached_property
     def tendon_ranges(self) -> tuple[Array, Array]:
@@ -323,7 +325,8 @@ class Anatomy:
             mujoco.mju_sparse2dense(moments, *sparse)
             mujoco.mj_solveM(model, data, accelerations, moments)
             mobility = np.maximum(mobility, np.sum(moments * accelerations, axis=1))
-        return mobility[model.actuator_outadr]
+        of_each: Array = mobility[model.actuator_outadr]
+        return of_each
 
     def capacity(self, actuator: int) -> float:
         """Return the largest force of an actuator on its joint or tendon.
@@ -346,7 +349,7 @@ def tendon_name(model: mujoco.MjModel, tendon: int) -> str:
 
 def actuator_name(model: mujoco.MjModel, actuator: int) -> str:
     """Return the actuator's name; if it has none the name of its joint; else ``actuator<id>``."""
-    own = [model.actuator(index).name for index in range(model.nu)]
+    own: list[str] = [model.actuator(index).name for index in range(model.nu)]
     if own[actuator]:
         return own[actuator]
 

@@ -4,7 +4,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +19,7 @@ UNBOUNDED = 1e12
 # Of a sensor's filter, in transitions.
 LONGEST_LAG = 20
 Acting = tuple[Array, ...] | None
+Made = TypeVar("Made")
 
 
 class Simulator(BaseEstimator, ABC):
@@ -141,7 +142,7 @@ class Simulator(BaseEstimator, ABC):
         ValueError
             If X has other columns or values that are not finite; if an effect is unknown or out of bounds.
         """
-        outputs = self.predict_many(X, [effects or {}], groups=groups)[0]
+        outputs: Array = self.predict_many(X, [effects or {}], groups=groups)[0]
         diverged = np.flatnonzero(~np.isfinite(outputs).all(axis=1))
         if diverged.size:
             rows = ", ".join(map(str, diverged[:5])) + (", ..." if diverged.size > 5 else "")
@@ -241,8 +242,8 @@ class Simulator(BaseEstimator, ABC):
         ValueError
             If the simulation is one-shot, or the arrays do not fit.
         """
-        states = self.rollout_many(initial_states, inputs, [effects or {}], n_steps=n_steps)[0]
-        bad = ~np.isfinite(states).all(axis=2)
+        states: Array = self.rollout_many(initial_states, inputs, [effects or {}], n_steps=n_steps)[0]
+        bad = np.any(~np.isfinite(states), axis=2)
         if bad.any():
             episode = int(np.flatnonzero(bad.any(axis=1))[0])
             raise RuntimeError(
@@ -331,7 +332,7 @@ class Simulator(BaseEstimator, ABC):
         -------
         ndarray of shape (..., n_residuals)
         """
-        return np.asarray(y, dtype=float) - np.asarray(prediction, dtype=float)
+        return np.subtract(y, prediction, dtype=float)
 
     def displace(self, X: ArrayLike, tangent: ArrayLike) -> Array:
         """Return the rows of inputs with their state moved by a residual-like displacement.
@@ -481,9 +482,9 @@ class Simulator(BaseEstimator, ABC):
         every = self._all_by_name
         return {name: total[name] for name in every if name in total and total[name] != every[name].neutral}
 
-    def _cached(self, key: Any, make: Callable[[], Any]) -> Any:
+    def _cached(self, key: Any, make: Callable[[], Made]) -> Made:
         """Return what was made before under this key; nothing of it is pickled or copied."""
-        memory = self.__dict__.setdefault("_memory", {})
+        memory: dict[Any, Made] = self.__dict__.setdefault("_memory", {})
         if key not in memory:
             memory[key] = make()
         return memory[key]

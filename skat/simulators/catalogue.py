@@ -537,7 +537,7 @@ def _highest_velocity_gain(anatomy: Anatomy, actuator: int) -> float:
     model = anatomy.model
     if int(model.opt.integrator) not in (EULER, EXPLICIT_INTEGRATOR):
         return GAIN_BOUNDS[1]
-    share = model.opt.timestep * float(
+    share: float = model.opt.timestep * float(
         anatomy.actuator_mobility[actuator] * abs(model.actuator_biasprm[actuator, 2])
     )
     return min(GAIN_BOUNDS[1], 1 + max(1 - share, 0.1) / max(share, 1e-9))

@@ -158,7 +158,7 @@ def joint_name(model: mujoco.MjModel, joint: int) -> str:
 
 def element_name(model: mujoco.MjModel, kind: mujoco.mjtObj, index: int, stem: str) -> str:
     """Return an element's name; if it has none ``<stem><id>``, with underscores where another one is called that."""
-    name = mujoco.mj_id2name(model, kind, index)
+    name: str | None = mujoco.mj_id2name(model, kind, index)
     if name:
         return name
     name = f"{stem}{index}"
@@ -169,7 +169,8 @@ def element_name(model: mujoco.MjModel, kind: mujoco.mjtObj, index: int, stem: s
 
 def conjugate(q: Array) -> Array:
     """Return the inverse rotations of unit quaternions (..., 4)."""
-    return q * np.array([1.0, -1.0, -1.0, -1.0])
+    inverse: Array = q * np.array([1.0, -1.0, -1.0, -1.0])
+    return inverse
 
 
 def quaternion_product(p: Array, q: Array) -> Array:

@@ -81,7 +81,7 @@ def _frames(spec: mujoco.MjSpec) -> None:
 
 def _may_align(joint: mujoco.MjsJoint) -> bool:
     automatic = joint.align == mujoco.mjtAlignFree.mjALIGNFREE_AUTO and joint.compiler.alignfree
-    return joint.type == mujoco.mjtJoint.mjJNT_FREE and (automatic or joint.align == ALIGN)
+    return bool(joint.type == mujoco.mjtJoint.mjJNT_FREE and (automatic or joint.align == ALIGN))
 
 
 def _place_inertial(body: mujoco.MjsBody, axes: Array, pose: Pose) -> None:
@@ -102,7 +102,7 @@ def _quaternion(body: mujoco.MjsBody, spec: mujoco.MjSpec) -> Array:
     """Return a body's orientation in the frame that its ``pos`` is given in."""
     compiler = body.compiler
     if body.alt.type == QUATERNION:
-        return body.quat / np.linalg.norm(body.quat)
+        return np.asarray(body.quat / np.linalg.norm(body.quat))
     return np.array(
         spec.resolve_orientation(degree=compiler.degree, sequence=compiler.eulerseq, orientation=body.alt)
     )

@@ -66,7 +66,8 @@ def budget(coefficients: Array, position: Array, velocity: Array, motor: Array, 
     square = np.where(
         np.abs(motor) > np.abs(external), motor_square * motor**2, external_square * external**2
     )
-    return total + slow * np.where(motor * external < 0, square, 0.0)
+    largest: Array = total + slow * np.where(motor * external < 0, square, 0.0)
+    return largest
 
 
 def creep(model: mujoco.MjModel) -> tuple[Array, Array]:

@@ -564,7 +564,8 @@ class MujocoSimulator(Simulator):
     @property
     def _feeds_back(self) -> NDArray[np.bool_]:
         """Whether each actuator's force depends on the place of what it moves, so that its control is one, too."""
-        return self._nominal.actuator_biasprm[:, 1] != 0
+        feeds_back: NDArray[np.bool_] = self._nominal.actuator_biasprm[:, 1] != 0
+        return feeds_back
 
     @property
     def _native_delays(self) -> tuple[Array, NDArray[np.bool_]]:
@@ -826,7 +827,7 @@ class MujocoSimulator(Simulator):
 
     @property
     def _nominal_name(self) -> str:
-        return self._spec.modelname
+        return str(self._spec.modelname)
 
     @property
     def _layout(self) -> StateLayout:

@@ -257,7 +257,7 @@ def broken_model(what: str, error: Exception) -> ValueError:
 def write_xml(spec: mujoco.MjSpec) -> str:
     """Return the spec as MJCF with all digits, so that reading it back gives the same numbers."""
     with _full_precision():
-        return spec.to_xml()
+        return str(spec.to_xml())
 
 
 def _parsed(read: Any, what: str) -> mujoco.MjSpec:

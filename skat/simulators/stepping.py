@@ -760,8 +760,8 @@ def _thread_count() -> int:
     """
     share = os.environ.get("OMP_NUM_THREADS", "")
     if multiprocessing.parent_process() is not None and share.isdigit() and int(share) > 0:
-        return min(int(share), joblib.cpu_count())
-    return joblib.cpu_count()
+        return min(int(share), int(joblib.cpu_count()))
+    return int(joblib.cpu_count())
 
 
 @contextmanager

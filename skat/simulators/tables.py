@@ -97,4 +97,5 @@ def episode_starts(groups: ArrayLike | None, n_rows: int) -> NDArray[np.intp]:
 def earlier_rows(actions: Array, starts: NDArray[np.intp], n_lags: int) -> Array:
     """Return the actions 1, 2, ... rows before each row; before an episode's start its first action."""
     rows = np.arange(len(actions))[:, None] - np.arange(1, n_lags + 1)
-    return actions[np.maximum(rows, starts[:, None])]
+    earlier: Array = actions[np.maximum(rows, starts[:, None])]
+    return earlier

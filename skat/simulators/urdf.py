@@ -308,11 +308,11 @@ def _tensor(model: mujoco.MjModel, body: int) -> np.ndarray:
 
 def _rotation(rpy: list[float]) -> np.ndarray:
     (sr, sp, sy), (cr, cp, cy) = np.sin(rpy), np.cos(rpy)
-    return (
-        np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
-        @ np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
-        @ np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
-    )
+    yaw = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+    pitch = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    roll = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    rotation: np.ndarray = yaw @ pitch @ roll
+    return rotation
 
 
 def _differ(first: np.ndarray | float, second: np.ndarray | float) -> bool:

@@ -184,7 +184,7 @@ class ExactTransport(BaseTransport):
         moved = images[nearest] + (rows - fitted[nearest])
         if keep is not None:
             moved[np.asarray(keep)] = rows[np.asarray(keep)]
-        return moved.astype(np.float32 if X.dtype == np.float32 else np.float64)
+        return np.asarray(moved, dtype=np.float32 if X.dtype == np.float32 else np.float64)
 
 
 def _images(source: Floats, target: Floats, plan: Floats) -> tuple[Floats, Floats]:
@@ -330,7 +330,7 @@ class _Predicting(TransformerMixin, BaseEstimator):
 
 
 def _finite_rows(transport: BaseTransport, rows: AnyArray, name: str) -> Floats:
-    rows = np.asarray(on_host(rows), dtype=np.float64)
-    if not np.isfinite(rows).all():
-        transport._refuse_infinite((rows, name))
-    return rows
+    found: Floats = np.asarray(on_host(rows), dtype=np.float64)
+    if not np.isfinite(found).all():
+        transport._refuse_infinite((found, name))
+    return found

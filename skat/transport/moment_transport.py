@@ -211,7 +211,8 @@ class MomentTransport(BaseTransport):
 
     def _sides(self) -> tuple[Moments | None, Moments | None]:
         """Return the moments of source and target."""
-        return self._moments
+        sides: tuple[Moments | None, Moments | None] = self._moments
+        return sides
 
     def _known_sides(self) -> tuple[Moments, Moments]:
         """Return the moments of source and target, of both of which there are rows."""
@@ -307,7 +308,7 @@ class MomentTransport(BaseTransport):
         self.wasserstein_distance_ = self._distance(scaled[0], scaled[1], affine)
 
     def __getstate__(self) -> dict[str, Any]:
-        state = super().__getstate__()
+        state: dict[str, Any] = super().__getstate__()
         if "coef_" in state and state["coef_"] is self._map.coef:
             # The map writes down half of it where it is symmetric.
             state = {**state, "coef_": None}

@@ -138,7 +138,8 @@ class ProcrustesAffineTransport(MomentTransport):
         return pairs.columns(slice(0, n_features)), pairs.columns(slice(n_features, None))
 
     def _pairs(self) -> Moments | None:
-        return self._moments[0]
+        pairs: Moments | None = self._moments[0]
+        return pairs
 
     def _solve(self, source: Moments, target: Moments, scale: Floats) -> Solution:
         alignment = self._aligned(source, target, scale, warn=self._warns)

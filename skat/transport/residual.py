@@ -152,12 +152,14 @@ class ResidualTransport(BaseTransport):
     def support_distance(self, X: AnyArray) -> Floats:
         """Return how far rows are from the fitted ones, as of `transport_`."""
         self._check_is_fitted()
-        return self.transport_.support_distance(X)
+        distance: Floats = self.transport_.support_distance(X)
+        return distance
 
     def in_support(self, X: AnyArray, *, level: float = 0.99) -> Flags:
         """Return which rows lie where the fitted ones do, as of `transport_`."""
         self._check_is_fitted()
-        return self.transport_.in_support(X, level=level)
+        inside: Flags = self.transport_.in_support(X, level=level)
+        return inside
 
     def _carry_back(self, X: AnyArray) -> AnyArray:
         raise np.linalg.LinAlgError(
@@ -200,7 +202,8 @@ class KernelRidgeCV(RegressorMixin, BaseEstimator):
 
     def predict(self, X: Floats) -> Floats:
         """Return the outputs of rows."""
-        return self.model_.predict(X)
+        outputs: Floats = self.model_.predict(X)
+        return outputs
 
 
 def _errors_by_penalty(

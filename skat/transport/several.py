@@ -295,4 +295,5 @@ def _fitted(
     target_rows: Flags,
 ) -> BaseTransport:
     given = {} if weight is None else {"sample_weight": (weight[source_rows], weight[target_rows])}
-    return clone(transport).fit(source, target, **given)
+    fitted: BaseTransport = clone(transport).fit(source, target, **given)
+    return fitted

@@ -61,7 +61,8 @@ def _places(n_rows: int) -> Places:
     """Return where in order the distances of so many rows are those at the levels."""
     # Of one more row than there are, as in conformal prediction; of too few rows for a level the farthest.
     places = np.minimum(np.ceil(LEVELS * (n_rows + 1)).astype(int), n_rows) - 1
-    return np.maximum(places, 0)
+    held: Places = np.maximum(places, 0)
+    return held
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,12 +123,11 @@ class Support:
     def _distance(self, rows: Floats) -> Floats:
         centred = (np.asarray(rows, dtype=np.float64) - self.mean) / self.scale
         if self.root.shape[1] == len(self.root) and bandwidth(self.root)[1] == 0:
-            return np.linalg.norm(
-                solve_triangular(self.root, centred.T, lower=True, check_finite=False), axis=0
-            )
+            whitened = solve_triangular(self.root, centred.T, lower=True, check_finite=False)
+            return np.asarray(np.linalg.norm(whitened, axis=0))
         directions, spread = spectrum(self.root)
         scores = centred @ directions
-        distances = np.linalg.norm(scores / spread, axis=1)
+        distances: Floats = np.linalg.norm(scores / spread, axis=1)
         off = np.linalg.norm(centred - scores @ directions.T, axis=1)
         size = np.linalg.norm(centred, axis=1) + np.linalg.norm(self.mean / self.scale)
         distances[off > 1e3 * np.sqrt(EPS) * np.maximum(size, 1.0)] = np.inf
@@ -237,4 +237,5 @@ def importance_weights(
     probability = cross_val_predict(classifier, rows, belongs, cv=cv, method="predict_proba")[: len(X), 1]
     probability = np.clip(probability, EPS, 1 - EPS)
     weight = probability / (1 - probability)
-    return weight / weight.mean()
+    ratio: Floats = weight / weight.mean()
+    return ratio

@@ -189,4 +189,5 @@ def _explained(cosines: Floats, n_rows: float) -> Floats:
         return np.zeros((cosines.shape[1], cosines.shape[1]))
     _, correlations, axes = np.linalg.svd(cosines, full_matrices=False)
     adjusted = 1 - (1 - np.square(correlations)) * freedom / (freedom - n_source)
-    return (axes.T * np.clip(adjusted, 0.0, 1.0)) @ axes
+    taken: Floats = (axes.T * np.clip(adjusted, 0.0, 1.0)) @ axes
+    return taken

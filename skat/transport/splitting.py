@@ -72,7 +72,7 @@ class TargetRows:
         sample_domain: AnyArray | None = None,
     ) -> int:
         """Return the number of folds."""
-        return self._cv(None).get_n_splits(X, y, groups)
+        return int(self._cv(None).get_n_splits(X, y, groups))
 
     def split(
         self,

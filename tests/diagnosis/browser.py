@@ -89,6 +89,7 @@ class Reader:
 
 def photograph(page, folder):
     """Write pictures of a page for desk and phone, light and dark, and as it is printed."""
+    folder.mkdir(parents=True, exist_ok=True)
     driver = browser()
     try:
         for width in (1280, 390):

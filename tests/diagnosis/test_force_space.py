@@ -174,3 +174,10 @@ def test_nothing_is_named_where_nothing_changed():
     wrong = {"friction": (0.12, 0.06), "damping": (0.1, 0.05), "mass": 1.15}
     found = find_changes(simulator, log_of(6, **wrong), log_of(7, **wrong), simulator.effects())
     assert found.verdict == "nothing changed"
+
+
+def test_smoother_takes_three_readings_of_an_episode_and_no_fewer():
+    place, unread = np.array([0.0, 1.0, 4.0]), np.full(3, np.nan)
+    assert np.isfinite(smooth_coordinate(place, unread, np.zeros(3), 0.1).acceleration).all()
+    with pytest.raises(ValueError, match="fewer than 3 readings"):
+        smooth_coordinate(place[:2], unread[:2], np.zeros(2), 0.1)

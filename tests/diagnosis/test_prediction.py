@@ -6,6 +6,7 @@ import pytest
 from skat.diagnosis.fitting import settled
 from skat.diagnosis.prediction import horizon_rows, open_loop_gain, predicted, predicted_gain
 from skat.diagnosis.statespace import state_space
+from skat.effects import Effect
 from skat.simulators import FunctionSimulator, MujocoSimulator
 from tests.diagnosis.pendulum import (
     DT,
@@ -138,6 +139,39 @@ def test_whole_episodes_in_open_loop_end_where_the_world_does(simulator, start):
     assert gain.explained == pytest.approx(1.0, abs=0.02)
     if start == "fitted":
         assert gain.extended == pytest.approx(np.sqrt(np.sum(SIGMA**2)), rel=0.1)
+
+
+@pytest.mark.parametrize(("episodes", "told"), [(5, True), (4, False)])
+def test_five_episodes_tell_how_far_a_gain_varies_and_four_do_not(simulator, episodes, told):
+    train = laid_out(simulator, *measured(DAMPED, 0, episodes=2, rows=60))
+    test = laid_out(simulator, *measured(DAMPED, 1, episodes=episodes, rows=60))
+    gain = open_loop_gain(test, known(train, CAUSE, 1e-6), CAUSE, random_state=random_state())
+    assert np.isfinite(gain.interval).all() == told
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
+def test_initial_states_are_fitted_in_any_unit(unit):
+    """A place read with much noise: fitted, its own error is left, and no more."""
+    simulator = FunctionSimulator(
+        lambda X, drift: X[:, :1] + unit * (X[:, 1:] + drift),
+        input_names=("x", "u"),
+        output_names=("x",),
+        state_names=("x",),
+        effects=[Effect("drift", unit="1", neutral=0.0, bounds=(-1.0, 1.0))],
+        dt=1.0,
+    )
+    rng = np.random.default_rng(0)
+    speed = rng.normal(size=(8, 60))
+    truth = unit * np.pad(np.cumsum(speed, axis=1), ((0, 0), (1, 0)))
+    read = truth + 0.5 * unit * rng.normal(size=truth.shape)
+    read[:, 0] += 5 * unit
+    X = np.column_stack([read[:, :-1].ravel(), speed.ravel()])
+    space = state_space(
+        simulator, X, read[:, 1:].reshape(-1, 1), np.repeat(np.arange(8), 60), consecutive=True
+    )
+    fitted = settled(space, {}, None, np.zeros(1), given=np.array([0.5 * unit]))
+    gain = open_loop_gain(space, fitted, {}, initial_state="fitted", random_state=random_state())
+    assert gain.nominal == pytest.approx(0.5 * unit, rel=0.3)
 
 
 def test_open_loop_names_what_is_wrong_with_its_input(simulator):

@@ -280,3 +280,15 @@ def test_what_few_machines_have_is_listed_when_asked_for():
     assert {effect.family for effect in simulator.effects(also=("backlash",))} - plain == {"backlash"}
     with pytest.raises(ValueError, match="out of bounds"):
         simulator.predict(np.zeros((1, 6)), effects={"backlash[elbow]": 1.0})
+
+
+def test_a_reading_that_lags_lags_from_the_first_row_on():
+    """What moves at a constant speed is ahead of its reading by the speed times the time constant, wherever it is."""
+    simulator = FunctionSimulator(
+        lambda X: X[:, :1] + 0.1 * X[:, 1:],
+        **{"input_names": ("x", "u"), "output_names": ("x",), "state_names": ("x",), "dt": 0.1},
+        effects=(),
+    )
+    rows = np.column_stack([5.0 + 0.2 * np.arange(4), np.full(4, 2.0)])
+    lagging = simulator.extended({"lag[x]": 0.3})
+    np.testing.assert_allclose(lagging.predict(rows)[:, 0], rows[:, 0] + 0.2, atol=1e-9)

@@ -548,3 +548,14 @@ def test_scaling_masses_and_all_forces_together_is_a_symmetry():
     np.testing.assert_allclose(
         simulator.predict(rows, effects=values), simulator.predict(rows), rtol=1e-8, atol=1e-9
     )
+
+
+def test_a_joint_force_is_a_torque_where_its_joint_turns():
+    units = {force.name: force.unit for force, _ in MujocoSimulator(ARM).joint_forces()}
+    assert units["force[elbow]"] == "N m"
+    slide = ARM.replace('name="elbow"', 'name="elbow" type="slide"')
+    assert {force.unit for force, _ in MujocoSimulator(slide).joint_forces()} >= {"N"}
+    units = {force.name: force.unit for force, _ in MujocoSimulator(CUBE).joint_forces()}
+    assert [units[f"force[toss.{axis}]"] for axis in ("x", "y", "z", "rx", "ry", "rz")] == 3 * ["N"] + 3 * [
+        "N m"
+    ]

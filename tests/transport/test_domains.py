@@ -233,3 +233,7 @@ def test_of_one_source_both_ways_are_the_plain_transport():
     for by in ("each", "barycentre"):
         carried = MultiSourceTransport(by=by, target_domain="lab").fit_transform(rows, sample_domain=labels)
         np.testing.assert_allclose(carried[labels == "sim0"], expected, atol=1e-6)
+
+
+def test_target_rows_are_cut_into_five_folds_unless_told():
+    assert TargetRows().get_n_splits() == 5

@@ -9,6 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skat.gaussian import covariance_root, root_of_moments
+from skat.gaussian.backends import _device_moments
+from skat.gaussian.maps import reached_part
 from skat.gaussian.moments import Moments, row_moments
 
 seeds = st.integers(0, 2**32 - 1)
@@ -203,3 +205,14 @@ def test_a_root_times_its_transpose_is_the_covariance_and_shows_its_rank(seed, n
     for root in (root_of_moments(moments), covariance_root(moments.covariance)):
         assert root.shape == (n_features + n_copies, n_features)
         assert standardised_difference(root @ root.T, moments.covariance) < 1e-12
+
+
+def test_one_row_of_another_library_has_its_values_for_mean():
+    xp = pytest.importorskip("array_api_strict")
+    moments = _device_moments(xp.asarray([[1.5, -2.0]]), None, xp, None)
+    np.testing.assert_allclose(moments.mean, [1.5, -2.0])
+    assert moments.n_rows == 1
+
+
+def test_of_a_target_that_does_not_vary_nothing_has_to_be_reached():
+    assert reached_part(np.zeros((2, 2)), np.eye(2), np.zeros((2, 0))) == (0, 0.0)

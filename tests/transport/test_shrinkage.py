@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from skat import AffineTransport, ConditionalAffineTransport, ProcrustesAffineTransport
 from skat.gaussian import transport_map
 from skat.gaussian.moments import row_moments
+from skat.transport.regression import ridge_regression
 from skat.transport.shrinkage import _explained, shrinkage_intensity, shrunk_towards
 from tests.transport.reference import relative_error
 
@@ -256,3 +257,15 @@ def test_what_pairs_explain_is_the_share_of_variance_adjusted_for_chance():
     for cosine, expected in ((0.8, 1 - (1 - 0.64) * 11 / 10), (0.1, 0.0)):
         assert _explained(np.array([[cosine]]), 12) == pytest.approx(expected, rel=1e-12)
     assert _explained(np.array([[1.0]]), 2) == 0.0
+
+
+@pytest.mark.parametrize("unit", [1e-4, 1e4])
+def test_a_slope_drawn_to_the_source_has_no_unit_of_its_own(unit):
+    rng = np.random.default_rng(3)
+    context = rng.normal(size=(40, 6))
+    outcome = context @ rng.normal(size=(6, 2)) + rng.normal(size=(40, 2))
+    known, prior = np.arange(8) < 6, rng.normal(size=(2, 6))
+    plain, _, freedom = ridge_regression(row_moments(np.hstack([context, outcome])), known, prior)
+    scaled, _, same = ridge_regression(row_moments(np.hstack([context, unit * outcome])), known, unit * prior)
+    np.testing.assert_allclose(scaled, unit * plain, rtol=1e-9)
+    assert same == pytest.approx(freedom)

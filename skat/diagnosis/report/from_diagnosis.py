@@ -65,6 +65,8 @@ HEADLINES = {
 LONGEST_REPR = 120
 # Points of a cloud, and spectra that are drawn.
 MOST_POINTS, MOST_SPECTRA = 600, 6
+# Odds of e to the power of this, and of more, say the same.
+MOST_NATS = 1000
 # Other sets of causes that are told, and the least probable of them.
 MOST_SETS, LEAST_PROBABILITY = 3, 0.01
 # Where a model has no force at all, a remainder's scale is no larger than this.
@@ -247,13 +249,14 @@ class DiagnosisReport(Report):
         diagnosis = copy.copy(self.diagnosis)
         diagnosis.random_state = 0
         try:
-            return diagnosis.evaluate(
+            gain: Gain = diagnosis.evaluate(
                 *_rows(log),
                 horizon="episode",
                 initial_state="measured" if np.isfinite(first).all() else "fitted",
             )
         except RuntimeError:  # an episode diverges
             return None
+        return gain
 
 
 # -- findings ------------------------------------------------------------------------------------------------
@@ -302,7 +305,7 @@ def _causes(diagnosis: Any) -> tuple[ShownCause, ...]:
             neutral[cause.name],
             cause_sentence(cause, neutral[cause.name]),
             cause.probability,
-            f"{cause.evidence:.0f} nats",
+            f"{cause.evidence:.0f} nats" if cause.evidence <= MOST_NATS else f"> {MOST_NATS} nats",
             tuple(Alternative((alias.name,), alias.probability) for alias in cause.aliases),
             cause.at_bound,
         )

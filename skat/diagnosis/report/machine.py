@@ -1,18 +1,28 @@
 """The findings of a diagnosis as data for other programs."""
 
+from __future__ import annotations
+
 import dataclasses
 import math
 from collections.abc import Mapping
 from importlib.metadata import version
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from skat.diagnosis.estimator import SimulationDiagnosis
+    from skat.diagnosis.findings import Gain
+    from skat.diagnosis.posterior import CauseSet
+    from skat.diagnosis.remainder import Left
 
 # Grows where a field goes away or changes its meaning; fields may be added without.
 SCHEMA = 2
 
 
-def findings_as_data(diagnosis, *, gain=None, error_name="", **context):
+def findings_as_data(
+    diagnosis: SimulationDiagnosis, *, gain: Gain | None = None, error_name: str = "", **context: Any
+) -> dict[str, Any]:
     """Return what a diagnosis found, as what JSON holds: dictionaries, lists, texts, numbers, True, False, None.
 
     Parameters
@@ -51,7 +61,7 @@ def findings_as_data(diagnosis, *, gain=None, error_name="", **context):
         "computed_velocities": diagnosis.computed_velocities_,
         "remainder": [_left(part) for part in diagnosis.remainder_.parts],
     }
-    return plain(content)
+    return {name: plain(one) for name, one in content.items()}
 
 
 def plain(value: Any) -> Any:
@@ -69,15 +79,15 @@ def plain(value: Any) -> Any:
     return value if value is None or isinstance(value, bool | int | str) else str(value)
 
 
-def _fields(record):
+def _fields(record: Any) -> dict[str, Any]:
     return {field.name: getattr(record, field.name) for field in dataclasses.fields(record)}
 
 
-def _set(one):
+def _set(one: CauseSet) -> dict[str, Any]:
     return {"names": one.names, "probability": one.probability, "values": one.values}
 
 
-def _left(part):
+def _left(part: Left) -> dict[str, Any]:
     """Return what is left in one direction, without what is only drawn."""
     fields = {**_fields(part), "share": part.share}
     for name in ("frequencies", "spectrum", "tried"):

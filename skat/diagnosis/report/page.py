@@ -41,13 +41,24 @@ from skat.diagnosis.report.tables import (
 from skat.files import whole, writable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
     from os import PathLike
     from pathlib import Path
 
     import pandas as pd
+    from markupsafe import Markup
 
-    from skat.diagnosis.report.content import Content, Episode, Provenance, ShownLog
+    from skat.diagnosis.report.content import (
+        Content,
+        Episode,
+        Provenance,
+        ShownCause,
+        ShownLog,
+        SourceFile,
+        Table,
+        Visibility,
+    )
+    from skat.diagnosis.report.plots import Plot
 
 TEMPLATE, STYLE, SCRIPT = "page.html.jinja", "page.css", "page.js"
 # Names break after a bracket, an underscore or a dot; what is as long as a hash within itself.
@@ -170,7 +181,7 @@ class Report:
         return self.content if figures else without_figures(self.content)
 
 
-def checked_table(title: str, frame: pd.DataFrame):
+def checked_table(title: str, frame: pd.DataFrame) -> Table:
     """Return a DataFrame as a Table, after a check that it is one."""
     import pandas as pd
 
@@ -218,7 +229,7 @@ def without_figures(content: Content) -> Content:
 
 
 def _rendered(content: Content, *, is_page: bool) -> str:
-    body = _template().render(content=content, is_page=is_page, **_parts(content))
+    body: str = _template().render(content=content, is_page=is_page, **_parts(content))
     return body.replace(" %", "\N{NO-BREAK SPACE}%").encode("ascii", "xmlcharrefreplace").decode()
 
 
@@ -290,7 +301,7 @@ def _parts(content: Content) -> dict[str, Any]:
 class _Size:
     """A cause's size in words, and whether a dot may stand for it."""
 
-    def __init__(self, cause):
+    def __init__(self, cause: ShownCause):
         unit = "" if cause.unit in ("", "1") else f" {cause.unit}"
         self.text = f"{guarded_size(cause.value, cause.interval, cause.neutral)}{unit}"
         self.has_dot = not is_guarded(cause.value, cause.interval, cause.neutral)
@@ -311,7 +322,7 @@ class _Shown:
         self.clouds = [cloud_plot(cloud) for cloud in log.clouds]
 
 
-def _split(episode: Episode, most_points: int) -> tuple[list, list]:
+def _split(episode: Episode, most_points: int) -> tuple[list[Plot], list[Plot]]:
     plots = signal_plots(episode, most_points)
     return plots[:MOST_CHANNELS], plots[MOST_CHANNELS:]
 
@@ -328,7 +339,7 @@ def _has_errors(log: ShownLog) -> bool:
     return bool(log.errors or log.comparison or log.sentences or log.comparison_sentences or log.is_fitted)
 
 
-def _grids(content: Content, visible: list) -> dict[str, Grid | None]:
+def _grids(content: Content, visible: list[Visibility]) -> dict[str, Grid | None]:
     confused = {cause.name for cause in content.causes if cause.aliases}
     near = [one for one in visible if one.name in confused or (one.similarity or 0.0) >= ALIKE]
     files_of = content.provenance.files
@@ -347,7 +358,7 @@ def _grids(content: Content, visible: list) -> dict[str, Grid | None]:
     }
 
 
-def _file_grid(shown) -> Grid:
+def _file_grid(shown: Iterable[SourceFile]) -> Grid:
     rows = tuple(
         (
             Cell(one.role),
@@ -410,7 +421,7 @@ def _facts(content: Content) -> list[tuple[str, str]]:
     return [(name, fact) for name, fact in facts if fact]
 
 
-def _breakable(text: str):
+def _breakable(text: str) -> Markup:
     """Return the text with places at which a long name or number may be broken."""
     from markupsafe import Markup, escape
 

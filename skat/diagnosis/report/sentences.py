@@ -1,12 +1,24 @@
 """The findings in sentences."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence, Sized
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from skat.diagnosis.comparison import ceiling_sentence, is_beaten
 from skat.diagnosis.remainder import is_unexplained
 from skat.diagnosis.report.tables import GAP, is_guarded, plain_unit, probability_text
-from skat.rounding import interval_text, size_text
-from skat.simulators.base import is_sensor
+from skat.rounding import amount, interval_text, size_text
+from skat.simulators.base import Simulator, is_sensor
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from skat.diagnosis.estimator import SimulationDiagnosis
+    from skat.diagnosis.findings import Cause, Gain
+    from skat.diagnosis.remainder import Left
 
 # An error of less than so many times the floor says little of a share of its excess.
 NEAR_FLOOR = 2.0
@@ -15,7 +27,7 @@ MANY_CAUSES = 4
 MOST_EXPLAINED = 1.05
 
 
-def verdict_sentences(diagnosis, comparisons):
+def verdict_sentences(diagnosis: SimulationDiagnosis, comparisons: Sequence[pd.DataFrame]) -> list[str]:
     """Return the verdict of a diagnosis in sentences.
 
     Parameters
@@ -51,7 +63,7 @@ def verdict_sentences(diagnosis, comparisons):
     ]
 
 
-def cautions(causes):
+def cautions(causes: Sequence[Cause]) -> list[str]:
     """Return the sentences of caution about causes, a list."""
     sentences = []
     if len(causes) >= MANY_CAUSES:
@@ -70,9 +82,9 @@ def cautions(causes):
     return sentences
 
 
-def gain_sentence(diagnosis, gain):
+def gain_sentence(diagnosis: SimulationDiagnosis, gain: Gain) -> str:
     """Return a Gain of a fitted diagnosis in a sentence."""
-    before, after = f"{gain.nominal:.3g}", f"{gain.extended:.3g}"
+    before, after = amount(gain.nominal), amount(gain.extended)
     if gain.horizon == "episode":
         text = f"the open-loop error of whole episodes goes from {before} to {after}"
     else:
@@ -82,7 +94,7 @@ def gain_sentence(diagnosis, gain):
     return f"{text}; {share_sentence(diagnosis, gain)}"
 
 
-def horizon_text(simulator, horizon):
+def horizon_text(simulator: Simulator, horizon: float | str) -> str:
     """Return in words how far ahead a Gain predicts."""
     if horizon == "episode":
         return "whole episodes"
@@ -93,7 +105,7 @@ def horizon_text(simulator, horizon):
     return f"{horizon:g} row{'' if horizon == 1 else 's'} ahead"
 
 
-def share_sentence(diagnosis, gain):
+def share_sentence(diagnosis: SimulationDiagnosis, gain: Gain) -> str:
     """Return in a sentence which share of the excess a Gain of a fitted diagnosis explains."""
     share, low, high = (f"{100 * one:.0f}" for one in (gain.explained, *gain.interval))
     pieces = "episodes" if gain.horizon == "episode" else "rows"
@@ -113,7 +125,7 @@ def share_sentence(diagnosis, gain):
     return f"{share} % of the excess is explained (95 %: {low} to {high} %)."
 
 
-def remainder_sentence(diagnosis):
+def remainder_sentence(diagnosis: SimulationDiagnosis) -> str:
     """Return in words why a verdict is "unexplained"."""
     if not is_law_left(diagnosis):
         return f"the simulation diverges in {100 * diagnosis.diverged_share_:.0f} % of the rows, which tell nothing"
@@ -121,7 +133,7 @@ def remainder_sentence(diagnosis):
     return left_sentence(largest)
 
 
-def left_sentence(part):
+def left_sentence(part: Left) -> str:
     """Return in words what a `Left` of the remainder follows."""
     unit = plain_unit(part.unit)
     size = f"{part.predictable:.2g} {unit}".rstrip()
@@ -131,24 +143,24 @@ def left_sentence(part):
     return f"what is left at {part.name} depends on {part.regressor}, which predicts {size} that no cause explains"
 
 
-def clear_parts(diagnosis):
+def clear_parts(diagnosis: SimulationDiagnosis) -> list[Left]:
     """Return the parts of what is left that follow a law beyond chance."""
     return [part for part in diagnosis.remainder_.parts if part.evidence > -np.log(diagnosis.alpha)]
 
 
-def is_law_left(diagnosis):
+def is_law_left(diagnosis: SimulationDiagnosis) -> bool:
     """Whether what is left follows a law that matters; else an unexplained verdict is for rows that diverge."""
     gain = None if diagnosis._prediction is None else diagnosis._prediction.gain
     return is_unexplained(diagnosis.remainder_, gain, tolerance=diagnosis.tolerance, alpha=diagnosis.alpha)
 
 
-def _hides_in_the_noise(diagnosis):
+def _hides_in_the_noise(diagnosis: SimulationDiagnosis) -> bool:
     """Whether what is unexplained counted as noise, or as a random force, where that was estimated."""
     is_estimated = isinstance(diagnosis.noise, str) or bool(diagnosis.simulator.state_names)
     return diagnosis.verdict_ == "unexplained" and is_estimated and is_law_left(diagnosis)
 
 
-def cause_sentence(cause, neutral=0.0):
+def cause_sentence(cause: Cause, neutral: float = 0.0) -> str:
     """Return a Cause in a sentence, with its interval; without a size where the interval says none.
 
     Parameters
@@ -175,21 +187,21 @@ def cause_sentence(cause, neutral=0.0):
     return f"{sentence.rstrip('.')} ({interval}){end}."
 
 
-def capital(text):
+def capital(text: str) -> str:
     """Return a text that begins a sentence."""
     return text[:1].upper() + text[1:]
 
 
-def counted(things, word):
+def counted(things: Sized, word: str) -> str:
     """Return how many things there are, in words."""
     return f"{len(things)} {word}{'' if len(things) == 1 else 's'}"
 
 
-def plain_percent(probability):
+def plain_percent(probability: float) -> str:
     """Return a probability in percent, for a line of text."""
     return probability_text(probability).replace(GAP, " ")
 
 
-def _listed(names):
+def _listed(names: Sequence[str]) -> str:
     *first, last = names
     return f"{', '.join(first)} and {last}" if first else last

@@ -377,5 +377,5 @@ def _text(value: object) -> str:
     if isinstance(value, bool | np.bool_):
         return "yes" if value else "no"
     if isinstance(value, float | np.floating):
-        return "" if np.isnan(value) else number(value)
+        return "" if np.isnan(value) else number(float(value))
     return "" if value is None else str(value)

@@ -122,15 +122,15 @@ def _concatenated(pieces: list[np.ndarray]) -> np.ndarray:
 def _numbers(column: pd.Series) -> np.ndarray:
     """Return floats where each cell is a number or empty; otherwise the texts, stripped."""
     if column.dtype.kind in "fiub":
-        return column.to_numpy(dtype=float)
+        return np.asarray(column, dtype=float)
     texts = column.fillna("").astype(str).str.strip()
-    numbers = pd.to_numeric(texts, errors="coerce").to_numpy(dtype=float)
+    numbers = np.asarray(pd.to_numeric(texts, errors="coerce"), dtype=float)
     empty = texts.str.lower().isin(["", "nan", "null", "none", "-nan"]).to_numpy()
     if (
         np.isfinite(numbers) | empty | texts.str.lower().isin(["inf", "-inf", "+inf", "infinity"]).to_numpy()
     ).all():
         return numbers
-    return texts.to_numpy(dtype=object)
+    return np.asarray(texts, dtype=object)
 
 
 def _lists(column: pd.Series, size: int, path: Path, name: str, start: int) -> Array:
@@ -155,7 +155,8 @@ def _lists(column: pd.Series, size: int, path: Path, name: str, start: int) -> A
 def _parsed(cell: str) -> list[Any]:
     inner = cell.strip()[1:-1]
     if "," in inner:
-        return json.loads(f"[{inner}]")
+        cells: list[Any] = json.loads(f"[{inner}]")
+        return cells
     return inner.split()
 
 

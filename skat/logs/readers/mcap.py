@@ -82,7 +82,7 @@ def _decoder(factories: list[Any], channel: Any, schema: Any) -> Callable[[bytes
     if channel.message_encoding == "json":
         return _json
     for factory in factories:
-        decoder = factory.decoder_for(channel.message_encoding, schema)
+        decoder: Callable[[bytes], Any] | None = factory.decoder_for(channel.message_encoding, schema)
         if decoder is not None:
             return decoder
     return None

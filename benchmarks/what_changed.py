@@ -1,0 +1,130 @@
+"""What changed, on simulated arms whose models are wrong in eight to fifteen ways at once.
+
+A six-joint arm and one of two links, with masses 5 to 30 % off, and friction, damping and rotor inertias that the
+model lacks. Log before and log after move otherwise. One thing is changed, a mass, a friction, a damping, a gain or a
+delay, or nothing::
+
+    python benchmarks/what_changed.py --cut
+    python benchmarks/what_changed.py --cases two_link     # see tables.py for the rest
+"""
+
+import numpy as np
+import tables
+from tables import Case, Table
+from worlds.robots import make_log, nominal_model
+
+N_CHANGED, N_SAME = 50, 50
+ARMS = {
+    "two_link": {"friction": (0.05, 0.02), "joints": ("shoulder", "elbow")},
+    "torque_arm": {"friction": (6.0, 6.0, 5.0, 1.5, 1.4, 1.2), "joints": ()},
+}
+KINDS = ("mass", "dry_friction", "gain", "damping", "delay")
+
+
+def names_of(robot):
+    """Return names of joints, bodies and actuators."""
+    import mujoco
+
+    model = nominal_model(make_log(robot, seed=0, rows=8, episodes=1).mjcf)
+    of = mujoco.mj_id2name
+    joints = [of(model, mujoco.mjtObj.mjOBJ_JOINT, one) for one in range(model.njnt)]
+    bodies = [of(model, mujoco.mjtObj.mjOBJ_BODY, int(body)) for body in model.jnt_bodyid]
+    motors = [of(model, mujoco.mjtObj.mjOBJ_ACTUATOR, one) for one in range(model.nu)]
+    return joints, bodies, motors
+
+
+def wrong(robot, rng):
+    """Return what the model has wrong in both logs."""
+    joints, bodies, _ = names_of(robot)
+    friction = ARMS[robot]["friction"]
+    truth = {}
+    for joint, size in zip(joints, friction):
+        truth[f"dry_friction[{joint}]"] = size * rng.uniform(0.6, 1.5)
+        truth[f"damping[{joint}]"] = size * rng.uniform(0.3, 1.0)
+    for body in bodies:
+        truth[f"mass[{body}]"] = 1 + rng.choice([-1, 1]) * rng.uniform(0.05, 0.3)
+    if len(joints) == 2:
+        truth |= {f"armature[{joint}]": rng.uniform(0.001, 0.004) for joint in joints}
+    some = rng.permutation(len(truth))[: max(8, min(15, len(truth)))]
+    return {name: value for place, (name, value) in enumerate(truth.items()) if place in some}
+
+
+def change(robot, kind, truth, rng):
+    """Return the truth after a change, and the change as it is told."""
+    joints, bodies, motors = names_of(robot)
+    place = int(rng.integers(len(joints)))
+    if kind == "delay":
+        late = 0.01 * float(rng.integers(1, 3))
+        return {**truth, "delay[action]": late}, {"delay[action]": late}
+    if kind in ("dry_friction", "damping"):
+        name, size = f"{kind}[{joints[place]}]", ARMS[robot]["friction"][place] * rng.uniform(0.5, 1.5)
+        return {**truth, name: truth.get(name, 0.0) + size}, {name: size}
+    name = f"gain[{motors[place]}]" if kind == "gain" else f"mass[{bodies[-1 - place % 2]}]"
+    factor = float(rng.choice([0.75, 0.85, 1.2, 1.4])) if kind == "gain" else rng.uniform(1.3, 2.0)
+    told = factor if kind == "gain" else 1 + truth.get(name, 1.0) * (factor - 1)
+    return {**truth, name: truth.get(name, 1.0) * factor}, {name: told}
+
+
+def cases(cut):
+    found = []
+    for index in range(3 if cut else N_CHANGED):
+        for robot in ARMS:
+            found.append(Case(f"changed | {robot} | {KINDS[index % len(KINDS)]}", 4000 + index))
+            found.append(Case(f"same | {robot}", 5000 + index))
+    return found
+
+
+def run(case, parameters):
+    what, robot, *kind = case.name.split(" | ")
+    rng = np.random.default_rng([case.seed, len(robot)])
+    before = wrong(robot, rng)
+    after, truth = change(robot, kind[0], before, rng) if kind else (before, {})
+    logs = [
+        make_log(robot, one, seed=[case.seed, number], rows=1500, episodes=1)
+        for number, one in enumerate((before, after))
+    ]
+    simulator = tables.simulator_of(logs[0])
+    answer = tables.ask_change(
+        simulator, *((log.X, log.y, log.groups) for log in logs), seed=case.seed, parameters=parameters
+    )
+    return {
+        "what": what,
+        "robot": robot,
+        "kind": (kind or [""])[0],
+        "truth": truth,
+        "n_wrong": len(before),
+        **answer,
+    }
+
+
+def report(lines, shown):
+    for robot in (None, *ARMS):
+        mine = [line for line in lines if robot in (None, line["robot"])]
+        changed = [line for line in mine if line["what"] == "changed"]
+        label = "" if robot is None else f"... {robot}: "
+        shown.share(f"{label}named alone", map(tables.alone, changed), "92 %")
+        shown.share(f"{label}alone, or an alias of the only one", map(tables.or_alias, changed))
+        shown.share(
+            f"{label}nothing changed: named",
+            [line["verdict"] != "nothing changed" for line in mine if line["what"] == "same"],
+            "<= 2 %",
+        )
+    changed = [line for line in lines if line["what"] == "changed"]
+    for kind in KINDS:
+        shown.share(
+            f"{kind}: alone or alias", [tables.or_alias(line) for line in changed if line["kind"] == kind]
+        )
+    errors = [
+        abs(cause["value"] / line["truth"][cause["name"]] - 1)
+        for line in changed
+        for cause in line["causes"]
+        if cause["name"] in line["truth"]
+    ]
+    shown.number("error of its size, as a share", errors, "median .07")
+    shown.share("intervals that cover", [one for line in changed for one in tables.in_interval(line)], "90 %")
+
+
+TABLE = Table("what_changed", cases, run, report)
+
+if __name__ == "__main__":
+    tables.main(TABLE, __doc__)

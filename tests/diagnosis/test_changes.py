@@ -1,0 +1,71 @@
+"""What changed between two logs: laws of its algebra, and small machines."""
+
+import numpy as np
+import pytest
+
+from skat.diagnosis import SimulationDiagnosis
+from skat.diagnosis.changes import _integrated, _later
+from skat.simulators import FunctionSimulator, MujocoSimulator
+from tests.diagnosis.test_force_space import ARM, log_of
+
+WRONG = {"friction": (0.12, 0.06), "damping": (0.1, 0.05), "mass": 1.15}
+
+
+def asked(before, after, **options):
+    simulator = MujocoSimulator(ARM, frame_skip=5)
+    return SimulationDiagnosis(simulator, random_state=0, **options).fit_change(before, after)
+
+
+def test_integrating_out_is_the_marginal_of_a_normal_law():
+    rng = np.random.default_rng(0)
+    N, z, weights = rng.normal(size=(40, 5)), rng.normal(size=40), np.array([0.7, 2.0])
+    products, projections = _integrated(N.T @ N, N.T @ z, np.arange(2), weights)
+    covariance = np.eye(40) + N[:, :2] @ np.diag(1 / weights) @ N[:, :2].T
+    np.testing.assert_allclose(
+        products[2:, 2:], N[:, 2:].T @ np.linalg.solve(covariance, N[:, 2:]), atol=1e-10
+    )
+    np.testing.assert_allclose(projections[2:], N[:, 2:].T @ np.linalg.solve(covariance, z), atol=1e-10)
+
+
+def test_late_commands_are_those_of_earlier_rows_of_their_episode():
+    commands, episodes = np.arange(6.0)[:, None], np.array([0, 0, 0, 1, 1, 1])
+    assert _later(commands, episodes, 1.0)[:, 0].tolist() == [0, 0, 1, 3, 3, 4]
+    assert _later(commands, episodes, -1.0)[:, 0].tolist() == [1, 2, 2, 4, 5, 5]
+    assert _later(commands, episodes, 0.5)[:, 0].tolist() == [0, 0.5, 1.5, 3, 3.5, 4.5]
+
+
+def test_a_gain_that_changed_is_told_as_how_many_times_it_is():
+    found = asked(log_of(4, **WRONG), log_of(5, **WRONG, gain=(1.0, 1.25)))
+    (change,) = found.changes_
+    assert change.name == "gain[elbow]"
+    assert change.interval[0] < 1.25 < change.interval[1]
+    assert found.gain_.extended < found.gain_.nominal
+    assert "times what it was" in change.sentence
+    assert set(found.common_) == {"qvel.shoulder", "qvel.elbow"}
+
+
+def test_swapped_columns_are_told_and_nothing_is_named():
+    X, y, groups = log_of(5, **WRONG)
+    X[:, [4, 5]] = X[:, [5, 4]]
+    with pytest.warns(UserWarning, match=r"ctrl\.shoulder and ctrl\.elbow are swapped"):
+        found = asked(log_of(4, **WRONG), (X, y, groups))
+    assert (found.verdict_, found.changes_) == ("unexplained", [])
+
+
+def test_what_has_no_forces_on_joints_is_refused_with_a_remedy():
+    X, y, groups = log_of(4, rows=60)
+    function = FunctionSimulator(
+        lambda X: X[:, :4],
+        input_names=[f"x{one}" for one in range(6)],
+        output_names=[f"x{one}" for one in range(4)],
+        state_names=[f"x{one}" for one in range(4)],
+        effects=(),
+    )
+    with pytest.raises(ValueError, match="extended_simulator_"):
+        SimulationDiagnosis(function, effects="all").fit_change((X, y, groups), (X, y, groups))
+    ball = MujocoSimulator(
+        "<mujoco><worldbody><body name='b'><freejoint name='f'/><geom size='.1'/></body></worldbody></mujoco>"
+    )
+    rest = np.tile([0, 0, 1.0, 1, 0, 0, 0] + [0] * 6, (30, 1))
+    with pytest.raises(ValueError, match="free or a ball joint"):
+        SimulationDiagnosis(ball).fit_change((rest, rest), (rest, rest))
