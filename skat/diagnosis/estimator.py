@@ -43,8 +43,6 @@ Progress = Callable[[str, int, int], None]
 VELOCITIES = ("auto", "measured", "computed")
 # A log in which the simulation diverges in a larger share of the rows is not explained by it.
 MOST_DIVERGED = 0.1
-# Rows that a first look fits, in stretches of so many that follow each other.
-QUICK_ROWS, STRETCH = 192, 32
 # Readings are multiples of a step if none misses one by more than this share of it.
 ROUNDED = 0.01
 
@@ -80,8 +78,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
     priors : mapping from name to float, optional
         Typical sizes of effects, in place of `Effect.typical`: .03 for a mass that the datasheet states to 3 %.
     quick : bool, default=False
-        Whether a first look is enough, at 192 rows from all over a log: it takes seconds, sees less, has wider
-        intervals, and says that it is one. What it does not see, and what it names, a whole fit is to confirm.
+        Whether a first look is enough, at some 200 rows from all over a log: it takes seconds, sees less, has wider
+        intervals, and says that it is one.
     n_jobs : int or None, default=None
         Processes of joblib that share the simulations; ``joblib.parallel_config(backend="dask")`` takes them to a
         cluster. None means one, whose own threads take all cores where the simulator is a `MujocoSimulator`.
@@ -195,8 +193,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         ------
         ValueError
             If the rows do not fit the simulator, are fewer than 4, hold text or an infinite value, or are not in time
-            order; if an effect is unknown; if `floor` is none; if `resume` is a file of another log, simulator, setting or version of
-            skat, or damaged.
+            order; if an effect is unknown; if `floor` holds no variances; if `resume` is a file of another log,
+            simulator, setting or version of skat, or damaged.
         RuntimeError
             If the simulation diverges in every row.
         """
@@ -215,8 +213,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         fitted, held_out, random_state = begun.fitted, begun.held_out, begun.random_state
         self.n_rows_ = len(fitted)
         if self.quick:
-            fitted = fitted.few(QUICK_ROWS, STRETCH)
-            held_out = None if held_out is None else held_out.few(QUICK_ROWS, STRETCH)
+            fitted, held_out = fitted.few(), None if held_out is None else held_out.few()
         self.n_rows_fitted_ = len(fitted)
         space = self._space(fitted)
         least = least + _rounding(space)

@@ -28,6 +28,9 @@ ROWS_OF_PIECE, FEWEST_PIECES, MOST_PIECES = 20, 4, 20
 FOLLOWING = 0.9
 # Of a channel's spread, and in its unit: what rounding may put between the end of a row and the begin of the next.
 ROUNDING, SMALLEST = 1e-4, 1e-9
+# A first look takes so many stretches of a log, each so long (s), with at least and at most so many rows: in shorter
+# ones a force that has a memory looks like one that does not change, as causes do.
+STRETCHES, STRETCH_S, STRETCH_ROWS = 2, 0.8, (80, 320)
 QUATERNION = ("qw", "qx", "qy", "qz")
 
 
@@ -132,13 +135,15 @@ class Log:
             labels = tuple(self.labels[episode] for episode in self.episodes[chosen][first])
         return replace(self, X=self.X[chosen], y=self.y[chosen], episodes=episodes, labels=labels)
 
-    def few(self, most: int, stretch: int) -> "Log":
-        """Return evenly spread rows, at most so many, in stretches that follow each other in time."""
-        if len(self) <= most:
+    def few(self) -> "Log":
+        """Return the few rows that a first look takes: stretches of time, or rows from all over where there is none."""
+        dt = None if self.simulator is None else self.simulator.dt
+        length = int(np.clip(STRETCH_S / dt if dt else 0.0, *STRETCH_ROWS))
+        if len(self) <= STRETCHES * length:
             return self
-        length = min(stretch, most) if self.consecutive else 1
-        starts = np.linspace(0, len(self) - length, most // length).astype(int)
-        return self.rows(np.unique(starts[:, None] + np.arange(length)))
+        count, length = (STRETCHES, length) if self.consecutive else (STRETCHES * length, 1)
+        starts = ((np.arange(count) + 0.5) * len(self) / count - length / 2).astype(int)
+        return self.rows((starts[:, None] + np.arange(length)).ravel())
 
     def split(self, test_size: float, random_state: np.random.RandomState) -> tuple["Log", "Log | None"]:
         """Return (fitted, held out) logs: whole episodes where there are several, otherwise blocks of time.
