@@ -120,6 +120,43 @@ def test_diagnose_names_the_hidden_friction_and_writes_a_report(here):
         assert told in report.text
 
 
+def test_a_first_look_says_that_it_is_one(here):
+    measured_cart(n_episodes=12).to_csv(here / "long.csv", index=False)
+    effects = ("--effect", "damping[rail]", "--effect", "mass[cart]")
+    result = skat("diagnose", "model.xml", "long.csv", "--quick", *effects, "--json", "found.json")
+    assert result.exit_code == 0, result.output
+    assert "Log: named (a first look)" in result.stdout
+    assert "A first look, at 160 of " in result.stdout
+    assert "damping[rail]" in result.stdout
+    found = json.loads((here / "found.json").read_text())
+    assert (found["verdict"], found["first_look"], found["rows_fitted"]) == ("named", True, 160)
+    assert found["gain"]["extended"] < found["gain"]["nominal"]
+    assert "A first look, at 160 of " in Page((here / "long-report.html").read_text()).text
+
+
+@pytest.mark.parametrize(("said", "left_out"), [("measured", []), ("computed", ["qvel.rail"])])
+def test_the_user_says_whether_velocities_were_computed(here, said, left_out):
+    result = skat(
+        "diagnose",
+        "model.xml",
+        "log.csv",
+        "--velocities",
+        said,
+        "--effect",
+        "damping[rail]",
+        "--json",
+        "found.json",
+    )
+    assert result.exit_code == 0, result.output
+    assert json.loads((here / "found.json").read_text())["computed_velocities"] == left_out
+
+
+def test_velocities_are_one_of_three(here):
+    result = skat("diagnose", "model.xml", "log.csv", "--velocities", "guessed")
+    assert result.exit_code == 2
+    assert "'auto', 'measured', 'computed'" in result.stderr
+
+
 def test_warnings_are_shown_and_remembered_for_the_report(capsys):
     with clear_errors(), heard() as said:
         warnings.warn("the clock is uneven", UserWarning, stacklevel=1)

@@ -43,7 +43,13 @@ def skat(command):
 
 
 def test_readme_names_the_commands():
-    assert [command.split()[0] for command in COMMANDS] == ["effects", "check", "preflight", "diagnose"]
+    assert [command.split()[0] for command in COMMANDS] == [
+        "effects",
+        "check",
+        "preflight",
+        "diagnose",
+        "diagnose",
+    ]
 
 
 def test_effects_of_the_arm_are_listed(arm):
@@ -66,7 +72,7 @@ def test_preflight_of_the_log_shows_the_friction(arm, log):
 @pytest.mark.parametrize("log", LOGS)
 def test_the_elbows_friction_is_named_and_written_into_a_model_for_plain_mujoco(arm, log):
     arm(".", **log)
-    assert "dry_friction[elbow]" in skat(COMMANDS[3] + " --effect dry_friction[elbow]" * bool(log))
+    assert "dry_friction[elbow]" in skat(COMMANDS[-1] + " --effect dry_friction[elbow]" * bool(log))
     better = mujoco.MjModel.from_xml_path("better.xml")
     assert better.dof_frictionloss[better.joint("elbow").dofadr[0]] == pytest.approx(0.6, rel=0.1)
 

@@ -301,23 +301,25 @@ def experiment(
 
 def show_study(study: "Study") -> None:
     """Print the verdict, the causes, and the errors on data not used."""
-    from skat.diagnosis.report.sentences import capital, share_sentence, verdict_sentences
+    from skat.diagnosis.report.sentences import capital, is_first_look, share_sentence, verdict_sentences
 
     console = output_console()
     diagnosis, gain = study.diagnosis, study.gain
     print_line("")
-    print_line(f"{study.title}: {diagnosis.verdict_}", style="bold")
+    first_look = " (a first look)" if is_first_look(diagnosis) else ""
+    print_line(f"{study.title}: {diagnosis.verdict_}{first_look}", style="bold")
     for sentence in verdict_sentences(diagnosis, [] if study.errors is None else [study.errors]):
         print_line(f"  {sentence}")
     if diagnosis.causes_:
         console.print(table_of(_causes(diagnosis.causes_)))
-    if gain is not None and study.errors is not None:
+    if study.errors is not None:
         whose = "Error of whole episodes" if tuple(diagnosis.hidden) else "One-step error"
         print_line(f"{whose} on data not used, in standard deviations of each channel")
         console.print(table_of(study.errors[["method", "error", "ratio"]]))
         noted = study.errors[study.errors["note"] != ""]
         for note, rows in noted.groupby("note", sort=False):
             print_line(f"  {', '.join(rows['method'])}: {note}")
+    if gain is not None:
         print_line(
             f"{study.error_name}, on data not used: {gain.nominal:.3g} before, {gain.extended:.3g} after, "
             f"{gain.ratio:.3g} times smaller"

@@ -3,6 +3,7 @@
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -77,6 +78,16 @@ Motors = Annotated[
 FrameSkip = Annotated[
     int | None, typer.Option(min=1, help="Steps of the model between two rows; sets the rate.")
 ]
+
+
+class Velocities(StrEnum):
+    """What the velocities of a log are."""
+
+    auto = "auto"
+    measured = "measured"
+    computed = "computed"
+
+
 Jobs = Annotated[int | None, typer.Option(help="Processes to use; -1: one per core.")]
 
 
@@ -100,6 +111,15 @@ def diagnose(
     hidden: Annotated[
         list[str] | None, typer.Option(help="Name of a state column that is a guess, no measurement; repeat.")
     ] = None,
+    velocities: Annotated[
+        Velocities,
+        typer.Option(
+            help="Whether velocities were measured, or computed from positions and so measure nothing; auto tells."
+        ),
+    ] = Velocities.auto,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Take a first look at a few rows, in seconds; it says less.")
+    ] = False,
     alpha: Alpha = 0.01,
     max_effects: Annotated[
         int | None, typer.Option(min=1, help="Name this many causes at most. Default: no limit.")
@@ -139,6 +159,8 @@ def diagnose(
                 test=tested,
                 effects=effect or "all",
                 hidden=hidden or (),
+                velocities=velocities.value,
+                quick=quick,
                 alpha=alpha,
                 max_effects=max_effects,
                 test_size=test_size,

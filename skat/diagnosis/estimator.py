@@ -22,7 +22,7 @@ from skat.diagnosis.filtering import Array
 from skat.diagnosis.findings import Alias, Cause, Gain
 from skat.diagnosis.fitting import value_at
 from skat.diagnosis.identifiability import identifiability, preflight
-from skat.diagnosis.log import Log, check_log, check_matrix, without_channels
+from skat.diagnosis.log import Log, check_log, check_matrix, tangent_variances, without_channels
 from skat.diagnosis.posterior import Posterior
 from skat.diagnosis.prediction import (
     Prediction,
@@ -77,6 +77,9 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         Share of the excess error, or of a joint's force, that may be left unexplained.
     priors : mapping from name to float, optional
         Typical sizes of effects, in place of `Effect.typical`: .03 for a mass that the datasheet states to 3 %.
+    quick : bool, default=False
+        Whether a first look is enough, at some 200 rows from all over a log: it takes seconds, sees less, has wider
+        intervals, and says that it is one.
     n_jobs : int or None, default=None
         Processes of joblib that share the simulations; ``joblib.parallel_config(backend="dask")`` takes them to a
         cluster. None means one, whose own threads take all cores where the simulator is a `MujocoSimulator`.
@@ -99,6 +102,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         Sets of causes with their probabilities, and the law of their values.
     computed_velocities_ : tuple of str
         Velocities that were left out since they were computed from positions.
+    n_rows_fitted_, n_rows_ : int
+        Rows that were fitted, and those that there were to fit; they differ where `quick` was set.
     diverged_share_ : float
         Share of the rows in which the simulation with its causes diverges; they tell nothing.
     extended_simulator_ : Simulator
@@ -128,6 +133,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         horizon: float | None = None,
         tolerance: float = 0.1,
         priors: Mapping[str, float] | None = None,
+        quick: bool = False,
         n_jobs: int | None = None,
         random_state: Any = None,
     ):
@@ -142,6 +148,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         self.horizon = horizon
         self.tolerance = tolerance
         self.priors = priors
+        self.quick = quick
         self.n_jobs = n_jobs
         self.random_state = random_state
 
@@ -151,6 +158,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         y: Any,
         groups: ArrayLike | None = None,
         *,
+        floor: ArrayLike | None = None,
         progress: Progress | None = None,
         resume: str | PathLike[str] | None = None,
     ) -> "SimulationDiagnosis":
@@ -167,6 +175,9 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         groups : array-like of shape (n_rows,), optional
             Episode of each row; an episode's rows are consecutive and in time order. None: independent rows. For a
             simulation without a state, rows of a group may have something in common and count as one.
+        floor : array-like of shape (n_states,), optional
+            Least variance of each state channel's noise, in the channel's unit squared, such as `skat.logs.Log.floor`
+            that resampling has left; that of rounding is found in the values and added.
         progress : callable, optional
             ``progress(stage, done, total)`` is called as the work goes on.
         resume : path, optional
@@ -182,30 +193,36 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         ------
         ValueError
             If the rows do not fit the simulator, are fewer than 4, hold text or an infinite value, or are not in time
-            order; if an effect is unknown; if `resume` is a file of another log, simulator, setting or version of
-            skat, or damaged.
+            order; if an effect is unknown; if `floor` holds no variances; if `resume` is a file of another log,
+            simulator, setting or version of skat, or damaged.
         RuntimeError
             If the simulation diverges in every row.
         """
         progress = progress or _silent
         self._check_parameters()
         effects = self._chosen_effects()
+        least = self._checked_floor(floor)
         random_state = check_random_state(self.random_state)
         log = without_channels(self.simulator, check_log(self.simulator, X, y, groups), self.hidden)
         warn_of_doubts(self.simulator, log)
         log = self._without_computed(log)
         self.n_features_in_ = log.X.shape[1]
         begun = Begun(*log.split(self.test_size, random_state), random_state)
-        checkpoint = None if resume is None else Checkpoint(resume, self, log)
+        checkpoint = None if resume is None else Checkpoint(resume, self, log, least)
         begun = begun if checkpoint is None else checkpoint.resumed(begun)
         fitted, held_out, random_state = begun.fitted, begun.held_out, begun.random_state
+        self.n_rows_ = len(fitted)
+        if self.quick:
+            fitted, held_out = fitted.few(), None if held_out is None else held_out.few()
+        self.n_rows_fitted_ = len(fitted)
         space = self._space(fitted)
+        least = least + _rounding(space)
         found = find_causes(
             space,
             effects,
             alpha=self.alpha,
             typical=self.priors,
-            floor=_rounding(space),
+            floor=least,
             given=self._given_deviations(),
             max_effects=self.max_effects,
             resumed=begun.search,
@@ -583,6 +600,21 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
                 f"{self.noise!r}."
             )
         return deviations
+
+    def _checked_floor(self, floor: ArrayLike | None) -> Array:
+        """Return the least variance of each residual channel's noise."""
+        names = self.simulator.output_names
+        if floor is None:
+            return np.zeros(len(self.simulator.residual_names))
+        try:
+            variances = np.asarray(floor, dtype=float)
+        except (TypeError, ValueError):
+            variances = np.array(np.nan)
+        if variances.shape != (len(names),) or not ((variances >= 0) & (variances < np.inf)).all():
+            raise ValueError(
+                f"floor must hold a finite variance of at least 0 for each of {', '.join(names)}; it is {floor!r}."
+            )
+        return tangent_variances(self.simulator, variances)
 
     def _space(self, log: Log) -> StateSpace:
         return state_space(

@@ -28,6 +28,9 @@ ROWS_OF_PIECE, FEWEST_PIECES, MOST_PIECES = 20, 4, 20
 FOLLOWING = 0.9
 # Of a channel's spread, and in its unit: what rounding may put between the end of a row and the begin of the next.
 ROUNDING, SMALLEST = 1e-4, 1e-9
+# A first look takes so many stretches of a log, each so long (s), with at least and at most so many rows: in shorter
+# ones a force that has a memory looks like one that does not change, as causes do.
+STRETCHES, STRETCH_S, STRETCH_ROWS = 2, 0.8, (80, 320)
 QUATERNION = ("qw", "qx", "qy", "qz")
 
 
@@ -131,6 +134,16 @@ class Log:
             first = np.unique(episodes, return_index=True)[1]
             labels = tuple(self.labels[episode] for episode in self.episodes[chosen][first])
         return replace(self, X=self.X[chosen], y=self.y[chosen], episodes=episodes, labels=labels)
+
+    def few(self) -> "Log":
+        """Return the few rows that a first look takes: stretches of time, or rows from all over where there is none."""
+        dt = None if self.simulator is None else self.simulator.dt
+        length = int(np.clip(STRETCH_S / dt if dt else 0.0, *STRETCH_ROWS))
+        if len(self) <= STRETCHES * length:
+            return self
+        count, length = (STRETCHES, length) if self.consecutive else (STRETCHES * length, 1)
+        starts = ((np.arange(count) + 0.5) * len(self) / count - length / 2).astype(int)
+        return self.rows((starts[:, None] + np.arange(length)).ravel())
 
     def split(self, test_size: float, random_state: np.random.RandomState) -> tuple["Log", "Log | None"]:
         """Return (fitted, held out) logs: whole episodes where there are several, otherwise blocks of time.
@@ -310,6 +323,22 @@ def measured_channels(simulator: Simulator, hidden: Sequence[str]) -> Mask:
     """Return for each residual channel whether it was measured, (n_channels,): a rotation as its quaternion was."""
     seen = np.array([name not in set(hidden) for name in simulator.output_names])
     return tangent_mask(simulator, seen)
+
+
+def tangent_variances(simulator: Simulator, variances: Array) -> Array:
+    """Return the variance of the noise of each residual channel, (n_channels,), from that of each output.
+
+    A small turn moves its quaternion by half of it, in the direction of each axis.
+    """
+    outputs = simulator.output_names
+    found = np.empty(len(simulator.residual_names))
+    for channel, name in enumerate(simulator.residual_names):
+        if name in outputs:
+            found[channel] = variances[outputs.index(name)]
+        else:
+            joint = name[: -len(".rx")]
+            found[channel] = 4 * np.mean([variances[outputs.index(f"{joint}.{part}")] for part in QUATERNION])
+    return found
 
 
 def check_matrix(values: Any, what: str, names: Sequence[str], *, optional: Sequence[str] = ()) -> Array:

@@ -148,6 +148,9 @@ def estimate_noise(
         The last pass has the states' covariances.
     """
     floor = np.maximum(floor, FINEST * chains.prior)
+    # Behind a start below the floor no step would be a gain.
+    begun = np.maximum(noise.error, floor)
+    noise = replace(noise, error=begun if held is None else np.where(held, noise.error, begun))
     best = passed(chains, noise, real)
     exponent, gain = 1.0, np.inf
     for _ in range(n_passes):

@@ -266,6 +266,8 @@ class Checkpoint:
     diagnosis : SimulationDiagnosis
     log : Log
         Checked, before rows are held out.
+    floor : ndarray of shape (d,)
+        Least variance of each channel's noise.
 
     Raises
     ------
@@ -273,7 +275,7 @@ class Checkpoint:
         If there is no folder to write it into.
     """
 
-    def __init__(self, path: str | PathLike[str], diagnosis: Any, log: Log) -> None:
+    def __init__(self, path: str | PathLike[str], diagnosis: Any, log: Log, floor: Array) -> None:
         self._path = writable(path, force=True)
         self._simulator: Simulator = diagnosis.simulator
         parameters = diagnosis.get_params(deep=False)
@@ -281,7 +283,7 @@ class Checkpoint:
             parameters["random_state"] = None  # what was drawn is kept
         self._parameters = {name: value for name, value in parameters.items() if name not in IDLE}
         self._about: dict[str, Any] = {
-            "log": digest(log),
+            "log": digest((log, floor)),
             "simulator": vars(replace(SavedSimulator.of(self._simulator, log), parameters=None)),
             "model": _digest(self._simulator),
             "parameters": self._parameters,

@@ -22,7 +22,7 @@ from skat.datasets import (
 )
 from skat.datasets.ball_drops import BALLS
 from skat.diagnosis import Gain, SimulationDiagnosis, compare_transports
-from skat.diagnosis.log import measured_channels
+from skat.diagnosis.log import check_log, measured_channels
 from skat.diagnosis.report.sentences import horizon_text
 from skat.simulators import make_simulator
 
@@ -52,7 +52,7 @@ class Study:
 
     errors : DataFrame or None
         Columns method and error: the error of one step on the data set aside, for the simulation, for maps
-        that carry its output onto the measurement, and for the extended simulation.
+        that carry its output onto the measurement, and for the extended simulation. None of a first look (`quick`).
 
     truth : str or None
         What differed between the simulation and the measured world, where that is known.
@@ -309,6 +309,7 @@ def study_log(
             f"{test.source} lacks {', '.join(test.unmeasured)}, which {log.source} has: both are compared in what both "
             "have. Leave these channels out of the first log as well (--map 'NAME=-')."
         )
+    floor = log.floor
     log, parameters = _complete(log, parameters)
     if test is not None:
         fit, (test, _) = log, _complete(test, parameters)
@@ -328,7 +329,7 @@ def study_log(
             "evaluation": {"horizon": "episode", "initial_state": "fitted"},
             "error_name": f"trajectory error, all measured channels{ending}",
         }
-    return _study("Log", log.simulator, fit, test, random_state, progress, **parameters)
+    return _study("Log", log.simulator, fit, test, random_state, progress, floor=floor, **parameters)
 
 
 def _complete(log: Any, parameters: Any) -> Any:
@@ -358,25 +359,31 @@ def _study(
     evaluation: dict[str, Any] | None = None,
     error_name: str = "",
     truth: Any = None,
+    floor: Any = None,
     **parameters: Any,
 ) -> Study:
     parameters = {"hidden": fit.get("hidden", ()), **parameters}
     diagnosis = SimulationDiagnosis(simulator, test_size=0, random_state=random_state, **parameters)
-    diagnosis.fit(fit.data, fit.target, groups=fit.get("groups"), progress=progress)
+    diagnosis.fit(fit.data, fit.target, groups=fit.get("groups"), floor=floor, progress=progress)
     if test is None:
         return Study(title, diagnosis, None, error_name, None, truth)
+    if diagnosis.quick:
+        few = check_log(simulator, test.data, test.target, test.get("groups"), fewest_rows=1).few()
+        test = Bunch(data=few.X, target=few.y, groups=few.episodes if few.n_episodes < len(few) else None)
     try:
         gain = diagnosis.evaluate(test.data, test.target, test.get("groups"), **(evaluation or {}))
-        errors = compare_transports(
-            diagnosis,
-            fit.data,
-            fit.target,
-            test.data,
-            test.target,
-            groups_fit=fit.get("groups"),
-            groups_test=test.get("groups"),
-            random_state=random_state,
-        )
+        errors = None
+        if not diagnosis.quick:  # maps take longer than a first look
+            errors = compare_transports(
+                diagnosis,
+                fit.data,
+                fit.target,
+                test.data,
+                test.target,
+                groups_fit=fit.get("groups"),
+                groups_test=test.get("groups"),
+                random_state=random_state,
+            )
     except RuntimeError as error:  # The simulation diverges; what was found is not lost for that.
         warnings.warn(f"The gain could not be measured on the data set aside. {error}", stacklevel=3)
         return Study(title, diagnosis, None, error_name, None, truth)

@@ -9,6 +9,8 @@ import pytest
 from sklearn.base import clone
 
 from skat.diagnosis import SimulationDiagnosis
+from skat.diagnosis.log import STRETCH_ROWS, STRETCHES
+from skat.diagnosis.report.machine import findings_as_data
 from skat.effects import Effect
 from skat.simulators import FunctionSimulator
 from tests.diagnosis.cart_pole import (
@@ -18,6 +20,8 @@ from tests.diagnosis.cart_pole import (
     make_simulator,
     measure,
 )
+
+FEW = STRETCHES * STRETCH_ROWS[0]
 
 
 @pytest.fixture
@@ -332,6 +336,55 @@ def test_preflight_needs_no_measurement_and_foresees_what_a_log_shows(simulator)
     seen = diagnosis.fit(*log[:2], groups=log[2]).identifiability_
     ratio = table.loc[["bob", "drag", "pole", "gravity"], "smallest"] / seen["smallest"]
     assert ratio.dropna().between(0.6, 1.6).all()
+
+
+@pytest.mark.parametrize("hidden", [{}, {"gain": 0.8}])
+def test_a_first_look_takes_few_rows_from_all_over_a_log_and_says_so(simulator, hidden):
+    log = measure(5, n_episodes=20, **hidden)
+    diagnosis = fitted(simulator, log, quick=True)
+    whole = len(fitted(simulator, log, max_effects=1, effects=["gain"]).report_.log)
+    assert diagnosis.n_rows_ == whole
+    assert diagnosis.n_rows_fitted_ == len(diagnosis.report_.log) == FEW < whole
+    assert [cause.name for cause in diagnosis.causes_] == list(hidden)
+    for cause in diagnosis.causes_:
+        low, high = cause.interval
+        assert abs(cause.value - hidden[cause.name]) < high - low
+    said = f"A first look, at {FEW} of {whole:,} rows"
+    assert said in diagnosis.report_.text()
+    assert said in diagnosis.report_.html(figures=False)
+    assert ("What was looked at shows no difference" in diagnosis.report_.text()) == (not hidden)
+    data = findings_as_data(diagnosis)
+    assert (data["first_look"], data["rows_fitted"]) == (True, FEW)
+
+
+def test_a_first_look_at_a_short_log_is_a_whole_fit(simulator):
+    log = measure(5, n_episodes=4, gain=0.8)
+    quick, whole = (fitted(simulator, log, quick=quick) for quick in (True, False))
+    assert quick.causes_ == whole.causes_
+    assert quick.n_rows_fitted_ == quick.n_rows_ == whole.n_rows_ <= FEW
+    assert quick.report_.text() == whole.report_.text()
+    assert "first look" not in quick.report_.text()
+    assert not findings_as_data(quick)["first_look"]
+
+
+def test_no_channel_has_less_noise_than_its_floor(simulator):
+    X, y, groups, deviations = measure(2, n_episodes=8)
+    floor = np.array([0.0, (5 * deviations[1]) ** 2, 0.0, 0.0])
+    found = [
+        SimulationDiagnosis(simulator, random_state=0).fit(X, y, groups, floor=given).noise_
+        for given in (None, floor)
+    ]
+    assert found[0][1] < 2 * deviations[1]
+    assert found[1][1] >= 5 * deviations[1] * (1 - 1e-9)
+
+
+@pytest.mark.parametrize("floor", [[0.1], [0.0, 0.0, 0.0, -1.0], [0.0, np.nan, 0.0, 0.0], "much"])
+def test_a_floor_that_holds_no_variances_is_refused(simulator, floor):
+    X, y, groups, _ = measure(2, n_episodes=2)
+    with pytest.raises(
+        ValueError, match="floor must hold a finite variance of at least 0 for each of x, angle"
+    ):
+        SimulationDiagnosis(simulator).fit(X, y, groups, floor=floor)
 
 
 def test_progress_is_told(simulator):

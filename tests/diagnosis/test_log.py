@@ -4,7 +4,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skat.diagnosis.log import Log, check_log, check_matrix, measured_channels, without_channels
+from skat.diagnosis.log import (
+    Log,
+    check_log,
+    check_matrix,
+    measured_channels,
+    tangent_variances,
+    without_channels,
+)
 from skat.diagnosis.statespace import state_space
 from skat.effects import Effect
 from skat.simulators import FunctionSimulator, MujocoSimulator
@@ -40,6 +47,53 @@ def rows(lengths, seed=0):
             inputs.append(row)
             outputs.append(state)
     return np.concatenate(inputs), np.concatenate(outputs), np.repeat(np.arange(len(lengths)), lengths)
+
+
+@pytest.mark.parametrize(("dt", "length"), [(None, 80), (0.1, 80), (0.005, 160), (1e-4, 320)])
+def test_a_first_look_takes_stretches_of_time_from_either_half_of_a_log(dt, length):
+    simulator = FunctionSimulator(
+        push,
+        input_names=("x", "v", "force"),
+        output_names=("x", "v"),
+        state_names=("x", "v"),
+        effects=(),
+        dt=dt,
+    )
+    log = check_log(simulator, *rows([1000]))
+    few = log.few()
+    assert np.bincount(few.episodes).tolist() == [length, length]
+    places = [np.flatnonzero((row == log.X).all(axis=1)).item() for row in few.X]
+    np.testing.assert_array_equal(np.diff(places[:length]), 1)
+    assert abs(np.mean(places[:length]) - 250) <= 1
+    assert abs(np.mean(places[length:]) - 750) <= 1
+    short = check_log(simulator, *rows([2 * length]))
+    assert short.few() is short
+
+
+def test_a_first_look_takes_rows_without_an_order_from_all_over(simulator):
+    X, y, _ = rows([1] * 1000)
+    few = check_log(simulator, X, y, None).few()
+    places = [np.flatnonzero((row == X).all(axis=1)).item() for row in few.X]
+    assert len(few) == 160
+    assert np.ptp(np.diff(places)) <= 1
+
+
+def test_variances_of_a_turn_are_four_times_those_of_its_quaternion():
+    model = (
+        """<mujoco><worldbody><body><freejoint name="root"/><geom size=".1"/></body></worldbody></mujoco>"""
+    )
+    simulator = MujocoSimulator(model)
+    rng = np.random.default_rng(0)
+    deviation = 1e-4
+    at = np.r_[np.zeros(3), np.full(4, 0.5), np.zeros(6)]
+    noisy = np.repeat(at[None], 20_000, axis=0)
+    noisy[:, 3:7] += deviation * rng.normal(size=(20_000, 4))
+    noisy[:, 3:7] /= np.linalg.norm(noisy[:, 3:7], axis=1, keepdims=True)
+    turned = simulator.residual(noisy, np.broadcast_to(at, noisy.shape))
+    variances = np.zeros(13)
+    variances[3:7] = deviation**2
+    told = tangent_variances(simulator, variances)
+    np.testing.assert_allclose(turned.var(axis=0), told, rtol=0.05)
 
 
 def test_nan_in_an_action_and_what_is_infinite_are_named_with_their_row_and_column(simulator):

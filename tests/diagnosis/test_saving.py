@@ -523,6 +523,11 @@ def test_fit_does_not_go_on_with_another_log(of_function, begun):
         a_diagnosis().fit(X, moved, groups, resume=begun)
 
 
+def test_fit_does_not_go_on_with_another_floor(of_function, begun):
+    with pytest.raises(ValueError, match="it is of another log"):
+        a_diagnosis().fit(*of_function[1], floor=np.full(4, 1e-8), resume=begun)
+
+
 def test_fit_does_not_go_on_in_another_version(of_function, begun):
     rewrite(begun, lambda text: text.update(skat="7.0"))
     with pytest.raises(ValueError, match=r"it was written by skat 7\.0; this is skat"):

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from skat.diagnosis.report.sentences import is_first_look
+
 if TYPE_CHECKING:
     from skat.diagnosis.estimator import SimulationDiagnosis
     from skat.diagnosis.findings import Gain
@@ -49,6 +51,8 @@ def findings_as_data(
         "numpy": np.__version__,
         **context,
         "verdict": diagnosis.verdict_,
+        "first_look": is_first_look(diagnosis),
+        "rows_fitted": diagnosis.n_rows_fitted_,
         "causes": diagnosis.causes_,
         "also_seen": diagnosis.also_seen_,
         "sets": [_set(one) for one in diagnosis.posterior_.sets],

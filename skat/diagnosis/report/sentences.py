@@ -50,13 +50,20 @@ def verdict_sentences(diagnosis: SimulationDiagnosis, comparisons: Sequence[pd.D
             )
     sentences += cautions(diagnosis.causes_)
     if diagnosis.verdict_ == "nothing detected":
+        looked_at = "What was looked at" if is_first_look(diagnosis) else "The log"
         sentences.append(
-            "The log shows no difference from the simulation that noise and random forces would not explain."
+            f"{looked_at} shows no difference from the simulation that noise and random forces would not explain."
         )
     if unexplained:
         rest = remainder_sentence(diagnosis)
         sentences.insert(
             0, f"Beside what is named below, {rest}." if diagnosis.causes_ else f"{capital(rest)}."
+        )
+    if is_first_look(diagnosis):
+        sentences.insert(
+            0,
+            f"A first look, at {diagnosis.n_rows_fitted_:,} of {diagnosis.n_rows_:,} rows: smaller causes are not "
+            "seen, and a whole fit (without quick) is to confirm what is named.",
         )
     return sentences + [
         ceiling_sentence(errors) for errors in comparisons if unexplained or is_beaten(errors)
@@ -141,6 +148,11 @@ def left_sentence(part: Left) -> str:
     if part.regressor == "constant":
         return f"at {part.name} {size} are left at all times, which no cause explains"
     return f"what is left at {part.name} depends on {part.regressor}, which predicts {size} that no cause explains"
+
+
+def is_first_look(diagnosis: SimulationDiagnosis) -> bool:
+    """Whether a part of the rows was left out of a fit, so that a whole fit may say more."""
+    return diagnosis.n_rows_fitted_ < diagnosis.n_rows_
 
 
 def clear_parts(diagnosis: SimulationDiagnosis) -> list[Left]:
