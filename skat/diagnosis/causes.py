@@ -119,12 +119,20 @@ class Seen:
             {**self.most, one: max(found, self.most.get(one, -np.inf))},
         )
 
-    def better(self, one: Sequence[int], other: Sequence[int], needed: float, error: float = 0.0) -> bool:
-        """Whether a set is to be preferred: what has more names must be worth them in every fit of both."""
+    @property
+    def spread(self) -> float:
+        """By how much fits of one set were seen to differ, at most, nats."""
+        return max((self.most[one] - self.least[one] for one in self.most), default=0.0)
+
+    def better(self, one: Sequence[int], other: Sequence[int], needed: float) -> bool:
+        """Whether a set is to be preferred: more names must be worth what they need in every fit of both, and more.
+
+        Of two sets of as many names neither is, where fits of one set differ by as much.
+        """
         more = needed * (len(one) - len(other))
         if more < 0:
-            return self.most[tuple(one)] > self.least[tuple(other)] + more
-        return self.least[tuple(one)] > self.most[tuple(other)] + more + error + TOLERANCE
+            return self.most[tuple(one)] > self.least[tuple(other)] + more - self.spread
+        return self.least[tuple(one)] > self.most[tuple(other)] + more + self.spread + TOLERANCE
 
 
 @dataclass(frozen=True)
@@ -165,7 +173,7 @@ class Rival:
     ----------
     cause, other : int
     evidence : float
-        The most that fits gave to this set, and that other paths may add, nats.
+        The most that fits gave to this set, and what other ones may add, nats.
     """
 
     cause: int
@@ -288,8 +296,11 @@ def find_causes(
     return _found(fits, now, gram, ranked, best, rivals, state.seen, also, stands)
 
 
-def _begun(fits: Fits, now: Fit) -> Search:
-    """Return the search at its first fit, with a noise from which what all effects explain is taken out."""
+def _begun(fits: Fits, first: Sequence[Fit]) -> Search:
+    """Return the search at its first fits, with a noise from which what all effects explain is taken out."""
+    now, seen = max(first, key=lambda one: one.evidence), Seen({}, {})
+    for one in first:
+        seen = seen.beside(one)
     space, effects, priors = fits.space, fits.effects, fits.priors
     slopes = _with_chords(space, now.fitted, effects, slopes_of(space, now.fitted, effects, priors))
     dense = now.fitted
@@ -297,7 +308,7 @@ def _begun(fits: Fits, now: Fit) -> Search:
         columns = gram_of(space, dense, slopes, effects)
         moves = columns.dense(priors.scales)
         dense = noise_without(space, dense, slopes, moves, fits.floor, given=fits.given)
-    return Search(0, now, dense, slopes, None, Seen({}, {}).beside(now), ())
+    return Search(0, now, dense, slopes, None, seen, ())
 
 
 def _proposals(
@@ -364,10 +375,9 @@ def _rivals(fits: Fits, now: Fit, grams: Sequence[Gram], seen: Seen) -> tuple[Se
             moved = weigh(grams[int(np.argmax(looks[:, other]))], fits.priors, members)
             own = fits.of(members, moved.values, now, seen.least[now.members] - np.log(ALIAS_FACTOR))
             seen = seen.beside(own)
-            # As much as other paths may add tells none of two from the other.
-            error = max(own.error, now.error)
-            found.append(Rival(cause, int(other), seen.most[members] + error))
-            if seen.better(own.members, better.members, 0.0, error):
+            # What fits of one set differ by tells none of two from the other.
+            found.append(Rival(cause, int(other), seen.most[members] + seen.spread))
+            if seen.better(own.members, better.members, 0.0):
                 better = own
     return seen, found, None if better is now else better
 
