@@ -104,25 +104,29 @@ class Seen:
 
     Attributes
     ----------
-    least, most : dict of tuple of int to float
-        Log evidence, nats.
+    evidences : dict of tuple of int to tuple of float
+        Of the last fits of each set, two at most, nats: those before were about paths that are no longer the best.
     """
 
-    least: dict[tuple[int, ...], float]
-    most: dict[tuple[int, ...], float]
+    evidences: dict[tuple[int, ...], tuple[float, ...]]
 
     def beside(self, fit: Fit) -> "Seen":
         """Return these and one fit more."""
-        one, found = fit.members, fit.evidence
-        return Seen(
-            {**self.least, one: min(found, self.least.get(one, np.inf))},
-            {**self.most, one: max(found, self.most.get(one, -np.inf))},
-        )
+        before = self.evidences.get(fit.members, ())
+        return Seen({**self.evidences, fit.members: (*before[-1:], fit.evidence)})
+
+    def least(self, members: Sequence[int]) -> float:
+        """Return the least evidence of a set."""
+        return min(self.evidences[tuple(members)])
+
+    def most(self, members: Sequence[int]) -> float:
+        """Return the most evidence of a set."""
+        return max(self.evidences[tuple(members)])
 
     @property
     def spread(self) -> float:
         """By how much fits of one set were seen to differ, at most, nats."""
-        return max((self.most[one] - self.least[one] for one in self.most), default=0.0)
+        return max(max(one) - min(one) for one in self.evidences.values())
 
     def better(self, one: Sequence[int], other: Sequence[int], needed: float) -> bool:
         """Whether a set is to be preferred: more names must be worth what they need in every fit of both, and more.
@@ -131,8 +135,8 @@ class Seen:
         """
         more = needed * (len(one) - len(other))
         if more < 0:
-            return self.most[tuple(one)] > self.least[tuple(other)] + more - self.spread
-        return self.least[tuple(one)] > self.most[tuple(other)] + more + self.spread + TOLERANCE
+            return self.most(one) > self.least(other) + more - self.spread
+        return self.least(one) > self.most(other) + more + self.spread + TOLERANCE
 
 
 @dataclass(frozen=True)
@@ -298,7 +302,7 @@ def find_causes(
 
 def _begun(fits: Fits, first: Sequence[Fit]) -> Search:
     """Return the search at its first fits, with a noise from which what all effects explain is taken out."""
-    now, seen = max(first, key=lambda one: one.evidence), Seen({}, {})
+    now, seen = max(first, key=lambda one: one.evidence), Seen({})
     for one in first:
         seen = seen.beside(one)
     space, effects, priors = fits.space, fits.effects, fits.priors
@@ -373,10 +377,10 @@ def _rivals(fits: Fits, now: Fit, grams: Sequence[Gram], seen: Seen) -> tuple[Se
                 break
             members = tuple(sorted({*now.members, int(other)} - {cause}))
             moved = weigh(grams[int(np.argmax(looks[:, other]))], fits.priors, members)
-            own = fits.of(members, moved.values, now, seen.least[now.members] - np.log(ALIAS_FACTOR))
+            own = fits.of(members, moved.values, now, seen.least(now.members) - np.log(ALIAS_FACTOR))
             seen = seen.beside(own)
             # What fits of one set differ by tells none of two from the other.
-            found.append(Rival(cause, int(other), seen.most[members] + seen.spread))
+            found.append(Rival(cause, int(other), seen.most(members) + seen.spread))
             if seen.better(own.members, better.members, 0.0):
                 better = own
     return seen, found, None if better is now else better
@@ -396,7 +400,7 @@ def _found(
     effects, priors = fits.effects, fits.priors
     names = priors.names
     probabilities = {name: ranked.probability(place) for place, name in enumerate(names)}
-    shares = _shares(rivals, seen.least[now.members])
+    shares = _shares(rivals, seen.least(now.members))
     for one, others in shares.items():
         probabilities[names[one]] = min(probabilities[names[one]], 1 - sum(share for _, share in others))
     refitted = {
