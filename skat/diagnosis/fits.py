@@ -72,7 +72,7 @@ class Fits:
         members = tuple(sorted(names.index(name) for name in values if name in names))
         # From what was measured the way is long, and all that is compared with it begins where it ends.
         fitted = settled(self.space, values, None, self.floor, given=self.given)
-        found: list[Fit] = []
+        found = [self._weighed(members, fitted)[0]]
         for _ in range(FIT_TURNS):
             last, fitted = fitted, settled(self.space, values, fitted, self.floor, given=self.given)
             found.append(self._weighed(members, fitted)[0])
