@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from skat.diagnosis import SimulationDiagnosis
+from skat.experiments.studies import study_log
 from skat.logs import load_log
 from skat.simulators import MujocoSimulator
 from tests.logs import formats
@@ -56,7 +57,7 @@ def noisy(monkeypatch):
 def diagnosed(source, **options):
     log = load_log(source, MujocoSimulator(MODEL), **options)
     diagnosis = SimulationDiagnosis(log.simulator, effects=EFFECTS, test_size=0, random_state=0)
-    return diagnosis.fit(log.X, log.y, groups=log.groups)
+    return diagnosis.fit(log.X, log.y, groups=log.groups, floor=log.floor)
 
 
 def named(diagnosis):
@@ -79,6 +80,17 @@ def test_a_log_in_any_format_and_state_names_the_same_cause_inside_the_same_inte
     # What lacks half of its channels tells less: its wider interval is to hold what the whole log says.
     assert _holds(clean.interval, cause.value) or _holds(cause.interval, clean.value)
     assert clean.interval[0] < HIDDEN / 2 < clean.interval[1]
+
+
+def test_the_error_of_interpolation_is_carried_into_the_noise(noisy, tmp_path):
+    log = load_log(formats.documented(tmp_path / "log.csv", "jitter"), MujocoSimulator(MODEL))
+    assert log.interpolation
+    least = np.sqrt(log.floor)
+    told = {"effects": [CAUSE], "velocities": "measured"}
+    carried = study_log(log, test_size=0, **told).diagnosis
+    assert (carried.noise_ >= (1 - 1e-9) * least).all()
+    bare = SimulationDiagnosis(log.simulator, test_size=0, **told).fit(log.X, log.y, groups=log.groups)
+    assert (bare.noise_ < 0.9 * least).any()
 
 
 def _holds(interval, value):
