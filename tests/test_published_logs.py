@@ -1,5 +1,6 @@
-"""The documented command for each published log reads it as it is."""
+"""The documented command for each published log reads it as it is, and takes a first look at it."""
 
+import json
 import re
 import shlex
 from pathlib import Path
@@ -11,7 +12,7 @@ from skat.cli import app
 from skat.simulators import make_simulator
 
 GUIDE = Path(__file__).parent.parent / "docs" / "user_guide"
-COMMANDS = re.findall(r"^ +\$ skat (check .*)$", (GUIDE / "published_logs.rst").read_text(), re.MULTILINE)
+COMMANDS = re.findall(r"^ +\$ skat (diagnose .*)$", (GUIDE / "published_logs.rst").read_text(), re.MULTILINE)
 # The names in the guide, where the originals lie below $SKAT_DATA_HOME.
 ORIGINALS = {
     "data_measured.csv": "pendulum/data_measured.csv",
@@ -22,6 +23,8 @@ ORIGINALS = {
     "measured.csv": "ricmonk/TVLQR_3xForward_170gm_asymmetricLoad.csv.gz",
     "ricmonk.urdf": "ricmonk/ricmonk.urdf",
 }
+# Of these a first look takes seconds.
+QUICK = ("pendulum.xml",)
 # Of each model: what is found in the log, in words of the output.
 FOUND = {
     "pendulum.xml": "3999 rows of 0.005 s",
@@ -62,12 +65,36 @@ def here(tmp_path, monkeypatch):
 def test_a_published_log_is_read_by_its_command(here, command):
     if ".db3" in command:
         pytest.importorskip("rosbags")
-    result = CliRunner().invoke(app, [*shlex.split(command), "--no-preflight"])
+    words = shlex.split(command.removesuffix(" --quick").replace("diagnose", "check", 1))
+    result = CliRunner().invoke(app, [*words, "--no-preflight"])
     assert result.exit_code == 0, result.output
     assert FOUND[shlex.split(command)[1]] in result.stdout
     channels = [line for line in result.stdout.splitlines() if re.search(r"│ (qpos|qvel|ctrl)\.", line)]
     assert len(channels) >= 3
     assert not [line for line in channels if "not measured" in line and "│ qvel." not in line]
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        pytest.param(command, id=model, marks=[] if model in QUICK else [pytest.mark.long])
+        for command in COMMANDS
+        for model in [command.split()[1]]
+    ],
+)
+@pytest.mark.filterwarnings("ignore::UserWarning")  # of velocities that lag or were computed
+def test_a_first_look_at_a_published_log_is_taken_by_its_command(here, command):
+    if ".db3" in command:
+        pytest.importorskip("rosbags")
+    result = CliRunner().invoke(app, [*shlex.split(command), "--json", "found.json"])
+    assert result.exit_code == 0, result.output
+    assert "(a first look)" in result.stdout
+    found = json.loads((here / "found.json").read_text())
+    assert found["first_look"]
+    assert found["rows_fitted"] < found["log"]["rows"]
+    assert found["verdict"] in ("nothing detected", "named", "ambiguous", "unexplained")
+    for cause in found["causes"]:
+        assert cause["interval"][0] <= cause["value"] <= cause["interval"][1]
 
 
 def test_every_measured_log_of_an_arm_has_a_command():
