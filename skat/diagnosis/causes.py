@@ -22,7 +22,7 @@ from skat.diagnosis.fitting import (
 )
 from skat.diagnosis.noise import TOLERANCE
 from skat.diagnosis.search import Ranked, search, without_weak
-from skat.diagnosis.statespace import StateSpace, derivatives
+from skat.diagnosis.statespace import CHAIN_LENGTH, StateSpace, derivatives
 from skat.effects import EVERY, Effect
 from skat.simulators.base import Simulator
 
@@ -33,6 +33,8 @@ KNOWN_UNITS = ("rad", "m", "rad/s", "m/s")
 BIAS_SHARE = 0.03
 # Moves from a set to a better one, or to better values.
 TURNS = 16
+# Transitions of a chain where fits of one set about longer ones differ.
+SHORT_CHAIN = 4
 # How often noise and what all effects explain are taken in turns, before any is a cause.
 DENSE_TURNS = 2
 # No model is exact: a log of so many rows counts half [Miller, Dunson 2019].
@@ -81,6 +83,8 @@ class Found:
     best : Weighed
     settled : bool
         Whether the search stands still.
+    chain_length : int
+        Of the chains that it was made with.
     """
 
     effects: tuple[Effect, ...]
@@ -96,6 +100,7 @@ class Found:
     ranked: Ranked
     best: Weighed
     settled: bool
+    chain_length: int
 
 
 @dataclass(frozen=True)
@@ -104,27 +109,47 @@ class Seen:
 
     Attributes
     ----------
-    least, most : dict of tuple of int to float
-        Log evidence, nats.
+    evidences : dict of tuple of int to tuple of float
+        Of the last fits of each set, two at most, nats: those before were about paths that are no longer the best.
     """
 
-    least: dict[tuple[int, ...], float]
-    most: dict[tuple[int, ...], float]
+    evidences: dict[tuple[int, ...], tuple[float, ...]]
+
+    @classmethod
+    def of(cls, fits: Sequence[Fit]) -> "Seen":
+        """Return what some fits gave."""
+        seen = cls({})
+        for one in fits:
+            seen = seen.beside(one)
+        return seen
 
     def beside(self, fit: Fit) -> "Seen":
         """Return these and one fit more."""
-        one, found = fit.members, fit.evidence
-        return Seen(
-            {**self.least, one: min(found, self.least.get(one, np.inf))},
-            {**self.most, one: max(found, self.most.get(one, -np.inf))},
-        )
+        before = self.evidences.get(fit.members, ())
+        return Seen({**self.evidences, fit.members: (*before[-1:], fit.evidence)})
 
-    def better(self, one: Sequence[int], other: Sequence[int], needed: float, error: float = 0.0) -> bool:
-        """Whether a set is to be preferred: what has more names must be worth them in every fit of both."""
+    def least(self, members: Sequence[int]) -> float:
+        """Return the least evidence of a set."""
+        return min(self.evidences[tuple(members)])
+
+    def most(self, members: Sequence[int]) -> float:
+        """Return the most evidence of a set."""
+        return max(self.evidences[tuple(members)])
+
+    @property
+    def spread(self) -> float:
+        """By how much fits of one set were seen to differ, at most, nats."""
+        return max(max(one) - min(one) for one in self.evidences.values())
+
+    def better(self, one: Sequence[int], other: Sequence[int], needed: float) -> bool:
+        """Whether a set is to be preferred: more names must be worth what they need in every fit of both, and more.
+
+        Of two sets of as many names neither is, where fits of one set differ by as much.
+        """
         more = needed * (len(one) - len(other))
         if more < 0:
-            return self.most[tuple(one)] > self.least[tuple(other)] + more
-        return self.least[tuple(one)] > self.most[tuple(other)] + more + error + TOLERANCE
+            return self.most(one) > self.least(other) + more - self.spread
+        return self.least(one) > self.most(other) + more + self.spread + TOLERANCE
 
 
 @dataclass(frozen=True)
@@ -135,6 +160,8 @@ class Search:
     ----------
     turn : int
         Of this relinearisation.
+    chain_length : int
+        Of the chains that it was made with.
     now : Fit
         The best so far.
     dense : Fitted or None
@@ -149,6 +176,7 @@ class Search:
     """
 
     turn: int
+    chain_length: int
     now: Fit
     dense: Fitted | None
     slopes: Array
@@ -165,7 +193,7 @@ class Rival:
     ----------
     cause, other : int
     evidence : float
-        The most that fits gave to this set, and that other paths may add, nats.
+        The most that fits gave to this set, and what other ones may add, nats.
     """
 
     cause: int
@@ -183,6 +211,7 @@ def find_causes(
     given: Array | None = None,
     max_effects: int | None = None,
     start: Mapping[str, float] | None = None,
+    shorter: Callable[[int], StateSpace] | None = None,
     resumed: Search | None = None,
     checkpoint: Callable[[Search], None] | None = None,
     progress: Callable[[str, int, int], None] | None = None,
@@ -209,6 +238,8 @@ def find_causes(
         Most causes at a time.
     start : mapping from name to value, optional
         Where to begin.
+    shorter : callable, optional
+        ``shorter(length)`` lays the log out in chains of at most so many transitions.
     resumed : Search, optional
         Go on from there.
     checkpoint : callable, optional
@@ -225,8 +256,19 @@ def find_causes(
     priors = priors_of(effects, {**_typical_biases(space, effects), **(typical or {})})
     power = COARSE_ROWS / (COARSE_ROWS + len(space.X))
     needed = -float(np.log(alpha))
+    length = CHAIN_LENGTH if resumed is None else resumed.chain_length
+    if length != CHAIN_LENGTH and shorter is not None:
+        space = shorter(length)
     fits = Fits(space, tuple(effects), priors, floor, given, power)
-    state = resumed or _begun(fits, fits.first(start or {}))
+    state = resumed
+    if state is None:
+        first = fits.first(start or {})
+        if Seen.of(first).spread > needed and shorter is not None:
+            # Where something hits there is more than one path: the shorter a chain, the fewer.
+            length = SHORT_CHAIN
+            fits = replace(fits, space=shorter(length))
+            first = fits.first(start or {})
+        state = _begun(fits, first, length)
     ask = partial(search, priors=priors, families=_families(effects), power=power, most=max_effects)
     rivals: list[Rival] = []
     stands = misled = False
@@ -278,18 +320,19 @@ def find_causes(
         slopes = state.slopes.copy()
         chosen = [effects[one] for one in live]
         slopes[..., live] = slopes_of(fits.space, moved.fitted, chosen, priors.part(live))
-        state = Search(state.turn + 1, moved, None, slopes, state.first, seen, tuple(sorted(banned)))
+        state = Search(state.turn + 1, length, moved, None, slopes, state.first, seen, tuple(sorted(banned)))
     best = weigh(gram, priors, now.members, power=power)
     if misled:
         # What slopes say of other sets was seen to be wrong.
         inside = (one for one in ranked.sets if set(one.members) < set(now.members))
         ranked = Ranked(tuple(sorted((best, *inside), key=lambda one: -one.evidence)))
     also = {} if misled else _also(ask, gram, priors, effects, best, needed, state.banned)
-    return _found(fits, now, gram, ranked, best, rivals, state.seen, also, stands)
+    return _found(fits, now, gram, ranked, best, rivals, state.seen, also, stands, length)
 
 
-def _begun(fits: Fits, now: Fit) -> Search:
-    """Return the search at its first fit, with a noise from which what all effects explain is taken out."""
+def _begun(fits: Fits, first: Sequence[Fit], length: int) -> Search:
+    """Return the search at its first fits, with a noise from which what all effects explain is taken out."""
+    now = max(first, key=lambda one: one.evidence)
     space, effects, priors = fits.space, fits.effects, fits.priors
     slopes = _with_chords(space, now.fitted, effects, slopes_of(space, now.fitted, effects, priors))
     dense = now.fitted
@@ -297,7 +340,7 @@ def _begun(fits: Fits, now: Fit) -> Search:
         columns = gram_of(space, dense, slopes, effects)
         moves = columns.dense(priors.scales)
         dense = noise_without(space, dense, slopes, moves, fits.floor, given=fits.given)
-    return Search(0, now, dense, slopes, None, Seen({}, {}).beside(now), ())
+    return Search(0, length, now, dense, slopes, None, Seen.of(first), ())
 
 
 def _proposals(
@@ -362,12 +405,11 @@ def _rivals(fits: Fits, now: Fit, grams: Sequence[Gram], seen: Seen) -> tuple[Se
                 break
             members = tuple(sorted({*now.members, int(other)} - {cause}))
             moved = weigh(grams[int(np.argmax(looks[:, other]))], fits.priors, members)
-            own = fits.of(members, moved.values, now, seen.least[now.members] - np.log(ALIAS_FACTOR))
+            own = fits.of(members, moved.values, now, seen.least(now.members) - np.log(ALIAS_FACTOR))
             seen = seen.beside(own)
-            # As much as other paths may add tells none of two from the other.
-            error = max(own.error, now.error)
-            found.append(Rival(cause, int(other), seen.most[members] + error))
-            if seen.better(own.members, better.members, 0.0, error):
+            # What fits of one set differ by tells none of two from the other.
+            found.append(Rival(cause, int(other), seen.most(members) + seen.spread))
+            if seen.better(own.members, better.members, 0.0):
                 better = own
     return seen, found, None if better is now else better
 
@@ -382,11 +424,12 @@ def _found(
     seen: Seen,
     also: dict[str, float],
     stands: bool,
+    length: int,
 ) -> Found:
     effects, priors = fits.effects, fits.priors
     names = priors.names
     probabilities = {name: ranked.probability(place) for place, name in enumerate(names)}
-    shares = _shares(rivals, seen.least[now.members])
+    shares = _shares(rivals, seen.least(now.members))
     for one, others in shares.items():
         probabilities[names[one]] = min(probabilities[names[one]], 1 - sum(share for _, share in others))
     refitted = {
@@ -415,6 +458,7 @@ def _found(
         ranked,
         best,
         stands,
+        length,
     )
 
 

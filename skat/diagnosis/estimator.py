@@ -34,7 +34,7 @@ from skat.diagnosis.prediction import (
 from skat.diagnosis.remainder import find_remainder, is_unexplained
 from skat.diagnosis.report.from_diagnosis import DiagnosisReport
 from skat.diagnosis.saving import Begun, Checkpoint, read_diagnosis, write_diagnosis
-from skat.diagnosis.statespace import StateSpace, state_space
+from skat.diagnosis.statespace import CHAIN_LENGTH, StateSpace, state_space
 from skat.diagnosis.velocities import computed_velocities
 from skat.effects import Effect, unknown_name_message
 from skat.simulators import Simulator
@@ -225,10 +225,12 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             floor=least,
             given=self._given_deviations(),
             max_effects=self.max_effects,
+            shorter=partial(self._space, fitted),
             resumed=begun.search,
             checkpoint=None if checkpoint is None else partial(checkpoint.write, begun),
             progress=progress,
         )
+        space = self._space(fitted, found.chain_length)
         self._found = found
         self._values = dict(found.values)
         self.causes_ = _causes(found)
@@ -616,9 +618,15 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             )
         return tangent_variances(self.simulator, variances)
 
-    def _space(self, log: Log) -> StateSpace:
+    def _space(self, log: Log, chain_length: int = CHAIN_LENGTH) -> StateSpace:
         return state_space(
-            self.simulator, log.X, log.y, log.episodes, consecutive=log.consecutive, n_jobs=self.n_jobs
+            self.simulator,
+            log.X,
+            log.y,
+            log.episodes,
+            consecutive=log.consecutive,
+            chain_length=chain_length,
+            n_jobs=self.n_jobs,
         )
 
     def _rows_ahead(self, horizon: float | None = None) -> int:

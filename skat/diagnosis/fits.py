@@ -66,18 +66,19 @@ class Fits:
     given: Array | None
     power: float
 
-    def first(self, values: Mapping[str, float]) -> Fit:
-        """Return the fit at values, from the log alone."""
+    def first(self, values: Mapping[str, float]) -> list[Fit]:
+        """Return fits at values, from the log alone, each about the path of the one before, until they gain nothing."""
         names = self.priors.names
         members = tuple(sorted(names.index(name) for name in values if name in names))
+        # From what was measured the way is long, and all that is compared with it begins where it ends.
         fitted = settled(self.space, values, None, self.floor, given=self.given)
+        found = [self._weighed(members, fitted)[0]]
         for _ in range(FIT_TURNS):
-            # From what was measured the way is long, and all that is compared with it begins where it ends.
             last, fitted = fitted, settled(self.space, values, fitted, self.floor, given=self.given)
+            found.append(self._weighed(members, fitted)[0])
             if fitted.bound < last.bound + STILL:
-                fitted = max(fitted, last, key=lambda one: one.bound)
                 break
-        return self._weighed(members, fitted)[0]
+        return found
 
     def of(self, members: Sequence[int], places: Array, near: Fit, wanted: float = -np.inf) -> Fit:
         """Return the fit of a set, about the path and from the noise of another fit.
