@@ -96,7 +96,7 @@ def test_a_log_in_any_format_and_state_names_the_same_cause_inside_the_same_inte
     assert clean.interval[0] < HIDDEN / 2 < clean.interval[1]
 
 
-def test_the_error_of_interpolation_is_carried_into_the_noise(noisy, tmp_path):
+def test_the_error_of_interpolation_is_carried_into_the_noise(tmp_path):
     log = load_log(formats.documented(tmp_path / "log.csv", "jitter"), MujocoSimulator(MODEL))
     assert log.interpolation
     least = np.sqrt(log.floor)
