@@ -6,10 +6,9 @@ import pytest
 
 from skat.diagnosis.changes import find_changes
 from skat.diagnosis.evidence import Gram, Priors, weigh
-from skat.diagnosis.force_space import first_look
 from skat.diagnosis.set_search import Weigher, search_sets
 from skat.diagnosis.smoothing import smooth_coordinate
-from skat.simulators import FunctionSimulator, MujocoSimulator
+from skat.simulators import MujocoSimulator
 
 ARM = """
 <mujoco>
@@ -135,28 +134,6 @@ def test_a_value_held_at_its_bound_is_worth_what_the_integral_says(sign):
     prior = priors.log_density((0,), np.full(1, sign * bound))[0]
     slope = pull - stiffness * bound
     assert Weigher(gram, priors)((0,)).evidence == pytest.approx(at_bound + prior - np.log(slope), abs=0.01)
-
-
-def test_first_look_names_friction_and_damping_of_both_joints():
-    simulator = MujocoSimulator(ARM, frame_skip=5)
-    truth = {"dry_friction": (0.12, 0.06), "damping": (0.1, 0.05)}
-    look = first_look(
-        simulator,
-        *log_of(3, friction=truth["dry_friction"], damping=truth["damping"]),
-        simulator.effects(),
-    )
-    for family, values in truth.items():
-        for joint, value in zip(JOINTS, values):
-            assert look.values[f"{family}[{joint}]"] == pytest.approx(value, rel=0.25)
-    assert len(look.values) <= 5
-
-
-def test_first_look_has_nothing_to_say_of_a_function():
-    simulator = FunctionSimulator(
-        lambda X: X, input_names=("a",), output_names=("a",), state_names=("a",), effects=(), dt=0.1
-    )
-    empty = np.zeros((30, 1))
-    assert first_look(simulator, empty, empty, np.zeros(30), ()) is None
 
 
 def test_only_what_changed_is_named_of_a_model_that_is_wrong_in_both_logs():
