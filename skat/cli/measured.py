@@ -118,7 +118,7 @@ def diagnose(
         ),
     ] = Velocities.auto,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Take a first look at a few rows, in seconds; it says less.")
+        bool, typer.Option("--quick", help="Take a first look, at a few rows; it says less.")
     ] = False,
     alpha: Alpha = 0.01,
     max_effects: Annotated[

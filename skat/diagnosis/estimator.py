@@ -78,7 +78,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
     priors : mapping from name to float, optional
         Typical sizes of effects, in place of `Effect.typical`: .03 for a mass that the datasheet states to 3 %.
     quick : bool, default=False
-        Whether a first look is enough, at some 200 rows from all over a log: it takes seconds, sees less, has wider
+        Whether a first look is enough, at two stretches of a log: it takes less time, sees less, has wider
         intervals, and says that it is one.
     n_jobs : int or None, default=None
         Processes of joblib that share the simulations; ``joblib.parallel_config(backend="dask")`` takes them to a

@@ -425,7 +425,7 @@ def _blocks(space: StateSpace) -> NDArray[np.intp]:
     block: NDArray[np.intp] = np.arange(n_chains)[:, None] * per_chain + np.arange(steps + 1) // length
     if steps == 1:  # rows that are independent of each other
         block = np.repeat(np.arange(n_chains)[:, None] // max(1, n_chains // MOST_BLOCKS), 2, axis=1)
-    elif steps + 1 < length:  # chains that follow each other
+    elif steps + 1 < length:  # drift shows between pieces longer than a chain
         block = np.repeat(np.arange(n_chains)[:, None] // (length // (steps + 1)), steps + 1, axis=1)
     return block
 
