@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg.lapack import dposv
 from scipy.special import log_ndtr
 
 from skat.diagnosis.filtering import Array
@@ -165,7 +166,7 @@ def posterior_mode(G: Array, b: Array, scales: Array, low: Array, high: Array) -
     values = np.zeros(len(b))
     weights = 1.0 / scales**2  # 2 / (s^2 + theta^2) at theta = s
     for _ in range(30):
-        new = _bounded_solution(G + np.diag(weights), b, low, high)
+        new = _bounded_solution(G + np.diag(weights), b, low, high, values)
         moved = np.max(np.abs(new - values) * np.sqrt(np.diag(G) + weights), initial=0.0)
         values = new
         weights = 2.0 / (scales**2 + values**2)
@@ -178,35 +179,29 @@ def posterior_mode(G: Array, b: Array, scales: Array, low: Array, high: Array) -
     return values, curvature
 
 
-def _bounded_solution(H: Array, b: Array, low: Array, high: Array) -> Array:
-    """Return the minimum of x'Hx/2 - b'x within bounds, by an active set."""
+def _bounded_solution(H: Array, b: Array, low: Array, high: Array, start: Array) -> Array:
+    """Return the minimum of x'Hx/2 - b'x within bounds, by an active set: at first the bounds that a start lies on."""
     unit = 1 / np.sqrt(np.diag(H))
     scaled = H * unit * unit[:, None]
-    x = np.linalg.solve(scaled, b * unit) * unit
-    if ((x >= low) & (x <= high)).all():
-        return x
-    free = np.ones(len(b), dtype=bool)
-    fixed = np.zeros(len(b))
+    x = start
+    free = (start > low) & (start < high)
     for _ in range(3 * len(b) + 3):
-        x = fixed.copy()
+        x = np.where(free, 0.0, x)
         if free.any():
-            part = np.ix_(free, free)
-            right = (b - H @ np.where(free, 0.0, fixed))[free] * unit[free]
-            x[free] = np.linalg.solve(scaled[part], right) * unit[free]
-        beyond = free & ((x < low) | (x > high))
-        if beyond.any():
-            worst = int(np.argmax(np.where(beyond, np.maximum(low - x, x - high) / unit, -1.0)))
-            free[worst], fixed[worst] = False, low[worst] if x[worst] < low[worst] else high[worst]
+            part = scaled if free.all() else scaled[free][:, free]
+            right = (b - H @ x)[free] * unit[free]
+            _, solved, failed = dposv(part, right)
+            x[free] = (np.linalg.solve(part, right) if failed else solved) * unit[free]
+        excess = np.maximum(low - x, x - high) / unit
+        if (excess > 0).any():
+            worst = int(np.argmax(excess))
+            free[worst], x[worst] = False, low[worst] if x[worst] < low[worst] else high[worst]
             continue
-        slope = b - H @ x
-        inward = ~free & (
-            ((fixed == low) & (slope > 1e-9 / unit)) | ((fixed == high) & (slope < -1e-9 / unit))
-        )
-        inward &= low < high
+        slope = (b - H @ x) * unit
+        inward = ~free & (low < high) & (((x == low) & (slope > 1e-9)) | ((x == high) & (slope < -1e-9)))
         if not inward.any():
             return x
-        back = int(np.argmax(np.where(inward, np.abs(slope) * unit, -1.0)))
-        free[back], fixed[back] = True, 0.0
+        free[int(np.argmax(np.where(inward, np.abs(slope), -1.0)))] = True
     return np.clip(x, low, high)
 
 
@@ -219,7 +214,7 @@ def _inside(values: Array, gradient: Array, curvature: Array, low: Array, high: 
         centre = value + slope / root**2
         upper, lower = (high[index] - centre) * root, (low[index] - centre) * root
         shift = 0.5 * (slope / root) ** 2
-        if upper < 0:  # both ends are below the centre
+        if lower > 0:  # both ends are above the centre, where the difference of two shares of 1 is lost
             upper, lower = -lower, -upper
         log_share = log_ndtr(upper) + np.log1p(-np.exp(min(log_ndtr(lower) - log_ndtr(upper), -1e-12)))
         total += float(shift + log_share)

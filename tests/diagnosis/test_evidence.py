@@ -25,22 +25,39 @@ def problem(rng, theta, n=200, scale=1.0):
 
 
 @pytest.mark.parametrize(
-    ("theta", "low"),
-    [(0.4, -1e3), (0.05, -1e3), (0.3, 0.0), (0.0, 0.0), (-0.1, 0.0)],
-    ids=["plain", "small", "positive", "at its bound", "against its bound"],
+    ("theta", "low", "high"),
+    [
+        (0.4, -1e3, 1e3),
+        (0.05, -1e3, 1e3),
+        (0.3, 0.0, 1e3),
+        (0.0, 0.0, 1e3),
+        (-0.1, 0.0, 1e3),
+        (-3.0, 0.0, 1e3),
+        (3.0, -1e3, 0.0),
+        (3.0, -1e3, 0.2),
+    ],
+    ids=["plain", "small", "positive", "at its bound", "against it", "far below", "far above", "beyond"],
 )
-def test_evidence_of_one_cause_is_that_by_quadrature(theta, low):
-    given = priors(1, low=low)
+def test_evidence_of_one_cause_is_that_by_quadrature(theta, low, high):
+    given = priors(1, low=low, high=high)
     gram, _ = problem(np.random.default_rng(0), np.array([theta]))
     G, b = gram.products[0, 0], gram.projections[0]
+    best = np.clip(b / G, low, high)
+    peak = b * best - G * best**2 / 2
 
     def density(value):
-        inside = 1 - (0.5 + np.arctan(low / 0.3) / np.pi)
-        return np.exp(b * value - G * value**2 / 2) / (np.pi * 0.3 * (1 + (value / 0.3) ** 2) * inside)
+        inside = (np.arctan(high / 0.3) - np.arctan(low / 0.3)) / np.pi
+        law = np.pi * 0.3 * (1 + (value / 0.3) ** 2) * inside
+        return np.exp(b * value - G * value**2 / 2 - peak) / law
 
-    centre, width = max(b / G, low), 12 / np.sqrt(G)
-    exact, _ = integrate.quad(density, max(low, centre - width), centre + width, epsabs=0, limit=200)
-    assert weigh(gram, given, [0]).evidence == pytest.approx(np.log(exact) + given.log_odds[0], abs=0.12)
+    # Against a bound the law falls over the inverse of its slope there.
+    width = 12 / max(np.sqrt(G), abs(b - G * best))
+    exact, _ = integrate.quad(
+        density, max(low, best - width), min(high, best + width), points=[best], epsabs=0, limit=200
+    )
+    assert weigh(gram, given, [0]).evidence == pytest.approx(
+        np.log(exact) + peak + given.log_odds[0], abs=0.12
+    )
 
 
 def test_evidence_of_two_causes_is_that_by_quadrature():
