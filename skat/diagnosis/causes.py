@@ -318,8 +318,7 @@ def find_causes(
             break
         live = _live(ranked, moved.members)
         slopes = state.slopes.copy()
-        chosen = [effects[one] for one in live]
-        slopes[..., live] = slopes_of(fits.space, moved.fitted, chosen, priors.part(live))
+        slopes[..., live] = _slopes(fits, moved, live)
         state = Search(state.turn + 1, length, moved, None, slopes, state.first, seen, tuple(sorted(banned)))
     best = weigh(gram, priors, now.members, power=power)
     if misled:
@@ -334,7 +333,7 @@ def _begun(fits: Fits, first: Sequence[Fit], length: int) -> Search:
     """Return the search at its first fits, with a noise from which what all effects explain is taken out."""
     now = max(first, key=lambda one: one.evidence)
     space, effects, priors = fits.space, fits.effects, fits.priors
-    slopes = _with_chords(space, now.fitted, effects, slopes_of(space, now.fitted, effects, priors))
+    slopes = _slopes(fits, now, range(len(effects)))
     dense = now.fitted
     for _ in range(DENSE_TURNS):
         columns = gram_of(space, dense, slopes, effects)
@@ -530,18 +529,22 @@ def _judged(columns: Columns, priors: Priors, members: Sequence[int] | None) -> 
     return columns.gram.scattered(columns.excess(columns.whitened - columns.columns @ moves))
 
 
-def _with_chords(space: StateSpace, fitted: Fitted, effects: Sequence[Effect], slopes: Array) -> Array:
-    """Return the slopes, those that say nothing of what lies further off as the chord to where most is explained.
+def _slopes(fits: Fits, now: Fit, members: Sequence[int]) -> Array:
+    """Return the slopes by effects at a fit, of what is no cause there the chord to where most is explained, if any is.
 
-    What a delay does has a kink at every time step: the ends of its chords are the whole ones. What has no slope at
-    all, such as a limit that is never reached, may have one further off: their ends divide the way to each bound.
+    Of such a value no more is known than its typical size, and what lies as far off may be of another slope. What a
+    delay does has a kink at every time step. What has no slope at all, such as a limit that is never reached, may have
+    one further off.
     """
-    slopes = slopes.copy()
+    space, fitted = fits.space, now.fitted
+    chosen, priors = [fits.effects[one] for one in members], fits.priors.part(members)
+    widths = dict(zip(now.members, now.widths))
+    slopes = slopes_of(space, fitted, chosen, priors, np.array([widths.get(one, 0.0) for one in members]))
     dead = ~np.any(slopes, axis=(0, 1))
-    for place, effect in enumerate(effects):
+    for place, effect in enumerate(chosen):
         if effect.name in fitted.values:
             continue
-        ends = _ends_of_chords(space.simulator, effect, bool(dead[place]))
+        ends = _ends_of_chords(space.simulator, effect, float(priors.scales[place]), bool(dead[place]))
         if not len(ends):
             continue
         grid = np.array([coordinate(effect, float(end)) for end in ends])
@@ -553,23 +556,34 @@ def _with_chords(space: StateSpace, fitted: Fitted, effects: Sequence[Effect], s
             ],
             axis=-1,
         )
-        columns = gram_of(space, fitted, chords, [effect] * len(grid))
-        b, G = columns.gram.projections, np.diag(columns.gram.products)
-        slopes[..., place] = chords[..., int(np.argmax(b * grid - 0.5 * G * grid**2))]
+        both = np.concatenate([slopes[..., place, None], chords], axis=-1)
+        gram = gram_of(space, fitted, both, [effect] * both.shape[-1]).gram
+        b, G = gram.projections, np.maximum(np.diag(gram.products), 1e-300)
+        # A chord holds as far as its end; the slope is taken at its word, but where a delay has none.
+        low, high = (
+            np.r_[priors.low[place], np.minimum(grid, 0)],
+            np.r_[priors.high[place], np.maximum(grid, 0)],
+        )
+        at = np.clip(b / G, low, high)
+        gains = b * at - 0.5 * G * at**2
+        if effect.family == "delay":
+            gains[0] = -np.inf
+        slopes[..., place] = both[..., int(np.argmax(gains))]
     return slopes
 
 
-def _ends_of_chords(simulator: Simulator, effect: Effect, dead: bool) -> Array:
-    """Return the values to which chords of an effect are drawn; none where its slope will do."""
+def _ends_of_chords(simulator: Simulator, effect: Effect, typical: float, dead: bool) -> Array:
+    """Return the values to which chords of an effect are drawn."""
     if effect.family == "delay" and simulator.dt:
         step = simulator.dt / int(getattr(simulator, "frame_skip", 1))
         return np.asarray(step * np.arange(1.0, int(effect.bounds[1] / step + 1e-9) + 1), dtype=np.float64)
-    if not dead:
-        return np.zeros(0)
-    shares = np.arange(1, CHORDS + 1) / CHORDS
-    low, high = (shares * coordinate(effect, bound) for bound in effect.bounds)
-    ends: Array = np.array([value_at(effect, place) for place in (*low, *high) if place], dtype=np.float64)
-    return ends
+    places = np.array([-typical, typical])
+    if dead:
+        shares = np.arange(1, CHORDS + 1) / CHORDS
+        places = np.concatenate([shares * coordinate(effect, bound) for bound in effect.bounds])
+    ends = np.unique([value_at(effect, place) for place in places])
+    far: Array = ends[ends != effect.neutral]
+    return far
 
 
 def _deviations(gram: Gram, priors: Priors, members: Sequence[int]) -> Array:

@@ -29,12 +29,15 @@ class Fit:
     fitted : Fitted
     evidence : float
         Log evidence of the set at these values, beside what all sets have in common, nats.
+    widths : ndarray of shape (len(members),)
+        Over which slopes by the values were taken, in coordinates.
     """
 
     members: tuple[int, ...]
     values: dict[str, float]
     fitted: Fitted
     evidence: float
+    widths: Array
 
     @property
     def error(self) -> float:
@@ -72,10 +75,11 @@ class Fits:
         members = tuple(sorted(names.index(name) for name in values if name in names))
         # From what was measured the way is long, and all that is compared with it begins where it ends.
         fitted = settled(self.space, values, None, self.floor, given=self.given)
-        found = [self._weighed(members, fitted)[0]]
+        widths = np.zeros(len(members))
+        found = [self._weighed(members, fitted, widths)[0]]
         for _ in range(FIT_TURNS):
             last, fitted = fitted, settled(self.space, values, fitted, self.floor, given=self.given)
-            found.append(self._weighed(members, fitted)[0])
+            found.append(self._weighed(members, fitted, widths)[0])
             if fitted.bound < last.bound + STILL:
                 break
         return found
@@ -98,10 +102,12 @@ class Fits:
         # What the set has beside `near` cannot make the log less likely, but for a step too far.
         reached = _lowest(near.fitted) if set(near.members) <= set(members) else -np.inf
         start, best = near.fitted, None
+        # Values are known to about what they were moved by last.
+        widths = np.abs(places - origin)
         for _ in range(FIT_TURNS):
             values = {effect.name: value_at(effect, at) for effect, at in zip(chosen, places)}
             fitted = settled(self.space, values, start, self.floor, given=self.given)
-            fit, moved, curvature = self._weighed(members, fitted)
+            fit, moved, curvature = self._weighed(members, fitted, widths)
             deviations = np.sqrt(np.diag(np.linalg.inv(curvature)))
             # Within its standard errors no step goes too far: what it loses is another path's.
             too_far = fitted.bound < reached and bool(np.any(np.abs(places - origin) > deviations))
@@ -115,10 +121,12 @@ class Fits:
                 best = fit
             if too_far:
                 places = (np.asarray(places) + origin) / 2
+                widths = np.abs(places - origin)
                 continue
             if gained < STILL or (fit.error < STILL and np.all(np.abs(step) < STANDS_STILL * deviations)):
                 break
             origin, places, start, reached = places, moved, fitted, _lowest(fitted)
+            widths = np.maximum(np.abs(step), deviations)
         if best is None:
             raise RuntimeError("no turn was made")
         return best
@@ -126,30 +134,30 @@ class Fits:
     def without(self, fit: Fit, dropped: Sequence[int] | set[int], wanted: float = -np.inf) -> Fit:
         """Return the fit of a set without some of its members, near to it; see `of`."""
         inside = [place for place, one in enumerate(fit.members) if one not in dropped]
-        gram = self.gram(fit.fitted, fit.members)
+        gram = self.gram(fit.fitted, fit.members, fit.widths)
         start = weigh(gram, self.priors.part(fit.members), inside)
         return self.of([fit.members[place] for place in inside], start.values, fit, wanted)
 
-    def gram(self, fitted: Fitted, members: Sequence[int]) -> Gram:
-        """Return the Gram matrices of some effects at a fit."""
+    def gram(self, fitted: Fitted, members: Sequence[int], widths: Array | None = None) -> Gram:
+        """Return the Gram matrices of some effects at a fit; see `slopes_of`."""
         chosen = [self.effects[one] for one in members]
-        slopes = slopes_of(self.space, fitted, chosen, self.priors.part(members))
+        slopes = slopes_of(self.space, fitted, chosen, self.priors.part(members), widths)
         return gram_of(self.space, fitted, slopes, chosen).gram
 
     def _place(self, member: int, values: Mapping[str, float]) -> float:
         effect = self.effects[member]
         return coordinate(effect, values.get(effect.name, effect.neutral))
 
-    def _weighed(self, members: tuple[int, ...], fitted: Fitted) -> tuple[Fit, Array, Array]:
+    def _weighed(self, members: tuple[int, ...], fitted: Fitted, widths: Array) -> tuple[Fit, Array, Array]:
         """Return a fit, where slopes would move its values, and the curvature there."""
         values = dict(fitted.values)
         if not members:
             evidence = self.power * fitted.bound
-            return Fit((), values, fitted, evidence), np.zeros(0), np.zeros((0, 0))
-        gram, priors = self.gram(fitted, members), self.priors.part(members)
+            return Fit((), values, fitted, evidence, widths), np.zeros(0), np.zeros((0, 0))
+        gram, priors = self.gram(fitted, members, widths), self.priors.part(members)
         one = weigh(gram, priors, range(len(members)), power=self.power)
         evidence = self.power * (fitted.bound - one.likelihood) + one.evidence
-        return Fit(members, values, fitted, evidence), one.values, one.curvature
+        return Fit(members, values, fitted, evidence, widths), one.values, one.curvature
 
 
 def _lowest(fitted: Fitted) -> float:

@@ -25,6 +25,8 @@ from skat.effects import Effect
 # A path stands still when taking it anew gains less than so many nats; a chain's own, when less than so many. A step is
 # halved where it gains nothing, to this share of it; the next fit begins with one this many times longer.
 STILL, RESTS, SLOWEST, LONGER = 1.0, 0.05, 0.05, 4
+# Of an effect's typical size: slopes are taken over no less.
+SMALL_SHARE = 0.05
 # Memories of random forces that are tried, in rows; of at most this share of an episode, so that what is steady stays a
 # cause; and what each of their numbers must be worth, in nats.
 MEMORIES = (2.0, 5.0, 10.0, 20.0, 40.0)
@@ -330,15 +332,30 @@ def _covariances(space: StateSpace, estimate: Estimate) -> Array:
     return covariances
 
 
-def slopes_of(space: StateSpace, fitted: Fitted, effects: Sequence[Effect], priors: Priors) -> Array:
-    """Return the derivative of what the model adds in a step by each effect's coordinate, (n_rows, d, k)."""
-    steps = _steps(fitted.values, effects, priors)
+def slopes_of(
+    space: StateSpace,
+    fitted: Fitted,
+    effects: Sequence[Effect],
+    priors: Priors,
+    widths: Array | None = None,
+) -> Array:
+    """Return the derivative of what the model adds in a step by each effect's coordinate, (n_rows, d, k).
+
+    Parameters
+    ----------
+    space, fitted, effects, priors
+    widths : ndarray of shape (k,), optional
+        By how much each value may be off to either side: slopes are taken over what is not known, as those by the state
+        are. Otherwise over a little of the typical size.
+    """
+    least = SMALL_SHARE * priors.scales
+    widths = least if widths is None else np.maximum(widths, least)
+    steps = _steps(fitted.values, effects, widths)
     slopes = derivatives(space, fitted.linear, fitted.values, steps)
-    stretch = [
-        fitted.values.get(effect.name, effect.neutral) if on_logarithm(effect) else 1.0 for effect in effects
-    ]
-    stretched: Array = slopes * np.array(stretch)
-    return stretched
+    for column, effect in enumerate(effects):
+        low, high = steps[effect.name]
+        slopes[..., column] *= (high - low) / (coordinate(effect, high) - coordinate(effect, low))
+    return slopes
 
 
 def gram_of(space: StateSpace, fitted: Fitted, slopes: Array, effects: Sequence[Effect]) -> "Columns":
@@ -474,17 +491,15 @@ def value_at(effect: Effect, place: float) -> float:
 
 
 def _steps(
-    values: Mapping[str, float], effects: Sequence[Effect], priors: Priors
+    values: Mapping[str, float], effects: Sequence[Effect], widths: Array
 ) -> dict[str, tuple[float, float]]:
-    """Return between which values each slope is taken: about a twentieth of the typical size, within bounds."""
+    """Return between which values each slope is taken, within bounds: to one side of neutral, to both of a cause's."""
     steps = {}
-    for effect, scale in zip(effects, priors.scales):
+    for effect, width in zip(effects, widths):
         now = values.get(effect.name, effect.neutral)
-        width = 0.05 * scale * (now if on_logarithm(effect) else 1.0)
-        low, high = max(effect.bounds[0], now - width), min(effect.bounds[1], now + width)
-        steps[effect.name] = (
-            (low, now) if high <= now else (now, high) if effect.name not in values else (low, high)
-        )
+        low, high = (value_at(effect, coordinate(effect, now) + side * width) for side in (-1, 1))
+        one_side = (low, now) if high <= now else (now, high)
+        steps[effect.name] = (low, high) if effect.name in values else one_side
     return steps
 
 

@@ -29,7 +29,7 @@ def fits(space):
 
 def a_fit(members, evidence):
     """Return a fit of which only members and evidence matter."""
-    return Fit(members, {}, None, evidence)
+    return Fit(members, {}, None, evidence, np.zeros(len(members)))
 
 
 def seen(**evidences):
