@@ -31,8 +31,8 @@ SENSORS = ("bias", "scale", "lag")
 # Biases have a typical size in these units; elsewhere it is a share of a channel's spread.
 KNOWN_UNITS = ("rad", "m", "rad/s", "m/s")
 BIAS_SHARE = 0.03
-# Moves from a set to a better one, or to better values.
-TURNS = 16
+# Moves from a set to a better one, or to better values; so many for a first look.
+TURNS, QUICK_TURNS = 16, 3
 # Transitions of a chain where fits of one set about longer ones differ.
 SHORT_CHAIN = 4
 # How often noise and what all effects explain are taken in turns, before any is a cause.
@@ -211,6 +211,7 @@ def find_causes(
     given: Array | None = None,
     max_effects: int | None = None,
     start: Mapping[str, float] | None = None,
+    turns: int = TURNS,
     shorter: Callable[[int], StateSpace] | None = None,
     resumed: Search | None = None,
     checkpoint: Callable[[Search], None] | None = None,
@@ -238,6 +239,8 @@ def find_causes(
         Most causes at a time.
     start : mapping from name to value, optional
         Where to begin.
+    turns : int, default=16
+        Moves from a set to another at most; the search that makes them all has not come to rest.
     shorter : callable, optional
         ``shorter(length)`` lays the log out in chains of at most so many transitions.
     resumed : Search, optional
@@ -279,13 +282,13 @@ def find_causes(
             if checkpoint is not None and state is not resumed:
                 checkpoint(state)
             if progress is not None:
-                progress("search", state.turn, TURNS)
+                progress("search", state.turn, turns)
         now, banned = state.now, set(state.banned)
         columns = gram_of(fits.space, state.dense or now.fitted, state.slopes, effects)
         gram = _judged(columns, priors, now.members if state.dense is None else None)
         state = replace(state, first=state.first or gram)
         ranked = ask(gram, start=now.members, banned=state.banned)
-        if state.turn == TURNS:
+        if state.turn == turns:
             break
         seen, moved = state.seen, None
         misled = misled and state.dense is not None
@@ -653,4 +656,4 @@ def _also(
     }
 
 
-__all__ = ["Found", "Search", "find_causes"]
+__all__ = ["QUICK_TURNS", "TURNS", "Found", "Search", "find_causes"]

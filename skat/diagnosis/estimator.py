@@ -15,7 +15,7 @@ from sklearn.exceptions import NotFittedError
 from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted
 
-from skat.diagnosis.causes import Found, find_causes, is_held
+from skat.diagnosis.causes import QUICK_TURNS, TURNS, Found, find_causes, is_held
 from skat.diagnosis.changes import find_changes
 from skat.diagnosis.doubts import warn_of_doubts
 from skat.diagnosis.filtering import Array
@@ -102,6 +102,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         Sets of causes with their probabilities, and the law of their values.
     computed_velocities_ : tuple of str
         Velocities that were left out since they were computed from positions.
+    settled_ : bool
+        Whether the search came to rest; where it did not, the verdict is "unexplained".
     n_rows_fitted_, n_rows_ : int
         Rows that were fitted, and those that there were to fit; they differ where `quick` was set.
     diverged_share_ : float
@@ -225,6 +227,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             floor=least,
             given=self._given_deviations(),
             max_effects=self.max_effects,
+            turns=QUICK_TURNS if self.quick else TURNS,
             shorter=partial(self._space, fitted),
             resumed=begun.search,
             checkpoint=None if checkpoint is None else partial(checkpoint.write, begun),
@@ -236,6 +239,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         self.causes_ = _causes(found)
         self.also_seen_ = dict(found.also)
         self.posterior_ = Posterior.of(found)
+        self.settled_ = found.settled
         self.diverged_share_ = float(np.mean(~found.fitted.linear.valid))
         noise = found.fitted.estimate.noise
         given = self._given_deviations()
@@ -642,7 +646,9 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
 
     def _verdict(self) -> str:
         gain = None if self._prediction is None else self._prediction.gain
-        if is_unexplained(self.remainder_, gain, tolerance=self.tolerance, alpha=self.alpha):
+        if not self.settled_ or is_unexplained(
+            self.remainder_, gain, tolerance=self.tolerance, alpha=self.alpha
+        ):
             return "unexplained"
         if not self.causes_:
             return "nothing detected" if self.diverged_share_ < MOST_DIVERGED else "unexplained"

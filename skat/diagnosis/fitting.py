@@ -231,9 +231,19 @@ def _with_best_memory(
     """Return the noise with forces of the memory, if any, that the bound asks for."""
     n_forces = linear.chains.carrier.shape[-1]
     plain = _without_memory(noise, space.d, n_forces)
-    without = best = estimate_noise(
-        linear.chains, plain, space.real, floor=known.least(linear.chains), held=known.held(linear.chains)
-    )
+    least, held = known.least(linear.chains), known.held(linear.chains)
+    without = estimate_noise(linear.chains, plain, space.real, floor=least, held=held)
+    rough = _rough(space)
+    read = np.where(np.isfinite(rough), np.maximum(plain.error, rough), plain.error)
+    if held is None and (read > plain.error).any():
+        # Where forces passed for all that a set of causes explains, sensors were left no noise to begin with.
+        other = normal_noise(linear.chains, plain.force, read)
+        without = max(
+            without,
+            estimate_noise(linear.chains, other, space.real, floor=least),
+            key=lambda one: one.bound,
+        )
+    best = without
     found = np.zeros(0)
     if _worth_of_memory(linear.chains, without) < MEMORY_WORTH * (n_forces + 1):
         return best, found

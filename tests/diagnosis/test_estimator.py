@@ -357,6 +357,16 @@ def test_a_first_look_takes_few_rows_from_all_over_a_log_and_says_so(simulator, 
     assert (data["first_look"], data["rows_fitted"]) == (True, FEW)
 
 
+def test_a_search_that_has_not_come_to_rest_leaves_a_log_unexplained(simulator, monkeypatch):
+    log = measure(5, n_episodes=4, gain=0.8)
+    assert fitted(simulator, log).settled_
+    monkeypatch.setattr("skat.diagnosis.estimator.TURNS", 1)
+    diagnosis = fitted(simulator, log)
+    assert not diagnosis.settled_
+    assert diagnosis.verdict_ == "unexplained"
+    assert "still finding better ones" in diagnosis.report_.text()
+
+
 def test_a_first_look_at_a_short_log_is_a_whole_fit(simulator):
     log = measure(5, n_episodes=4, gain=0.8)
     quick, whole = (fitted(simulator, log, quick=quick) for quick in (True, False))

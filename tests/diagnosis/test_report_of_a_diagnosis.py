@@ -239,6 +239,12 @@ def test_where_rows_only_diverge_the_verdict_says_so():
     assert told == ["The simulation diverges in 25 % of the rows, which tell nothing."]
 
 
+def test_where_the_search_did_not_come_to_rest_the_verdict_says_so():
+    diagnosis = changed(verdict_="unexplained", causes_=[], settled_=False)
+    told = verdict_sentences(diagnosis, [])
+    assert told == ["The search for causes was still finding better ones when its turns were over."]
+
+
 @pytest.mark.parametrize(
     ("gain", "expected"),
     [

@@ -84,7 +84,7 @@ def same(first, second):
 
 ATTRIBUTES = (
     *("verdict_", "causes_", "also_seen_", "gain_", "noise_", "remainder_", "posterior_", "identifiability_"),
-    *("computed_velocities_", "diverged_share_", "n_features_in_"),
+    *("computed_velocities_", "diverged_share_", "settled_", "n_features_in_"),
 )
 
 

@@ -135,6 +135,8 @@ def share_sentence(diagnosis: SimulationDiagnosis, gain: Gain) -> str:
 def remainder_sentence(diagnosis: SimulationDiagnosis) -> str:
     """Return in words why a verdict is "unexplained"."""
     if not is_law_left(diagnosis):
+        if not diagnosis.settled_:
+            return "the search for causes was still finding better ones when its turns were over"
         return f"the simulation diverges in {100 * diagnosis.diverged_share_:.0f} % of the rows, which tell nothing"
     largest = max(clear_parts(diagnosis), key=lambda part: (part.ahead, part.predictable / part.scale))
     return left_sentence(largest)
@@ -161,7 +163,7 @@ def clear_parts(diagnosis: SimulationDiagnosis) -> list[Left]:
 
 
 def is_law_left(diagnosis: SimulationDiagnosis) -> bool:
-    """Whether what is left follows a law that matters; else an unexplained verdict is for rows that diverge."""
+    """Whether what is left follows a law that matters; else an unexplained verdict has another reason."""
     gain = None if diagnosis._prediction is None else diagnosis._prediction.gain
     return is_unexplained(diagnosis.remainder_, gain, tolerance=diagnosis.tolerance, alpha=diagnosis.alpha)
 
