@@ -111,6 +111,10 @@ class Piece:
         Number of places.
     spacing : float
         Between places, s of the log's own clock.
+    acts : ndarray of shape (n_samples,) or None
+        From when on the command of each sample acts, s; None: from its place, or else its time.
+    slip : float
+        Standard error of these times, s.
     """
 
     name: str
@@ -120,6 +124,15 @@ class Piece:
     slots: NDArray[np.int64] | None
     size: int
     spacing: float
+    acts: Array | None = None
+    slip: float = 0.0
+
+    @property
+    def command_times(self) -> Array:
+        """From when on the command of each sample acts, s."""
+        if self.acts is not None:
+            return self.acts
+        return self.times if self.slots is None else self.start + self.spacing * self.slots.astype(np.float64)
 
 
 def usual_step(times: Array, apart: NDArray[np.bool_], where: str) -> float:
@@ -198,7 +211,7 @@ def pieces(
         )
     begins = apart[gaps] | wide
     groups = [part for part in np.split(gaps, np.flatnonzero(begins)) if len(part)]
-    dt = _refined(times, groups, dt)
+    dt = refined(times, groups, dt)
     placed = [_on_grid(times[rows], dt) for rows in groups]
     worst = max((float(np.abs(jitter).max()) for _, _, jitter in placed), default=0.0) / dt
     clashes = any((np.diff(slots) <= 0).any() for _, slots, _ in placed)
@@ -239,7 +252,28 @@ def pieces(
     return found, dt, notes
 
 
-def _refined(times: Array, groups: list[NDArray[np.intp]], dt: float) -> float:
+def evened(piece: Piece) -> Piece | None:
+    """Return the piece on the even grid behind its times, from which its commands act; None: there is none."""
+    found = even_times(piece.times, piece.spacing)
+    if found is None:
+        return None
+    acts, slip = found
+    first = acts[0] + piece.spacing * np.ceil((piece.times[0] - acts[0]) / piece.spacing - ON_GRID)
+    size = int((piece.times[-1] - first) / piece.spacing + ON_GRID) + 1
+    return replace(piece, start=float(first), size=size, acts=acts, slip=slip)
+
+
+def even_times(times: Array, dt: float) -> tuple[Array, float] | None:
+    """Return the even times behind jittering ones and their standard error, s; None where two would be the same."""
+    start, slots, jitter = _on_grid(times, dt)
+    if (np.diff(slots) <= 0).any():
+        return None
+    # The start is a median of them; what the step is out by adds as much again, on the average.
+    slip = float(np.std(jitter) * np.sqrt(2 * np.pi / 2 / len(jitter)))
+    return start + dt * slots.astype(np.float64), slip
+
+
+def refined(times: Array, groups: list[NDArray[np.intp]], dt: float) -> float:
     """Return the step that fits all stamps best; pieces have one step, and beginnings of their own."""
     # First by the places that neighbours show, which an inexact step does not carry away.
     for places_of in (_counted, lambda stamps, step: _on_grid(stamps, step)[1]):
@@ -346,111 +380,3 @@ def _regridded(piece: Piece, step: float) -> Piece:
     """Return a piece whose values are interpolated at another step, from its first sample on."""
     size = int((piece.times[-1] - piece.start) / step + ON_GRID) + 1
     return replace(piece, slots=None, size=size, spacing=step)
-
-
-def interpolated(
-    times: Array, values: Array, at: Array, dt: float, *, kinked: bool = False
-) -> tuple[Array, Array]:
-    r"""Return values between samples, by cubics through the four around, and an estimate of the error.
-
-    .. math:: q(t) = \sum_{i=0}^{3} q_i \prod_{j \ne i} \frac{t - t_j}{t_i - t_j}
-
-    The estimate is the difference of the parabolas through the first and the last three, between which the cubic
-    lies: a bound for motion that is smooth from sample to sample. A velocity has a kink wherever a held command
-    changes; beside it the cubic has about the mean of both slopes, half of the jump off either. The straight line
-    between two samples has one of them, so twice its distance from the cubic counts as well.
-
-    Parameters
-    ----------
-    times : ndarray of shape (n_samples,)
-        Increasing, s.
-    values : ndarray of shape (n_samples, n_channels)
-    at : ndarray of shape (n_places,)
-        s.
-    dt : float
-        The usual distance of samples; places between samples further apart than 1.5 of it are NaN.
-    kinked : bool, default=False
-        Whether the slope jumps from sample to sample.
-
-    Returns
-    -------
-    values, errors : ndarray of shape (n_places, n_channels)
-    """
-    n = len(times)
-    if n < 4:
-        out = np.full((len(at), values.shape[1]), np.nan)
-        return out, np.zeros_like(out)
-    left = np.clip(np.searchsorted(times, at, side="right") - 1, 0, n - 2)
-    first = np.clip(left - 1, 0, n - 4)
-    nodes = first[:, None] + np.arange(4)
-    cubic = _lagrange(times[nodes], at)
-    left_three, right_three = _lagrange(times[nodes[:, :3]], at), _lagrange(times[nodes[:, 1:]], at)
-    around = values[nodes]
-    smooth = np.einsum("pn,pnc->pc", cubic, around)
-    errors = np.abs(
-        np.einsum("pn,pnc->pc", left_three, around[:, :3])
-        - np.einsum("pn,pnc->pc", right_three, around[:, 1:])
-    )
-    if kinked:
-        share = ((at - times[left]) / (times[left + 1] - times[left]))[:, None]
-        line = (1 - share) * values[left] + share * values[left + 1]
-        errors = np.maximum(errors, 2 * np.abs(line - smooth))
-    near = np.minimum(np.abs(times[left] - at), np.abs(times[left + 1] - at))
-    nearest = np.where(np.abs(times[left] - at) <= np.abs(times[left + 1] - at), left, left + 1)
-    exact = near <= ON_GRID * dt * 1e-3
-    smooth[exact], errors[exact] = values[nearest[exact]], 0.0
-    inside = (at >= times[0] - ON_GRID * dt) & (at <= times[-1] + ON_GRID * dt)
-    lost = ~(((times[left + 1] - times[left] <= BETWEEN * dt) & inside) | exact)
-    # Cubics reach over a gap beside them; what they make of it is not measured.
-    spread = times[nodes[:, 3]] - times[nodes[:, 0]] > (3 + BETWEEN) * dt
-    smooth[lost | (spread & ~exact)] = np.nan
-    return smooth, np.where(np.isfinite(smooth), errors, 0.0)
-
-
-def _lagrange(nodes: Array, at: Array) -> Array:
-    weights = np.ones(nodes.shape)
-    for i in range(nodes.shape[1]):
-        for j in range(nodes.shape[1]):
-            if i != j:
-                weights[:, i] *= (at - nodes[:, j]) / (nodes[:, i] - nodes[:, j])
-    return weights
-
-
-def held(times: Array, values: Array, at: Array, dt: float) -> Array:
-    """Return commands that act from their stamp to the next one, averaged over each row.
-
-    Parameters
-    ----------
-    times : ndarray of shape (n_commands,)
-    values : ndarray of shape (n_commands,)
-    at : ndarray of shape (n_rows,)
-        Where each row begins.
-    dt : float
-        How long it lasts.
-
-    Returns
-    -------
-    ndarray of shape (n_rows,)
-        NaN before the first command.
-    """
-    good = np.isfinite(values) & np.isfinite(times)
-    times, values = times[good], values[good]
-    if not len(times):
-        return np.full(len(at), np.nan)
-    order = np.argsort(times, kind="stable")
-    times, values = times[order], values[order]
-    near = ON_GRID * dt
-    first = np.searchsorted(times, at + near, side="right") - 1
-    last = np.searchsorted(times, at + dt - near, side="left") - 1
-    out = np.where(first >= 0, values[np.maximum(first, 0)], np.nan)
-    changing = (last > first) & (first >= 0)
-    if changing.any():
-        sums = np.concatenate([[0.0], np.cumsum(np.diff(times) * values[:-1])])
-
-        def integral(t: Array) -> Array:
-            place = np.clip(np.searchsorted(times, t, side="right") - 1, 0, None)
-            return sums[place] + (t - times[place]) * values[place]
-
-        begin = at[changing]
-        out[changing] = (integral(begin + dt) - integral(begin)) / dt
-    return out

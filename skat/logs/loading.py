@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from skat.episodes import FEWEST_ROWS
 from skat.logs import clock
 from skat.logs.errors import LogError
+from skat.logs.grid import acting, on_grid
 from skat.logs.log import Log, joined
 from skat.logs.mapping import checked_columns
 from skat.logs.matching import Plan, plan, simulator_inputs
@@ -150,7 +151,7 @@ def _timed(record: Recording, found: Plan, simulator: Simulator, rate: float | N
     data = _read(record, found)
     n_rows = len(next(iter(data[main].values())))
     if n_rows == 0:
-        raise LogError(_where(record, stream), "has no rows.", f"Record a log with at least {FEWEST_ROWS}.")
+        raise LogError(record.where(stream), "has no rows.", f"Record a log with at least {FEWEST_ROWS}.")
     states = _states(record, found, data, n_states, names)
     clocks = {column for column, _ in found.times.values()} | ({found.episode[1]} if found.episode else set())
     data = {place: {name: read[name] for name in read if name in clocks} for place, read in data.items()}
@@ -166,7 +167,7 @@ def _timed(record: Recording, found: Plan, simulator: Simulator, rate: float | N
         notes.append(f"{int(empty.sum())} rows hold no state: not measured there.")
     if len(kept) < 2:
         raise LogError(
-            _where(record, stream),
+            record.where(stream),
             f"holds {len(kept)} rows with a state.",
             f"Record a log with at least {FEWEST_ROWS}.",
         )
@@ -183,6 +184,8 @@ def _timed(record: Recording, found: Plan, simulator: Simulator, rate: float | N
         moves,
     )
     notes += said
+    own, acts, bending = acting(record, found, data, states, own, kept, main, names, n_states, times)
+    notes += [bending] if bending else []
     simulator, step, said = _stepped(simulator, dt, rate, record)
     notes += said
     told = rate or record.rate
@@ -193,9 +196,7 @@ def _timed(record: Recording, found: Plan, simulator: Simulator, rate: float | N
     own, how = clock.resampled(own, dt, step, same=same)
     notes += [how] if how else []
     own = [piece for piece in own if piece.size >= 2]
-    grid, groups, errors = _grid(
-        record, found, data, states, own, kept, main, names, n_states, step, dt, times
-    )
+    grid, groups, errors = on_grid(record, found, data, states, own, kept, main, names, n_states, times, acts)
     return _log(record, found, simulator, grid, groups, own, errors, n_states, step, notes)
 
 
@@ -422,126 +423,6 @@ def _stepped(
     return changed, exact, notes
 
 
-def _grid(
-    record: Recording,
-    found: Plan,
-    data: dict[int, dict[str, np.ndarray]],
-    states: dict[str, Array],
-    own: list[clock.Piece],
-    kept: NDArray[np.intp],
-    main: int,
-    names: tuple[str, ...],
-    n_states: int,
-    step: float,
-    dt: float,
-    clock_times: Array,
-) -> tuple[Array, NDArray[np.intp], dict[str, float]]:
-    """Return (values on the grid, its episodes, squared errors of interpolation by channel)."""
-    size = sum(piece.size for piece in own)
-    grid = np.full((size, len(names)), np.nan)
-    groups = np.repeat(np.arange(len(own)), [piece.size for piece in own])
-    times_of = {place: _stream_times(record, found, data, place, main, clock_times) for place in data}
-    errors: dict[str, float] = {}
-    offsets = np.cumsum([0, *(piece.size for piece in own)])
-    for column, name in enumerate(names):
-        if name in found.constants:
-            grid[:, column] = found.constants[name]
-            continue
-        if name not in states:
-            continue
-        place = found.found[name][0]
-        values, sums = states[name], [0.0, 0]
-        for piece, offset in zip(own, offsets):
-            part = grid[offset : offset + piece.size, column]
-            if place == main and piece.slots is not None:
-                part[piece.slots] = values[kept[piece.rows]]
-                if column >= n_states:
-                    _fill(part)
-                continue
-            at = piece.start + piece.spacing * np.arange(piece.size, dtype=np.float64)
-            if column >= n_states:
-                if place == main:
-                    stamps, commands = piece.times, values[kept[piece.rows]]
-                else:
-                    stamps, commands = times_of[place], values
-                part[:] = clock.held(stamps, commands, at, piece.spacing)
-                continue
-            if place == main:
-                stamps, samples = piece.times, values[kept[piece.rows]]
-            else:
-                stamps, samples = times_of[place], values
-            _interpolate(part, stamps, samples, at, piece.spacing, sums, kinked=not name.startswith("qpos."))
-        if sums[1]:
-            errors[name] = float(np.sqrt(sums[0] / sums[1]))
-        del values
-        states.pop(name)
-    return grid, groups, errors
-
-
-def _interpolate(
-    part: Array, stamps: Array, samples: Array, at: Array, step: float, sums: list[float], *, kinked: bool
-) -> None:
-    """Write samples at the places of a grid, as they are where they were taken there, otherwise between them."""
-    good = np.isfinite(samples) & np.isfinite(stamps)
-    stamps, samples = stamps[good], samples[good]
-    if not len(stamps):
-        return
-    fresh = np.r_[True, np.diff(stamps) > 0]
-    stamps, samples = stamps[fresh], samples[fresh]
-    if len(stamps) < 2 or (np.diff(stamps) <= 0).any():
-        return
-    usual = float(np.median(np.diff(stamps)))
-    nearest = np.clip(np.searchsorted(stamps, at), 1, len(stamps) - 1)
-    nearest -= at - stamps[nearest - 1] < stamps[nearest] - at
-    on = np.abs(stamps[nearest] - at) <= clock.ON_GRID * min(step, usual)
-    if on.mean() > 0.5:
-        part[on] = samples[nearest[on]]
-        on |= np.abs(stamps[nearest] - at) > usual / 2
-        at, rest = at[~on], np.flatnonzero(~on)
-    else:
-        rest = np.arange(len(at))
-    if not len(rest):
-        return
-    values, missed = clock.interpolated(stamps, samples[:, None], at, usual, kinked=kinked)
-    part[rest] = values[:, 0]
-    finite = np.isfinite(values[:, 0])
-    sums[0] += float(np.sum(missed[finite, 0] ** 2))
-    sums[1] += int(finite.sum())
-
-
-def _fill(part: Array) -> None:
-    """Hold the last command where one is lost, in place."""
-    lost = np.isnan(part)
-    if not lost.any():
-        return
-    places = np.where(lost, 0, np.arange(len(part)))
-    np.maximum.accumulate(places, out=places)
-    part[:] = part[places]
-
-
-def _stream_times(
-    record: Recording,
-    found: Plan,
-    data: dict[int, dict[str, np.ndarray]],
-    place: int,
-    main: int,
-    clock_times: Array,
-) -> Array:
-    if place == main:
-        return clock_times
-    if place not in found.times:
-        raise LogError(
-            _where(record, record.streams[place]),
-            "has no times, and is another table than the state's.",
-            "Name its column of times.",
-        )
-    column, unit = found.times[place]
-    origin = 0.0
-    if main in found.times:
-        _, _, origin = clock.in_seconds(data[main][found.times[main][0]], found.times[main][1], record.source)
-    return clock.in_seconds(data[place][column], unit, f"{record.source}, column {column}", origin)[0]
-
-
 def _log(
     record: Recording,
     found: Plan,
@@ -641,7 +522,3 @@ def _check_degrees(log: Log, found: Plan, record: Recording) -> None:
             "'ctrl.*=:percent:-100:100'."
         )
     raise LogError(record.source, said.sentence, advice, options=said.options)
-
-
-def _where(record: Recording, stream: Stream) -> str:
-    return f"{record.source}, {stream.name}" if stream.name else record.source

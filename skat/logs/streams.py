@@ -77,6 +77,10 @@ class Recording:
     rate: float | None = None
     notes: tuple[str, ...] = ()
 
+    def where(self, stream: Stream) -> str:
+        """Say which stream of it is meant."""
+        return f"{self.source}, {stream.name}" if stream.name else self.source
+
 
 def required(module: str, what: str) -> ModuleType:
     """Return a module that reads a format; say how to install it where it is missing."""

@@ -32,7 +32,7 @@ SINGLE = [
 # Of the quick run; the others are long together.
 QUICK = {"tilt in puck"}
 MISSED = {
-    "inertia in hopper": "Beside inertia[torso] of 1.490 scale[qpos.rootz] of 1.0053 and bias[qpos.rootz] are named",
+    "inertia in hopper": "Of 1.5 it names 1.445 alone: 11 % of the difference from 1 too little, 5 is asked",
     "scale in puck": "Of 1.04 it names 1.0379, from 1.0343 on: 5.3 % of the difference from 1 too little, 5 is asked",
 }
 EPISODES = {"hopper": 5, "halfcheetah": 4, "puck": 7}

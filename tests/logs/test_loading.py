@@ -3,6 +3,7 @@ import pandas as pd
 import pytest
 
 from skat.logs import LogError, joined, load_log, read_map, write_map
+from skat.logs.between import interpolated
 from skat.simulators import FunctionSimulator, MujocoSimulator
 
 CART = """
@@ -162,29 +163,44 @@ def test_the_floor_of_the_noise_covers_what_interpolation_has_missed(clock, cart
     assert (log.floor < 1e-5).all()
 
 
-def test_the_floor_covers_velocities_whose_slope_jumps_with_held_commands(cart):
-    """Under a force that is held for each row, the velocity is made of straight lines and the position of parabolas."""
+@pytest.mark.parametrize("streams", ["one table", "commands in a table of their own"])
+@pytest.mark.parametrize("acting", ["at even times", "at the stamps"])
+def test_velocities_are_interpolated_with_the_corners_that_held_commands_make(
+    cart, tmp_path, acting, streams
+):
+    """Under a force that is held for each row, the velocity is made of straight lines and the position of parabolas.
+
+    Either the controller keeps its beat and the reading of its sensors jitters, or it acts when they are read.
+    """
     rng = np.random.default_rng(4)
     dt, force = 0.02, 5 * np.sin(0.9 * np.arange(300))
-    corners = np.r_[0, np.cumsum(dt * force)]
-    places = np.r_[0, np.cumsum(dt * (corners[:-1] + corners[1:]) / 2)]
-    time = dt * np.arange(300)
-    at = np.clip(time + rng.uniform(-0.004, 0.004, size=300), 0, None)
-    row = np.clip((at / dt).astype(int), 0, 299)
-    rest = at - dt * row
-    speed = corners[row] + rest * force[row]
-    place = places[row] + rest * corners[row] + rest**2 * force[row] / 2
-    theirs = {"time": at, "qpos.rail": place, "qvel.rail": speed, "ctrl.push": force}
-    log = load_log(theirs, cart)
-    row = np.clip(np.floor(log.time / dt + 1e-9).astype(int), 0, 299)
-    rest = log.time - dt * row
-    truth = np.stack(
-        [places[row] + rest * corners[row] + rest**2 * force[row] / 2, corners[row] + rest * force[row]],
-        axis=1,
-    )
+    at = dt * np.arange(300) + np.r_[0, rng.uniform(-0.004, 0.004, size=299)]
+    begins = dt * np.arange(300) if acting == "at even times" else at
+    lasts = np.diff(begins, append=begins[-1] + dt)
+    speeds = np.r_[0, np.cumsum(lasts * force)]
+    places = np.r_[0, np.cumsum(lasts * (speeds[:-1] + speeds[1:]) / 2)]
+
+    def moved(times):
+        row = np.clip(np.searchsorted(begins, times + 1e-9, side="right") - 1, 0, 299)
+        rest = times - begins[row]
+        place = places[row] + rest * speeds[row] + rest**2 * force[row] / 2
+        return np.stack([place, speeds[row] + rest * force[row]], axis=1)
+
+    state = pd.DataFrame(moved(at), columns=["qpos.rail", "qvel.rail"]).assign(time=at)
+    if streams == "one table":
+        log = load_log(state.assign(**{"ctrl.push": force}), cart)
+    else:
+        state.to_csv(tmp_path / "a.csv", index=False)
+        pd.DataFrame({"time": at, "u": force}).to_csv(tmp_path / "b.csv", index=False)
+        log = load_log(tmp_path, cart, columns={"ctrl.push": "b.u"})
+    truth = moved(log.time)
     missed = np.nanmean((log.X[:, :2] - truth) ** 2, axis=0)
-    assert (missed <= log.floor).all()
-    assert (log.floor <= 30 * missed).all()
+    assert (missed <= 4 * log.floor).all()  # of the times behind stamps that jitter the error is one draw
+    assert (log.floor <= 30 * missed + 1e-12).all()
+    told = any("velocities bend at even times" in note for note in log.notes)
+    assert told == (acting == "at even times")
+    plain, _ = interpolated(at, state[["qvel.rail"]].to_numpy(), log.time, dt)
+    assert missed[1] < np.nanmean((plain[:, 0] - truth[:, 1]) ** 2) / 10
 
 
 def test_lost_rows_are_not_measured_and_commands_are_held(table, cart):

@@ -88,11 +88,6 @@ def test_a_log_in_any_format_and_state_names_the_same_cause_inside_the_same_inte
     clean = of_the_clean_log()
     # What lacks half of its channels tells less: its wider interval is to hold what the whole log says.
     inside = _holds(clean.interval, cause.value) or _holds(cause.interval, clean.value)
-    if state == "jitter" and not inside:
-        # Errors of interpolation follow the commands and are no white noise: .1487 in place of .1500 N m s, of which an
-        # interval of .1477 to .1498 knows nothing. Without `Log.floor` a gain of .75 was named beside it.
-        assert cause.value == pytest.approx(clean.value, rel=0.02)
-        pytest.xfail("the interval of an interpolated log is too narrow for the error of interpolation")
     assert inside
     assert clean.interval[0] < HIDDEN / 2 < clean.interval[1]
 
