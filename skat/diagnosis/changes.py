@@ -10,6 +10,13 @@ misses differs from motion to motion: :math:`\eta` is by how much, and T, of eac
 each with values of its own. :math:`\Delta` says that logs that move otherwise differ though nothing changed: as windows
 do, and by what no effect explains, which may look like any. All three are integrated out, and sparse :math:`\delta`, by
 how much the logs differ more than that, are searched for by evidence. The theory page derives it.
+
+Of a model that is not right a long log is sure of whichever set fits best, though its windows may not agree. So sets
+have the mean of the probabilities that pairs of logs of windows drawn from both give them: a bagged posterior [1]_.
+
+References
+----------
+.. [1] Huggins, Miller (2019). Robust inference and model criticism using bagged posteriors. arXiv:1912.07104.
 """
 
 import itertools
@@ -20,6 +27,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from skat.diagnosis.evidence import Gram, Priors, Weighed
 from skat.diagnosis.filtering import Array, Mask
@@ -64,6 +72,8 @@ MOTORS = ("gain", "kp")
 # Odds that two columns of a log were mixed up, or that one has its sign turned.
 MIXED_UP = 1e-3
 BOOTSTRAPS = 400
+# Pairs of logs of drawn windows, and sets of the search of both logs that each is asked for.
+BAGS, POOL = 50, 32
 # Log odds of what is not named, and the share of its range from neutral that a value keeps to.
 NEVER, INSIDE = -1e6, 1 - 1e-6
 
@@ -168,16 +178,50 @@ class _Windows:
         own = [rows.stretch == one for one in np.unique(rows.stretch)]
         return cls(np.stack([N[one].T @ N[one] for one in own]), np.stack([N[one].T @ z[one] for one in own]))
 
-    def without(self, spread: Array) -> tuple[Array, Array]:
-        """Return the sums of products and projections with each window's own effects integrated out.
+    def without(self, spread: Array) -> "_Windows":
+        """Return these with each window's own effects integrated out.
 
         ``spread`` holds the variances of the first effects, of which each window has its own.
         """
-        k, G, h = len(spread), np.zeros_like(self.products[0]), np.zeros_like(self.projections[0])
-        for products, projections in zip(self.products, self.projections):
-            one = _integrated(products, projections, np.arange(k), 1 / spread)
-            G, h = G + one[0], h + one[1]
-        return G, h
+        which = np.arange(len(spread))
+        found = [_integrated(G, h, which, 1 / spread) for G, h in zip(self.products, self.projections)]
+        return _Windows(np.stack([G for G, _ in found]), np.stack([h for _, h in found]))
+
+    def drawn(self, times: Array) -> tuple[Array, Array]:
+        """Return the sums of products and projections, each window so many times."""
+        return np.tensordot(times, self.products, 1), times @ self.projections
+
+    def every(self) -> tuple[Array, Array]:
+        """Return the sums of products and projections."""
+        return self.drawn(np.ones(len(self.products)))
+
+
+class _Bagged(Weigher):
+    """Weighs sets by the mean of their probabilities over logs of drawn windows.
+
+    Parameters
+    ----------
+    whole : Weigher
+        Of both logs as they are.
+    bags : sequence of Weigher
+        Of drawn windows.
+    pool : sequence of tuple of int
+        The sets that probabilities are shared out between.
+    """
+
+    def __init__(self, whole: Weigher, bags: Sequence[Weigher], pool: Sequence[tuple[int, ...]]):
+        super().__init__(whole.gram, whole.priors, rivals=whole.rivals)
+        self.whole, self.bags = whole, bags
+        self.totals = [float(logsumexp([worth(members).evidence for members in pool])) for worth in bags]
+
+    def _weighed(self, members: tuple[int, ...]) -> Weighed:
+        ours, theirs = self.whole(members), [worth(members) for worth in self.bags]
+        shares = [one.evidence - total for one, total in zip(theirs, self.totals)]
+        curvature = ours.curvature
+        if members:
+            off = np.array([one.values for one in theirs]) - ours.values
+            curvature = np.asarray(np.linalg.inv(np.linalg.inv(curvature) + off.T @ off / len(off)))
+        return replace(ours, evidence=float(logsumexp(shares) - np.log(len(shares))), curvature=curvature)
 
 
 def _integrated(
@@ -236,10 +280,12 @@ def find_changes(
     halves = [_half(simulator, log, name) for name, log in (("before", before), ("after", after))]
     question = _asked(simulator, halves, effects, typical or {}, test_size)
     priors, needed = _laws(question), -np.log(alpha)
-    gram, common = _differences(question)
+    sides = _integrated_sides(question)
+    gram, common = _differences(question, sides)
+    drawn = _drawn(sides)
     while True:
-        best, worth = search_sets(gram, priors, {}, rivals=_rivals(question.candidates))
-        best, nats = without_weak(best, worth, needed)
+        worth = _bagged(question, sides, drawn, gram, priors)
+        best, nats = without_weak(max(worth.seen.values(), key=lambda one: one.evidence), worth, needed)
         absurd = _at_bounds(best, priors)
         if not absurd:
             break
@@ -248,7 +294,7 @@ def find_changes(
         priors = replace(priors, log_odds=log_odds)
     differences = np.zeros(len(question.candidates))
     differences[list(best.members)] = best.values
-    mistake = _mistake(question, differences, common, needed)
+    mistake = _mistake(question, differences, common, drawn, needed)
     if mistake:
         return Changes((), "unexplained", None, _sizes(question, common.level), mistake)
     causes = _causes(question, best, worth, nats)
@@ -642,7 +688,7 @@ def _settled(sides: Sequence[Rows]) -> _Law:
         squares = np.empty(len(noise))
         for turn_of_window in range(WINDOW_TURNS):
             windows = [_Windows.of(rows, noise[own]) for rows, own in zip(sides, masks)]
-            (G0, h0), (G1, h1) = (one.without(spread) for one in windows)
+            (G0, h0), (G1, h1) = (one.without(spread).every() for one in windows)
             H = np.block([[G0 + G1 + np.diag(weights[:k]), G1], [G1, G1 + np.diag(weights[k:])]])
             law = np.linalg.inv(H)
             solved = law @ np.r_[h0 + h1, h1]
@@ -742,7 +788,7 @@ def _base(simulator: MujocoSimulator, half: _Half, rows: Rows, law: _Law) -> _Mo
     deviation, worth = law.noise[0], []
     for target in targets.T:
         windows = _Windows.of(replace(rows, target=target), deviation)
-        G, h = windows.without(law.spread)
+        G, h = windows.without(law.spread).every()
         square = float(np.sum((target / deviation) ** 2))
         square -= sum(map(partial(_own_share, spread=law.spread), windows.products, windows.projections))
         worth.append(float(h @ np.linalg.solve(G + np.diag(law.weights), h)) - square)
@@ -806,15 +852,36 @@ class _Common:
     alone: Array
 
 
-def _differences(question: _Question) -> tuple[Gram, _Common]:
-    """Return the Gram matrix of differences with all else integrated out, and what is common given them."""
+def _integrated_sides(question: _Question) -> tuple[_Windows, _Windows]:
+    """Return the windows of the first log, and those of the second that fit, without effects of their own."""
+    law, kept = question.law, ~question.held_out
+    rows = question.sides[0], _part(question.sides[1], kept)
+    first, second = (
+        _Windows.of(side, noise).without(law.spread)
+        for side, noise in zip(rows, (law.noise[0], law.noise[1][kept]))
+    )
+    return first, second
+
+
+def _drawn(sides: Sequence[_Windows]) -> list[tuple[Array, ...]]:
+    """Return how often each window of either log is in each pair of logs of drawn windows."""
+    rng = np.random.default_rng(0)
+    counts = [len(side.products) for side in sides]
+    return [tuple(rng.multinomial(n, np.full(n, 1 / n)).astype(float) for n in counts) for _ in range(BAGS)]
+
+
+def _differences(
+    question: _Question, sides: tuple[_Windows, _Windows], times: Sequence[Array] | None = None
+) -> tuple[Gram, _Common]:
+    """Return the Gram matrix of differences with all else integrated out, and what is common given them.
+
+    ``times`` says how often each window of either log counts; once, by default.
+    """
     law, k = question.law, len(question.effects)
-    spread = law.spread
-    G, h = _Windows.of(question.sides[0], law.noise[0]).without(spread)
-    kept = ~question.held_out
-    fitted = _Windows.of(_part(question.sides[1], kept), law.noise[1][kept])
-    every = np.arange(k)
-    products, projections = _integrated(*fitted.without(spread), every, 1 / law.apart)
+    (G, h), second = (
+        (side.every() if times is None else side.drawn(times[place])) for place, side in enumerate(sides)
+    )
+    products, projections = _integrated(*second, np.arange(k), 1 / law.apart)
     H = products[:k, :k] + G + np.diag(law.weights)
     right = np.column_stack([projections[:k] + h, products[:k, k:]])
     solved = np.linalg.solve(H, right)
@@ -826,6 +893,28 @@ def _differences(question: _Question) -> tuple[Gram, _Common]:
     )
     alone = np.linalg.solve(G + np.diag(law.weights), h)
     return gram, _Common(*(np.asarray(one, dtype=float) for one in (solved[:, 0], solved[:, 1:], alone)))
+
+
+def _bagged(
+    question: _Question,
+    sides: tuple[_Windows, _Windows],
+    drawn: Sequence[tuple[Array, ...]],
+    gram: Gram,
+    priors: Priors,
+) -> _Bagged:
+    """Return the worth of sets over drawn windows; the likely ones of both logs and the best of each pair are seen."""
+    rivals = _rivals(question.candidates)
+    best, whole = search_sets(gram, priors, {}, rivals=rivals)
+    pool = sorted(whole.seen, key=lambda members: -whole.seen[members].evidence)[:POOL]
+    found = [
+        search_sets(_differences(question, sides, times)[0], priors, {}, start=best.members, rivals=rivals)
+        for times in drawn
+    ]
+    likely = list(dict.fromkeys([(), *pool, *(one.members for one, _ in found)]))
+    worth = _Bagged(whole, [one for _, one in found], likely)
+    for members in likely:
+        worth(members)
+    return worth
 
 
 def _causes(
@@ -940,41 +1029,57 @@ def _sizes(question: _Question, value: Array) -> dict[str, tuple[float, float]]:
     }
 
 
-def _mistake(question: _Question, differences: Array, common: _Common, needed: float) -> str:
-    """Return how columns of the second log seem to be mixed up, if that explains it better than all changes."""
+def _mistake(
+    question: _Question,
+    differences: Array,
+    common: _Common,
+    drawn: Sequence[tuple[Array, ...]],
+    needed: float,
+) -> str:
+    """Return how columns of the second log seem to be mixed up, if that explains it better than all changes.
+
+    As changes do, it has to hold in drawn windows.
+    """
     simulator = question.simulator
     known = {effect.name: (effect, size) for effect, size in zip(question.effects, question.sizes)}
     values = dict(question.base.values)
     for (name, (effect, size)), one in zip(known.items(), common.alone):
         values[name] = _within(effect, values.get(name, effect.neutral) + size * one)
     model = replace(question.base, values=values)
-
-    def misfits(side: int, halves: Sequence[_Half]) -> list[float]:
-        rows, noise = question.sides[side], question.law.noise[side]
-        joints = [rows.joint == joint for joint in np.unique(rows.joint)]
-        found = []
-        for half in halves:
-            left = _transformed(half, _forces(simulator, half, [model]))[0][:, 0]
-            left = left - (
-                rows.columns[:, len(question.effects) :] @ differences if side and half is halves[0] else 0
-            )
-            found.append(
-                0.5 * sum(own.sum() * float(np.log1p(np.mean((left / noise)[own] ** 2))) for own in joints)
-            )
-        return found
-
     mixed = [_mixed_up(simulator, half) for half in question.halves]
     if not mixed[0]:
         return ""
-    first, second = (
-        misfits(side, [half, *(one for _, one in others)])
-        for side, (half, others) in enumerate(zip(question.halves, mixed))
-    )
+    kept = np.ones(len(question.sides[0].target), dtype=bool), ~question.held_out
+
+    def misfits(side: int) -> Array:
+        """Return half the log of what is left over the noise, of all drawn windows, for each order of columns."""
+        rows, noise = question.sides[side], question.law.noise[side]
+        windows = np.unique(rows.stretch[kept[side]])
+        cells = [
+            [(rows.joint == joint) & (rows.stretch == one) for one in windows]
+            for joint in np.unique(rows.joint)
+        ]
+        counts = np.array([[own.sum() for own in joint] for joint in cells])
+        found = []
+        for half in [question.halves[side], *(one for _, one in mixed[side])]:
+            left = _transformed(half, _forces(simulator, half, [model]))[0][:, 0]
+            if side and half is question.halves[side]:
+                left = left - rows.columns[:, len(question.effects) :] @ differences
+            squares = np.array([[np.sum((left / noise)[own] ** 2) for own in joint] for joint in cells])
+            times = np.array([one[side] for one in drawn])
+            many = np.maximum(times @ counts.T, 1)
+            found.append(0.5 * np.sum(many * np.log1p(times @ squares.T / many), axis=1))
+        return np.array(found)
+
+    first, second = misfits(0), misfits(1)
     # What as well mends the first log is the model's matter.
-    share = len(question.sides[1].target) / len(question.sides[0].target)
-    mended = [second[0] - one - share * max(first[0] - other, 0) for one, other in zip(second[1:], first[1:])]
-    best = int(np.argmax(mended))
-    return mixed[1][best][0] if mended[best] > needed + np.log(len(mended) / MIXED_UP) else ""
+    share = kept[1].sum() / kept[0].sum()
+    mended = second[0] - second[1:] - share * np.maximum(first[0] - first[1:], 0)
+    # Probabilities of none of them, and of each, in each draw; their means, as of sets of changes.
+    logs = np.vstack([np.zeros(mended.shape[1]), mended + np.log(MIXED_UP / len(mended))])
+    means = logsumexp(logs - logsumexp(logs, axis=0), axis=1)
+    best = int(np.argmax(means[1:]))
+    return mixed[1][best][0] if means[1 + best] - means[0] > needed else ""
 
 
 def _mixed_up(simulator: MujocoSimulator, half: _Half) -> list[tuple[str, _Half]]:

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from skat.diagnosis import SimulationDiagnosis
-from skat.diagnosis.changes import _integrated, _later
+from skat.diagnosis.changes import _Bagged, _integrated, _later
+from skat.diagnosis.evidence import Gram, Priors
+from skat.diagnosis.set_search import Weigher
 from skat.simulators import FunctionSimulator, MujocoSimulator
 from tests.diagnosis.test_force_space import ARM, log_of
 
@@ -25,6 +27,23 @@ def test_integrating_out_is_the_marginal_of_a_normal_law():
         products[2:, 2:], N[:, 2:].T @ np.linalg.solve(covariance, N[:, 2:]), atol=1e-10
     )
     np.testing.assert_allclose(projections[2:], N[:, 2:].T @ np.linalg.solve(covariance, z), atol=1e-10)
+
+
+def test_a_set_has_the_mean_of_its_probabilities_over_drawn_windows():
+    priors = Priors(("a", "b"), np.ones(2), np.log([0.1, 0.1]), np.full(2, -50.0), np.full(2, 50.0))
+    grams = [Gram(np.diag([40.0, 30.0]), np.array(b), np.zeros(2)) for b in ([90.0, 8.0], [70.0, 9.0])]
+    pool = [(), (0,), (1,), (0, 1)]
+    bags = [Weigher(gram, priors) for gram in grams]
+    bagged = _Bagged(Weigher(grams[0], priors), bags, pool)
+    evidences = np.array([[worth(members).evidence for members in pool] for worth in bags])
+    shares = np.exp(evidences - evidences.max(axis=1, keepdims=True))
+    expected = (shares / shares.sum(axis=1, keepdims=True)).mean(axis=0)
+    np.testing.assert_allclose([np.exp(bagged(members).evidence) for members in pool], expected, rtol=1e-9)
+    own, (low, high) = bagged((0,)), (float(worth((0,)).values[0]) for worth in bags[::-1])
+    # Beside its own error, the value has that by which drawn windows differ.
+    assert 1 / own.curvature[0, 0] == pytest.approx(
+        1 / bags[0]((0,)).curvature[0, 0] + (high - low) ** 2 / 2, rel=1e-9
+    )
 
 
 def test_late_commands_are_those_of_earlier_rows_of_their_episode():
