@@ -185,7 +185,7 @@ def test_other_sets_of_causes_are_told_with_the_verdict():
     posterior = SimpleNamespace(sets=(SimpleNamespace(**vars(one) | {"probability": 0.8}), other))
     diagnosis = changed(posterior_=posterior)
     text = Page(type(diagnosis.report_)(diagnosis, diagnosis.report_.log).html(figures=False)).text
-    assert "Probability of this set of causes: 80 %; next come no cause (20 %)." in text
+    assert "Probability of this set of causes: 80 %; of others: no cause (20 %)." in text
 
 
 def test_an_unexplained_verdict_says_what_is_left_and_draws_it():
