@@ -518,13 +518,10 @@ def _forces(simulator: MujocoSimulator, half: _Half, models: Sequence[_Model]) -
     force. So forces are over the factor by which a model scales what commands exert on a joint.
     """
     motion, nv = half.motion, len(half.motion.slip)
-    unlimited = {
-        effect.name: effect.bounds[1] for effect in simulator.effects() if effect.name == "force_limit[all]"
-    }
     found = np.empty((len(models), len(motion.states), 2 * nv))
     for places, scale in _by_scale(simulator, models):
         values = [
-            {**unlimited, **{name: one for name, one in models[place].values.items() if not _is_sensed(name)}}
+            {name: one for name, one in models[place].values.items() if not _is_sensed(name)}
             for place in places
         ]
         commands = np.empty((len(places), *motion.states.shape[:1], motion.commands.shape[1]))

@@ -421,7 +421,8 @@ class MujocoSimulator(Simulator):
 
         By inverse dynamics: M a less gravity, inertial forces, springs, dampers, actuators and applied forces.
         Contacts, limits and other constraints but dry friction exert nothing here. Dry friction is as soft as
-        MuJoCo's: below a speed it grows with it.
+        MuJoCo's: below a speed it grows with it. Motors have no largest force: a servo that is much too stiff in the
+        model would be at it where that of the machine never is.
 
         Parameters
         ----------
@@ -475,10 +476,12 @@ class MujocoSimulator(Simulator):
         return self._cached("stepper", Stepper).constrained(Job(0, model, 1), inputs)
 
     def _unconstrained(self, values: Mapping[str, float]) -> mujoco.MjModel:
-        return self._flagged(values, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+        return self._flagged(values, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT, limited=False)
 
-    def _flagged(self, values: Mapping[str, float], flag: mujoco.mjtDisableBit) -> mujoco.MjModel:
-        """Return the compiled model with a part of MuJoCo's pipeline disabled."""
+    def _flagged(
+        self, values: Mapping[str, float], flag: mujoco.mjtDisableBit, *, limited: bool = True
+    ) -> mujoco.MjModel:
+        """Return the compiled model with a part of MuJoCo's pipeline disabled, and perhaps the limits of its motors."""
         model = self._model(values, self.frame_skip)
         kept: dict[tuple[int, int], tuple[mujoco.MjModel, mujoco.MjModel]]
         kept = self._cached("flagged", dict)
@@ -489,6 +492,9 @@ class MujocoSimulator(Simulator):
                 kept.pop(next(iter(kept)))
             changed = copy.copy(model)
             changed.opt.disableflags |= int(flag)
+            if not limited:
+                for flags in ("actuator_forcelimited", "jnt_actfrclimited", "tendon_actfrclimited"):
+                    getattr(changed, flags)[:] = 0
             kept[key] = model, changed
         return kept[key][1]
 
