@@ -222,31 +222,34 @@ def _step(
 
 def _scales(squares: Array, variance: Array, present: Mask) -> tuple[Array, Array]:
     """Return the best degrees of freedom of each column, and the expected precisions."""
-    nus, weights = np.full(len(variance), np.inf), np.ones(squares.shape)
-    for column, own in enumerate(variance):
-        seen = present[..., column]
-        values = squares[..., column][seen]
-        if not len(values):
-            continue
-        bounds = []
-        for nu in DEGREES_OF_FREEDOM:
-            scale = _best_scale(values, own, nu)
-            bounds.append(student_log_density(values, scale, nu).sum())
-        nu = DEGREES_OF_FREEDOM[int(np.argmax(bounds))]
-        nus[column] = nu
-        if np.isfinite(nu):
-            scaled = (nu + 1) / (nu + squares[..., column] / own)
-            weights[..., column] = np.where(seen, scaled, 1.0)
+    k = len(variance)
+    nus, weights = np.full(k, np.inf), np.ones(squares.shape)
+    there = present.sum(axis=(0, 1)) > 0
+    if not there.any():
+        return nus, weights
+    flat, seen = squares.reshape(-1, k), present.reshape(-1, k)
+    bounds = []
+    for nu in DEGREES_OF_FREEDOM:
+        scale = _best_scales(flat, seen, variance, nu)
+        bounds.append(np.sum(student_log_density(flat, scale, nu), axis=0, where=seen))
+    nus[there] = np.array(DEGREES_OF_FREEDOM)[np.argmax(bounds, axis=0)][there]
+    heavy = np.isfinite(nus)
+    scaled = (nus[heavy] + 1) / (nus[heavy] + squares[..., heavy] / variance[heavy])
+    weights[..., heavy] = np.where(present[..., heavy], scaled, 1.0)
     return nus, weights
 
 
-def _best_scale(squares: Array, start: float, nu: float) -> float:
+def _best_scales(squares: Array, seen: Mask, start: Array, nu: float) -> Array:
+    """Return the likeliest squared scale of each column of squares (n, k)."""
     # Of a log that a model repeats exactly nothing is left.
+    counts = np.maximum(seen.sum(axis=0), 1)
     if np.isinf(nu):
-        return max(float(squares.mean()), SMALLEST)
-    scale = start
+        mean: Array = np.sum(squares, axis=0, where=seen) / counts
+        return np.maximum(mean, SMALLEST)
+    scale = np.maximum(start, SMALLEST)
     for _ in range(8):
-        scale = max(float(np.mean((nu + 1) / (nu + squares / scale) * squares)), SMALLEST)
+        shares = (nu + 1) / (nu + squares / scale) * squares
+        scale = np.maximum(np.sum(shares, axis=0, where=seen) / counts, SMALLEST)
     return scale
 
 
