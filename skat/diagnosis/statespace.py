@@ -22,6 +22,8 @@ VALUES_AT_ONCE = 2e7
 SMALL_FORCE = 1e-3
 # Smallest step of a derivative, where the state is known better than that.
 SMALLEST_STEP = 1e-7
+# A row from near which states end so many times their spread away has diverged, as contacts do: it has no slopes.
+FAR = 1e3
 
 
 @dataclass(frozen=True)
@@ -300,6 +302,8 @@ def linearise(
     )  # of orthonormal axes in units: rows of inverse are directions
     transitions = ((up - down) / (2 * widths[:, None])) @ inverse
     drive = simulator.residual(safe, path[:, 1:][space.places])
+    far = np.any(np.maximum(np.abs(up), np.abs(down)) > FAR * space.spread[:, None], axis=(1, 2))
+    base = np.where(far[:, None], np.nan, base)
     bends = np.zeros((n, d, d))
     if known:
         second = up + down
@@ -430,6 +434,9 @@ def _assembled(
     measured = space.simulator.residual(space.measured, path)
     if carrier is None:
         carrier = np.broadcast_to(space.carrier, (*space.real.shape, *space.carrier.shape))
+    else:
+        # What is not simulated is not pushed either: it may be anywhere.
+        carrier = np.where(space.padded(np.where(valid, 1.0, 0.0))[..., None, None] > 0, carrier, 0.0)
     chains = Chains(
         _identity_padded(space, transitions, d),
         space.padded(drive),
