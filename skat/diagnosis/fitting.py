@@ -233,45 +233,53 @@ def _with_best_memory(
     plain = _without_memory(noise, space.d, n_forces)
     least, held = known.least(linear.chains), known.held(linear.chains)
     without = estimate_noise(linear.chains, plain, space.real, floor=least, held=held)
-    rough = _rough(space)
-    read = np.where(np.isfinite(rough), np.maximum(plain.error, rough), plain.error)
-    if held is None and (read > plain.error).any():
-        # Where forces passed for all that a set of causes explains, sensors were left no noise to begin with.
-        other = normal_noise(linear.chains, plain.force, read)
-        without = max(
-            without,
-            estimate_noise(linear.chains, other, space.real, floor=least),
-            key=lambda one: one.bound,
-        )
-    best = without
-    found = np.zeros(0)
-    if _worth_of_memory(linear.chains, without) < MEMORY_WORTH * (n_forces + 1):
-        return best, found
+    if len(shares) and held is None:
+        rough = _rough(space)
+        read = np.where(np.isfinite(rough), np.maximum(plain.error, rough), plain.error)
+        if (read > plain.error).any():
+            # Where forces passed for all that a set of causes explains, sensors were left no noise to begin with.
+            other = normal_noise(linear.chains, plain.force, read)
+            without = max(
+                without,
+                estimate_noise(linear.chains, other, space.real, floor=least),
+                key=lambda one: one.bound,
+            )
+    # A variance more for each force, and the memory itself.
+    needed = MEMORY_WORTH * (n_forces + 1)
     longest = SHARE_OF_EPISODE * np.unique(space.groups, return_counts=True)[1].max()
-    for rows in MEMORIES:
-        if rows > longest:
-            continue
-        tried = np.full(n_forces, np.exp(-1 / rows))
-        chains = _remembering(space, linear, tried)
-        start = noise if len(shares) else _with_memory(without.noise, tried)
-        estimate = estimate_noise(
-            chains, start, space.real, floor=known.least(chains), held=known.held(chains)
-        )
-        # A variance more for each force, and the memory itself.
-        if estimate.bound > best.bound + (0 if len(found) else MEMORY_WORTH * (n_forces + 1)):
-            best, found = estimate, tried
-    return best, found
+    memories = [np.full(n_forces, np.exp(-1 / rows)) for rows in MEMORIES if rows <= longest]
+    worth = _worth_of_memories(linear.chains, without)[: len(memories)]
+    if not memories or max(worth, default=0.0) < needed:
+        return without, np.zeros(0)
+
+    def remembered(place: int) -> Estimate:
+        chains = _remembering(space, linear, memories[place])
+        start = noise if len(shares) else _with_memory(without.noise, memories[place])
+        return estimate_noise(chains, start, space.real, floor=known.least(chains), held=known.held(chains))
+
+    # Climbed to, from the last one or from where innovations point.
+    now = int(np.argmax(worth))
+    if len(shares):
+        now = int(np.argmin([abs(one[0] - shares[0]) for one in memories]))
+    best = remembered(now)
+    tried = {now}
+    while beside := [one for one in (now - 1, now + 1) if 0 <= one < len(memories) and one not in tried]:
+        tried.add(beside[0])
+        moved = remembered(beside[0])
+        if moved.bound > best.bound:
+            now, best = beside[0], moved
+    return (best, memories[now]) if best.bound > without.bound + needed else (without, np.zeros(0))
 
 
-def _worth_of_memory(chains: Chains, estimate: Estimate) -> float:
-    """Return about how many nats the best memory would add, by how innovations go with those before.
+def _worth_of_memories(chains: Chains, estimate: Estimate) -> list[float]:
+    """Return about how many nats each memory would add, by how innovations go with those before.
 
     White forces leave white innovations. Their mean product with the sum of the k before them, in units of its standard
     error, is the score of a memory of about k rows; half its square is what the likelihood would gain.
     """
     whitened = np.where(chains.mask, estimate.filtered.whitened, 0.0)
     whitened = np.clip(whitened, -3.0, 3.0)
-    worth = np.zeros(whitened.shape[-1])
+    worth = []
     sums = np.cumsum(whitened, axis=1)
     for rows in (int(rows) for rows in MEMORIES):
         if whitened.shape[1] <= rows + 1:
@@ -280,8 +288,8 @@ def _worth_of_memory(chains: Chains, estimate: Estimate) -> float:
         before[:, 1:] -= sums[:, : -rows - 1]
         products = whitened[:, rows:] * before
         scores = products.sum(axis=(0, 1)) / np.sqrt(np.maximum(np.sum(products**2, axis=(0, 1)), 1e-300))
-        worth = np.maximum(worth, np.maximum(scores, 0.0) ** 2 / 2)
-    return float(worth.sum())
+        worth.append(float(np.sum(np.maximum(scores, 0.0) ** 2)) / 2)
+    return worth
 
 
 def _remembering(space: StateSpace, linear: Linear, shares: Array) -> Chains:
