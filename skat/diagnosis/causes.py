@@ -329,7 +329,7 @@ def find_causes(
         inside = (one for one in ranked.sets if set(one.members) < set(now.members))
         ranked = Ranked(tuple(sorted((best, *inside), key=lambda one: -one.evidence)))
     also = {} if misled else _also(ask, gram, priors, effects, best, needed, state.banned)
-    return _found(fits, now, gram, ranked, best, rivals, state.seen, also, stands, length)
+    return _found(fits, now, gram, ranked, best, rivals, state.seen, also, needed, stands, length)
 
 
 def _begun(fits: Fits, first: Sequence[Fit], length: int) -> Search:
@@ -425,6 +425,7 @@ def _found(
     rivals: Sequence[Rival],
     seen: Seen,
     also: dict[str, float],
+    needed: float,
     stands: bool,
     length: int,
 ) -> Found:
@@ -437,8 +438,9 @@ def _found(
     refitted = {
         names[one]: tuple((names[other], share) for other, share in others) for one, others in shares.items()
     }
-    # A search that was stopped may end at a bound.
-    kept = [one for one in now.members if not is_held(effects[one], now.values[names[one]])]
+    # A search that was stopped may end at a bound; what fits find worth a name, their slopes must, too.
+    strong, _ = without_weak(best, gram, priors, needed, power=fits.power)
+    kept = [one for one in strong.members if not is_held(effects[one], now.values[names[one]])]
     intervals, worth = {}, {}
     for one, deviation in zip(best.members, _deviations(gram, priors, best.members)):
         place = coordinate(effects[one], now.values[names[one]])
@@ -544,35 +546,38 @@ def _slopes(fits: Fits, now: Fit, members: Sequence[int]) -> Array:
     widths = dict(zip(now.members, now.widths))
     slopes = slopes_of(space, fitted, chosen, priors, np.array([widths.get(one, 0.0) for one in members]))
     dead = ~np.any(slopes, axis=(0, 1))
-    for place, effect in enumerate(chosen):
-        if effect.name in fitted.values:
-            continue
-        ends = _ends_of_chords(space.simulator, effect, float(priors.scales[place]), bool(dead[place]))
-        if not len(ends):
-            continue
-        grid = np.array([coordinate(effect, float(end)) for end in ends])
-        chords = np.concatenate(
-            [
-                derivatives(space, fitted.linear, fitted.values, {effect.name: (effect.neutral, float(end))})
-                * ((end - effect.neutral) / at)
-                for end, at in zip(ends, grid)
-            ],
-            axis=-1,
-        )
-        both = np.concatenate([slopes[..., place, None], chords], axis=-1)
-        gram = gram_of(space, fitted, both, [effect] * both.shape[-1]).gram
-        b, G = gram.projections, np.maximum(np.diag(gram.products), 1e-300)
-        # A chord holds as far as its end; the slope is taken at its word, but where a delay has none.
-        low, high = (
-            np.r_[priors.low[place], np.minimum(grid, 0)],
-            np.r_[priors.high[place], np.maximum(grid, 0)],
-        )
-        at = np.clip(b / G, low, high)
-        gains = b * at - 0.5 * G * at**2
-        if effect.family == "delay":
-            gains[0] = -np.inf
-        slopes[..., place] = both[..., int(np.argmax(gains))]
+    ends = {
+        place: _ends_of_chords(space.simulator, effect, float(priors.scales[place]), bool(dead[place]))
+        for place, effect in enumerate(chosen)
+        if effect.name not in fitted.values
+    }
+    # A slope is taken at its word, but where a delay has none; a chord holds as far as its end.
+    gains = _gains(fits, fitted, slopes, chosen, priors.low, priors.high)
+    gains[[place for place, effect in enumerate(chosen) if effect.family == "delay"]] = -np.inf
+    for turn in range(max(map(len, ends.values()), default=0)):
+        places = [place for place, own in ends.items() if len(own) > turn]
+        some = [chosen[place] for place in places]
+        steps = {effect.name: (effect.neutral, float(ends[at][turn])) for effect, at in zip(some, places)}
+        at = np.array([coordinate(effect, steps[effect.name][1]) for effect in some])
+        chords = derivatives(space, fitted.linear, fitted.values, steps)
+        chords *= [(steps[effect.name][1] - effect.neutral) / one for effect, one in zip(some, at)]
+        own = _gains(fits, fitted, chords, some, np.minimum(at, 0), np.maximum(at, 0))
+        better = own > gains[places]
+        chosen_places = np.array(places)[better]
+        slopes[..., chosen_places] = chords[..., better]
+        gains[chosen_places] = own[better]
     return slopes
+
+
+def _gains(
+    fits: Fits, fitted: Fitted, slopes: Array, effects: Sequence[Effect], low: Array, high: Array
+) -> Array:
+    """Return what each of some effects alone would gain by its slope, within bounds, nats."""
+    gram = gram_of(fits.space, fitted, slopes, effects).gram
+    b, G = gram.projections, np.maximum(np.diag(gram.products), 1e-300)
+    at = np.clip(b / G, low, high)
+    gains: Array = b * at - 0.5 * G * at**2
+    return gains
 
 
 def _ends_of_chords(simulator: Simulator, effect: Effect, typical: float, dead: bool) -> Array:
