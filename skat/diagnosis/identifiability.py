@@ -28,8 +28,8 @@ NOTHING_SEPARATES = "nothing in these rows"
 LEAST_SHARE = 1e-9
 # Of an effect's typical size, over which its derivative is taken.
 STEP = 0.05
-# Turns by which the smallest size is found: what a prior costs changes slowly with the size.
-TURNS = 12
+# Turns by which the smallest size is found, and as which share two are one: what a prior costs changes slowly with it.
+TURNS, CLOSE = 12, 1e-4
 
 
 def from_neutral(effect: Effect, place: float) -> float:
@@ -123,7 +123,9 @@ def _smallest(information: float, priors: Priors, k: int, needed: float, reach: 
     place = min(abs(reach), float(np.sqrt(2 * (needed + 5) / information)))
     for _ in range(TURNS):
         cost = information * place**2 / 2 - evidence(side * place)
-        place = min(abs(reach), float(np.sqrt(max(2 * (needed + cost) / information, 0.0))))
+        last, place = place, min(abs(reach), float(np.sqrt(max(2 * (needed + cost) / information, 0.0))))
+        if abs(place - last) < CLOSE * place:
+            break
     return side * place
 
 

@@ -1,0 +1,88 @@
+"""Time ``skat diagnose --quick`` on 30 s of a six-joint arm at 100 Hz, from the command to the report on disk.
+
+Once with a dry friction hidden in the elbow, once with nothing; the log is a CSV. Seconds are those of a clock on the
+wall, on two cores with nothing else to do, so that this is worth running only there::
+
+    python benchmarks/first_answer.py [--runs 2] [--output benchmarks/results/first_answer.txt]
+
+The peer of the same run is ``skat --version``: what starting costs.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from worlds.robots import channel_names, make_log, nominal_model
+
+HIDDEN = {"a friction": {"dry_friction[elbow]": 4.0}, "nothing": {}}
+ROWS = 3000
+LIMIT_S = 10.0
+
+
+def written(folder, truth):
+    """Write model and log of an arm; return their paths."""
+    import mujoco
+
+    log = make_log("torque_arm", truth, rows=ROWS, episodes=1, seed=1)
+    model = nominal_model(log.mjcf)
+    controls = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_ACTUATOR, one) for one in range(model.nu)]
+    names = [*channel_names(model), *(f"ctrl.{name}" for name in controls)]
+    # The state behind the last row has no command.
+    rows = np.vstack([log.X, np.concatenate([log.y[-1], log.X[-1, log.y.shape[1] :]])])
+    dt = log.frame_skip * model.opt.timestep
+    table = pd.DataFrame(rows, columns=names)
+    table.insert(0, "time", dt * np.arange(len(rows)))
+    (folder / "arm.xml").write_text(log.mjcf)
+    table.to_csv(folder / "log.csv", index=False)
+    return folder / "arm.xml", folder / "log.csv"
+
+
+def timed(arguments, folder):
+    """Return the seconds that a command took and what it printed."""
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "MPLBACKEND": "agg"}
+    start = time.perf_counter()
+    done = subprocess.run(
+        [sys.executable, "-m", "skat", *arguments],
+        cwd=folder,
+        env=environment,
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    return time.perf_counter() - start, done.stdout
+
+
+def main():
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--runs", type=int, default=2)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--output", type=Path)
+    arguments = parser.parse_args()
+    lines = [f"at most {LIMIT_S:.0f} s are allowed; {os.cpu_count()} cores, {arguments.jobs} processes"]
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        start = min(timed(["--version"], folder)[0] for _ in range(arguments.runs))
+        lines.append(f"skat --version: {start:.2f} s")
+        for name, truth in HIDDEN.items():
+            model, log = written(folder, truth)
+            command = ["diagnose", str(model), str(log), "--quick", "--force", "--jobs", str(arguments.jobs)]
+            runs = [timed(command, folder) for _ in range(arguments.runs)]
+            told = next(line.strip() for line in runs[0][1].splitlines() if "erdict" in line)
+            seconds = ", ".join(f"{one:.1f}" for one, _ in runs)
+            lines.append(f"{name} hidden: {seconds} s; {told}")
+    text = "\n".join(lines)
+    print(text)
+    if arguments.output is not None:
+        arguments.output.write_text(text + "\n")
+
+
+if __name__ == "__main__":
+    main()
