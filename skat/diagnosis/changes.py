@@ -59,7 +59,7 @@ APART = 2.0
 PLACES, ALIKE = 3, 0.9995
 # Rows by which commands may come late in the first log, and by how many later, or earlier, in the second.
 LATE_IN_BOTH = tuple(0.5 * one for one in range(17))
-LATER = (0.5, 1.0, 2.0, 3.0, 4.0)
+LATER = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0)
 # Turns of noise, and within each of what windows differ by.
 NOISE_TURNS, WINDOW_TURNS = 4, 5
 # Of its typical size, by which an effect differs from window to window until the logs tell; and a slope is taken over.
@@ -286,7 +286,7 @@ def find_changes(
     while True:
         worth = _bagged(question, sides, drawn, gram, priors)
         best, nats = without_weak(max(worth.seen.values(), key=lambda one: one.evidence), worth, needed)
-        absurd = _at_bounds(best, priors)
+        absurd = _at_bounds(best, question.candidates, priors)
         if not absurd:
             break
         log_odds = priors.log_odds.copy()
@@ -817,17 +817,31 @@ def _laws(question: _Question) -> Priors:
     # One over a gain is searched for: from 1 / WEAKEST to that of a motor that turns the other way.
     motors = np.array([one.effect.family in MOTORS for one in question.candidates], dtype=bool)
     low, high = np.where(motors, 1 - 1 / WEAKEST, low), np.where(motors, 2.5, high)
+    # A chord is a delay at its end alone: a mean of commands of two times is none.
+    nearest = question.simulator.dt * np.array(
+        [_between(one.late) if one.late else (0, 0) for one in question.candidates]
+    )
+    late = np.array([bool(one.late) for one in question.candidates])
+    low, high = np.where(late, nearest[:, 0], low), np.where(late, nearest[:, 1], high)
     names = tuple(one.effect.name for one in question.candidates)
     scales = question.scales
     return Priors(names, np.ones(len(names)), np.log(odds / (odds.sum() + 1)), low / scales, high / scales)
 
 
-def _at_bounds(best: Weighed, priors: Priors) -> list[int]:
+def _between(late: float) -> tuple[float, float]:
+    """Return between how many rows commands are late for which a grid has one value."""
+    ends = (LATER[0] / 2, *(0.5 * (one + other) for one, other in itertools.pairwise(LATER)), LATER[-1] + 0.5)
+    place = LATER.index(abs(late))
+    low, high = sorted(np.sign(late) * np.array(ends[place : place + 2]))
+    return float(low), float(high)
+
+
+def _at_bounds(best: Weighed, candidates: Sequence[_Candidate], priors: Priors) -> list[int]:
     """Return the members at an end of what is possible: a sign that something else is behind them."""
     return [
         place
         for place, value in zip(best.members, best.values)
-        if not priors.low[place] * INSIDE < value < priors.high[place] * INSIDE
+        if not candidates[place].late and not priors.low[place] * INSIDE < value < priors.high[place] * INSIDE
     ]
 
 
