@@ -75,7 +75,7 @@ def main():
             model, log = written(folder, truth)
             command = ["diagnose", str(model), str(log), "--quick", "--force", "--jobs", str(arguments.jobs)]
             runs = [timed(command, folder) for _ in range(arguments.runs)]
-            told = next(line.strip() for line in runs[0][1].splitlines() if "erdict" in line)
+            told = next(line for line in runs[0][1].splitlines() if line.startswith("Log: "))
             seconds = ", ".join(f"{one:.1f}" for one, _ in runs)
             lines.append(f"{name} hidden: {seconds} s; {told}")
     text = "\n".join(lines)

@@ -212,6 +212,7 @@ def find_causes(
     max_effects: int | None = None,
     start: Mapping[str, float] | None = None,
     turns: int = TURNS,
+    rivals_fitted: bool = True,
     shorter: Callable[[int], StateSpace] | None = None,
     resumed: Search | None = None,
     checkpoint: Callable[[Search], None] | None = None,
@@ -241,6 +242,8 @@ def find_causes(
         Where to begin.
     turns : int, default=16
         Moves from a set to another at most; the search that makes them all has not come to rest.
+    rivals_fitted : bool, default=True
+        Whether what acts much like a cause has a fit of its own in its place; otherwise slopes alone tell the two apart.
     shorter : callable, optional
         ``shorter(length)`` lays the log out in chains of at most so many transitions.
     resumed : Search, optional
@@ -313,7 +316,7 @@ def find_causes(
                 seen = seen.beside(moved)
         if moved is None:
             seen, moved = _superfluous(fits, now, gram, seen, needed)
-        if moved is None:
+        if moved is None and rivals_fitted:
             seen, rivals, moved = _rivals(fits, now, (gram, state.first or gram), seen)
         state = replace(state, seen=seen)
         if moved is None:

@@ -217,6 +217,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         if self.quick:
             fitted, held_out = fitted.few(), None if held_out is None else held_out.few()
         self.n_rows_fitted_ = len(fitted)
+        first_look = self.n_rows_fitted_ < self.n_rows_
         space = self._space(fitted)
         least = least + _rounding(space)
         found = find_causes(
@@ -227,7 +228,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             floor=least,
             given=self._given_deviations(),
             max_effects=self.max_effects,
-            turns=QUICK_TURNS if self.quick else TURNS,
+            turns=QUICK_TURNS if first_look else TURNS,
+            rivals_fitted=not first_look,
             shorter=partial(self._space, fitted),
             resumed=begun.search,
             checkpoint=None if checkpoint is None else partial(checkpoint.write, begun),

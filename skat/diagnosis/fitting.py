@@ -255,7 +255,15 @@ def _with_best_memory(
     def remembered(place: int) -> Estimate:
         chains = _remembering(space, linear, memories[place])
         start = noise if len(shares) else _with_memory(without.noise, memories[place])
-        return estimate_noise(chains, start, space.real, floor=known.least(chains), held=known.held(chains))
+        # The next turn, about another path, goes on from there.
+        return estimate_noise(
+            chains,
+            start,
+            space.real,
+            floor=known.least(chains),
+            held=known.held(chains),
+            tolerance=STILL,
+        )
 
     # Climbed to, from the last one or from where innovations point.
     now = int(np.argmax(worth))
