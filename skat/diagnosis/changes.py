@@ -294,7 +294,8 @@ def find_changes(
         priors = replace(priors, log_odds=log_odds)
     differences = np.zeros(len(question.candidates))
     differences[list(best.members)] = best.values
-    mistake = _mistake(question, differences, common, drawn, needed)
+    ours = worth.whole(best.members)
+    mistake = _mistake(question, differences, ours.likelihood - ours.evidence, common, drawn, needed)
     if mistake:
         return Changes((), "unexplained", None, _sizes(question, common.level), mistake)
     causes = _causes(question, best, worth, nats)
@@ -682,7 +683,7 @@ def _settled(sides: Sequence[Rows]) -> _Law:
     spread, weights = np.full(k, BEGUN**2), np.r_[np.ones(k), np.full(k, BEGUN**-2)]
     maps = np.eye(k, 2 * k), np.hstack([np.eye(k), np.eye(k)])
     for turn in range(2 * NOISE_TURNS):
-        squares = np.empty(len(noise))
+        squares, shares = np.empty(len(noise)), np.empty(len(noise))
         for turn_of_window in range(WINDOW_TURNS):
             windows = [_Windows.of(rows, noise[own]) for rows, own in zip(sides, masks)]
             (G0, h0), (G1, h1) = (one.without(spread).every() for one in windows)
@@ -706,11 +707,12 @@ def _settled(sides: Sequence[Rows]) -> _Law:
                     seen = N - N @ apart
                     lever = np.sum((N @ inner) * N, axis=1) + np.sum((seen @ cover) * seen, axis=1)
                     left = rows.target[mine] - rows.columns[mine] @ (value + mean)
-                    squares[np.flatnonzero(own)[mine]] = left**2 / np.maximum(1 - lever, 0.1)
+                    places = np.flatnonzero(own)[mine]
+                    squares[places], shares[places] = left**2, np.clip(1 - lever, 0.0, 1.0)
             # MacKay's fixed point: squares over how many of them the rows tell, and not the law itself.
             spread = (moments + PSEUDO * APART_AT_LEAST**2) / (np.maximum(told, 0) + PSEUDO)
             weights = 2 / (1 + solved**2)
-        noise = noise_of(together, squares, flat=turn < NOISE_TURNS)
+        noise = noise_of(together, squares, shares, flat=turn < NOISE_TURNS)
     return _Law((noise[first], noise[~first]), spread, weights[:k], solved[:k], np.zeros(k))
 
 
@@ -1043,13 +1045,15 @@ def _sizes(question: _Question, value: Array) -> dict[str, tuple[float, float]]:
 def _mistake(
     question: _Question,
     differences: Array,
+    price: float,
     common: _Common,
     drawn: Sequence[tuple[Array, ...]],
     needed: float,
 ) -> str:
     """Return how columns of the second log seem to be mixed up, if that explains it better than all changes.
 
-    As changes do, it has to hold in drawn windows.
+    As changes do, it has to hold in drawn windows. Changes cost their price: by how much their evidence is less than what
+    they explain.
     """
     simulator = question.simulator
     known = {effect.name: (effect, size) for effect, size in zip(question.effects, question.sizes)}
@@ -1085,7 +1089,7 @@ def _mistake(
     first, second = misfits(0), misfits(1)
     # What as well mends the first log is the model's matter.
     share = kept[1].sum() / kept[0].sum()
-    mended = second[0] - second[1:] - share * np.maximum(first[0] - first[1:], 0)
+    mended = second[0] + price - second[1:] - share * np.maximum(first[0] - first[1:], 0)
     # Probabilities of none of them, and of each, in each draw; their means, as of sets of changes.
     logs = np.vstack([np.zeros(mended.shape[1]), mended + np.log(MIXED_UP / len(mended))])
     means = logsumexp(logs - logsumexp(logs, axis=0), axis=1)

@@ -230,14 +230,16 @@ def transformed(motion: Motion, forces: Array) -> tuple[Array, NDArray[np.intp],
     return tuple(map(np.concatenate, (parts, joints, frequencies, stretches)))  # type: ignore[return-value]
 
 
-def noise_of(rows: Rows, squares: Array, *, flat: bool = False) -> Array:
+def noise_of(rows: Rows, squares: Array, shares: Array | None = None, *, flat: bool = False) -> Array:
     """Return the deviation of each row's noise, which changes smoothly with frequency.
 
     Parameters
     ----------
     rows : Rows
     squares : ndarray of shape (n_rows,)
-        Unbiased squares of what is left of each row.
+        Of what is left of each row.
+    shares : ndarray of shape (n_rows,), optional
+        Of each row's noise that is left, where effects took some of it; 1 by default.
     flat : bool, default=False
         Whether each joint's noise is white. A curve, fitted before the causes are, takes them for noise.
 
@@ -245,8 +247,9 @@ def noise_of(rows: Rows, squares: Array, *, flat: bool = False) -> Array:
     -----
     Of each joint the log of the variance is a curve of three numbers: a level, a drift that falls with the logarithm of
     the frequency, and a rise, as differentiated noise has. They maximise the likelihood of squares that are variance
-    times chi-squared of one degree of freedom.
+    times chi-squared of as many degrees of freedom as is left of the row.
     """
+    shares = np.ones(len(squares)) if shares is None else shares
     deviations = np.empty(len(squares))
     least = 1e-18 * float(np.mean(rows.nominal**2)) + 1e-300
     for joint in np.unique(rows.joint):
@@ -255,21 +258,22 @@ def noise_of(rows: Rows, squares: Array, *, flat: bool = False) -> Array:
         curves = np.column_stack([np.ones_like(share), np.log(share + DRIFT), share**2])
         own = np.maximum(squares[mine], least)
         curves = curves[:, : 1 if flat or len(own) < FEWEST_FOR_CURVES else 3]
-        deviations[mine] = np.exp(0.5 * curves @ _log_variance(curves, own))
+        deviations[mine] = np.exp(0.5 * curves @ _log_variance(curves, own, shares[mine]))
         curves = curves[:, : 1 if len(own) < FEWEST_FOR_CURVES else 3]
-        missing = np.exp(0.5 * curves @ _log_variance(curves, np.maximum(rows.nominal[mine] ** 2, least)))
+        nominal = np.maximum(rows.nominal[mine] ** 2, least)
+        missing = np.exp(0.5 * curves @ _log_variance(curves, nominal, np.ones(len(nominal))))
         deviations[mine] = np.maximum(deviations[mine], INEXACT * missing)
     return np.maximum(deviations, np.sqrt(least))
 
 
-def _log_variance(curves: Array, squares: Array) -> Array:
+def _log_variance(curves: Array, squares: Array, shares: Array) -> Array:
     """Return coefficients of the log variance of squares, by Fisher's scoring with steps of at most a factor of e^2."""
     coefficients = np.zeros(curves.shape[1])
-    coefficients[0] = np.log(squares.mean())
-    information = curves.T @ curves + 1e-3 * np.eye(curves.shape[1])
+    coefficients[0] = np.log(squares.sum() / shares.sum())
+    information = curves.T @ (shares[:, None] * curves) + 1e-3 * np.eye(curves.shape[1])
     for _ in range(40):
         fitted = curves @ coefficients
-        step = np.linalg.solve(information, curves.T @ (squares * np.exp(-fitted) - 1))
+        step = np.linalg.solve(information, curves.T @ (squares * np.exp(-fitted) - shares))
         largest = float(np.abs(curves @ step).max())
         coefficients = coefficients + step * min(1.0, 2 / max(largest, 1e-12))
         if largest < 1e-3:
