@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from skat.simulators.tables import Array, earlier_rows
 
@@ -131,6 +130,8 @@ def filtered(acts: Array, starts: NDArray[np.intp], shares: Sequence[float] | Ar
     shares : sequence of nu floats
         1 - exp(-step / time constant): of the way that a filter goes in a substep.
     """
+    from scipy.signal import lfilter  # loads slowly, for commands that few models filter
+
     found = np.array(acts)
     for start in np.unique(starts):
         rows = np.flatnonzero(starts == start) if len(starts) < 2 else slice(*_span(starts, start))
