@@ -11,6 +11,7 @@ from skat.diagnosis.evidence import Gram, Priors, Weighed, weigh
 from skat.diagnosis.filtering import Array
 from skat.diagnosis.fits import Fit, Fits
 from skat.diagnosis.fitting import (
+    STILL,
     Columns,
     Fitted,
     coordinate,
@@ -212,7 +213,7 @@ def find_causes(
     max_effects: int | None = None,
     start: Mapping[str, float] | None = None,
     turns: int = TURNS,
-    rivals_fitted: bool = True,
+    coarse: bool = False,
     shorter: Callable[[int], StateSpace] | None = None,
     resumed: Search | None = None,
     checkpoint: Callable[[Search], None] | None = None,
@@ -242,8 +243,9 @@ def find_causes(
         Where to begin.
     turns : int, default=16
         Moves from a set to another at most; the search that makes them all has not come to rest.
-    rivals_fitted : bool, default=True
-        Whether what acts much like a cause has a fit of its own in its place; otherwise slopes alone tell the two apart.
+    coarse : bool, default=False
+        Whether noise is estimated no finer than a path, and slopes alone tell a cause from what acts much like it;
+        otherwise that has a fit of its own in the cause's place.
     shorter : callable, optional
         ``shorter(length)`` lays the log out in chains of at most so many transitions.
     resumed : Search, optional
@@ -265,7 +267,7 @@ def find_causes(
     length = CHAIN_LENGTH if resumed is None else resumed.chain_length
     if length != CHAIN_LENGTH and shorter is not None:
         space = shorter(length)
-    fits = Fits(space, tuple(effects), priors, floor, given, power)
+    fits = Fits(space, tuple(effects), priors, floor, given, power, STILL if coarse else TOLERANCE)
     state = resumed
     if state is None:
         first = fits.first(start or {})
@@ -316,7 +318,7 @@ def find_causes(
                 seen = seen.beside(moved)
         if moved is None:
             seen, moved = _superfluous(fits, now, gram, seen, needed)
-        if moved is None and rivals_fitted:
+        if moved is None and not coarse:
             seen, rivals, moved = _rivals(fits, now, (gram, state.first or gram), seen)
         state = replace(state, seen=seen)
         if moved is None:

@@ -1052,8 +1052,8 @@ def _mistake(
 ) -> str:
     """Return how columns of the second log seem to be mixed up, if that explains it better than all changes.
 
-    As changes do, it has to hold in drawn windows. Changes cost their price: by how much their evidence is less than what
-    they explain.
+    As changes do, it has to hold in drawn windows. Changes cost their price: by how much their evidence is less than
+    what they explain.
     """
     simulator = question.simulator
     known = {effect.name: (effect, size) for effect, size in zip(question.effects, question.sizes)}

@@ -229,7 +229,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             given=self._given_deviations(),
             max_effects=self.max_effects,
             turns=QUICK_TURNS if first_look else TURNS,
-            rivals_fitted=not first_look,
+            coarse=first_look,
             shorter=partial(self._space, fitted),
             resumed=begun.search,
             checkpoint=None if checkpoint is None else partial(checkpoint.write, begun),
@@ -251,7 +251,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         self.identifiability_ = identifiability(
             found.gram, found.priors, found.effects, found.values, alpha=self.alpha, value_at=value_at
         )
-        progress("what is left", 0, 1)
+        told = ", ".join(f"{cause.name} {cause.value:.4g}" for cause in self.causes_)
+        progress("what is left" + (f" beside {told}" if told else ""), 0, 1)
         self.remainder_ = find_remainder(
             space, found.fitted, horizon=self._rows_ahead(), random_state=random_state
         )

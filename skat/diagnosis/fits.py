@@ -8,6 +8,7 @@ import numpy as np
 from skat.diagnosis.evidence import Gram, Priors, weigh
 from skat.diagnosis.filtering import Array
 from skat.diagnosis.fitting import STILL, Fitted, coordinate, gram_of, settled, slopes_of, value_at
+from skat.diagnosis.noise import TOLERANCE
 from skat.diagnosis.statespace import StateSpace
 from skat.effects import Effect
 
@@ -60,6 +61,8 @@ class Fits:
         Standard deviation of each channel's noise, where it is known.
     power : float
         To which the likelihood is taken.
+    tolerance : float, default=0.1
+        To which noise is estimated, nats.
     """
 
     space: StateSpace
@@ -68,17 +71,18 @@ class Fits:
     floor: Array
     given: Array | None
     power: float
+    tolerance: float = TOLERANCE
 
     def first(self, values: Mapping[str, float]) -> list[Fit]:
         """Return fits at values, from the log alone, each about the path of the one before, until they gain nothing."""
         names = self.priors.names
         members = tuple(sorted(names.index(name) for name in values if name in names))
         # From what was measured the way is long, and all that is compared with it begins where it ends.
-        fitted = settled(self.space, values, None, self.floor, given=self.given)
+        fitted = self._settled(values, None)
         widths = np.zeros(len(members))
         found = [self._weighed(members, fitted, widths)[0]]
         for _ in range(FIT_TURNS):
-            last, fitted = fitted, settled(self.space, values, fitted, self.floor, given=self.given)
+            last, fitted = fitted, self._settled(values, fitted)
             found.append(self._weighed(members, fitted, widths)[0])
             if fitted.bound < last.bound + STILL:
                 break
@@ -106,7 +110,7 @@ class Fits:
         widths = np.abs(places - origin)
         for _ in range(FIT_TURNS):
             values = {effect.name: value_at(effect, at) for effect, at in zip(chosen, places)}
-            fitted = settled(self.space, values, start, self.floor, given=self.given)
+            fitted = self._settled(values, start)
             fit, moved, curvature = self._weighed(members, fitted, widths)
             deviations = np.sqrt(np.diag(np.linalg.inv(curvature)))
             # Within its standard errors no step goes too far: what it loses is another path's.
@@ -143,6 +147,9 @@ class Fits:
         chosen = [self.effects[one] for one in members]
         slopes = slopes_of(self.space, fitted, chosen, self.priors.part(members), widths)
         return gram_of(self.space, fitted, slopes, chosen).gram
+
+    def _settled(self, values: Mapping[str, float], start: Fitted | None) -> Fitted:
+        return settled(self.space, values, start, self.floor, given=self.given, tolerance=self.tolerance)
 
     def _place(self, member: int, values: Mapping[str, float]) -> float:
         effect = self.effects[member]

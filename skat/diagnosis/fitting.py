@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from skat.diagnosis.evidence import Gram, Priors
 from skat.diagnosis.filtering import Array, Chains, Mask, filter_columns, kalman_filter
-from skat.diagnosis.noise import Estimate, Noise, estimate_noise, normal_noise, passed
+from skat.diagnosis.noise import TOLERANCE, Estimate, Noise, estimate_noise, normal_noise, passed
 from skat.diagnosis.statespace import (
     Linear,
     StateSpace,
@@ -119,6 +119,7 @@ def settled(
     *,
     turns: int = 16,
     given: Array | None = None,
+    tolerance: float = TOLERANCE,
 ) -> Fitted:
     """Return the fit at given values: path smoothed, slopes taken over what is not known, noise estimated.
 
@@ -134,8 +135,10 @@ def settled(
         How often path and slopes are taken anew at most.
     given : ndarray of shape (d,), optional
         Standard deviation of each channel's noise, where it is known.
+    tolerance : float, default=0.1
+        To which noise is estimated, nats.
     """
-    known = Known(floor, given)
+    known = Known(floor, given, tolerance)
     if start is None:
         linear = linearise(space, space.measured, values)
         if not linear.valid.any():
@@ -151,7 +154,7 @@ def settled(
         linear = linearise(space, start.linear.path, values, _covariances(space, start.estimate))
         noise, shares = start.estimate.noise, start.shares
         chains = _remembering(space, linear, shares)
-    estimate = estimate_noise(chains, noise, space.real, floor=known.least(chains), held=known.held(chains))
+    estimate = known.estimated(chains, noise, space.real)
     best: Fitted | None = None
     at_once = remembers(space.simulator, values)
     paces, losses = np.ones(len(space.real)), np.zeros(len(space.real))
@@ -185,9 +188,7 @@ def settled(
             estimate, shares = _with_best_memory(space, linear, estimate.noise, shares, known)
         else:
             chains = _remembering(space, linear, shares)
-            estimate = estimate_noise(
-                chains, estimate.noise, space.real, floor=known.least(chains), held=known.held(chains)
-            )
+            estimate = known.estimated(chains, estimate.noise, space.real)
         gain = np.inf if best is None else estimate.bound - best.bound
         if gain > 0:
             best = Fitted(
@@ -231,9 +232,8 @@ def _with_best_memory(
     """Return the noise with forces of the memory, if any, that the bound asks for."""
     n_forces = linear.chains.carrier.shape[-1]
     plain = _without_memory(noise, space.d, n_forces)
-    least, held = known.least(linear.chains), known.held(linear.chains)
-    without = estimate_noise(linear.chains, plain, space.real, floor=least, held=held)
-    if len(shares) and held is None:
+    without = known.estimated(linear.chains, plain, space.real)
+    if len(shares) and known.given is None:
         rough = _rough(space)
         read = np.where(np.isfinite(rough), np.maximum(plain.error, rough), plain.error)
         if (read > plain.error).any():
@@ -241,7 +241,7 @@ def _with_best_memory(
             other = normal_noise(linear.chains, plain.force, read)
             without = max(
                 without,
-                estimate_noise(linear.chains, other, space.real, floor=least),
+                known.estimated(linear.chains, other, space.real),
                 key=lambda one: one.bound,
             )
     # A variance more for each force, and the memory itself.
@@ -255,15 +255,7 @@ def _with_best_memory(
     def remembered(place: int) -> Estimate:
         chains = _remembering(space, linear, memories[place])
         start = noise if len(shares) else _with_memory(without.noise, memories[place])
-        # The next turn, about another path, goes on from there.
-        return estimate_noise(
-            chains,
-            start,
-            space.real,
-            floor=known.least(chains),
-            held=known.held(chains),
-            tolerance=STILL,
-        )
+        return known.estimated(chains, start, space.real)
 
     # Climbed to, from the last one or from where innovations point.
     now = int(np.argmax(worth))
@@ -335,10 +327,20 @@ def _without_memory(noise: Noise, d: int, n_forces: int) -> Noise:
 
 @dataclass(frozen=True)
 class Known:
-    """What is known of the sensors' noise: its least variance, and where given its standard deviation."""
+    """What is known of the sensors' noise: its least variance, and where given its standard deviation.
+
+    The rest is estimated, to a tolerance in nats.
+    """
 
     floor: Array
     given: Array | None
+    tolerance: float = TOLERANCE
+
+    def estimated(self, chains: Chains, noise: Noise, real: Mask) -> Estimate:
+        """Return the noise of chains, and the pass with it, from a start."""
+        return estimate_noise(
+            chains, noise, real, floor=self.least(chains), held=self.held(chains), tolerance=self.tolerance
+        )
 
     def least(self, chains: Chains) -> Array:
         """Return the least variance of each channel, hidden states with them."""
@@ -490,13 +492,7 @@ def noise_without(
     hidden = fitted.chains.drive.shape[-1] - space.d
     shift = space.padded(np.pad(slopes @ moves, [(0, 0), (0, hidden)]))
     moved = replace(fitted.chains, drive=fitted.chains.drive + shift)
-    estimate = estimate_noise(
-        moved,
-        fitted.estimate.noise,
-        space.real,
-        floor=known.least(fitted.chains),
-        held=known.held(fitted.chains),
-    )
+    estimate = known.estimated(moved, fitted.estimate.noise, space.real)
     return replace(fitted, estimate=passed(fitted.chains, estimate.noise, space.real, covariances=True))
 
 
