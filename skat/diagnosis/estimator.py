@@ -252,7 +252,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             found.gram, found.priors, found.effects, found.values, alpha=self.alpha, value_at=value_at
         )
         told = ", ".join(f"{cause.name} {cause.value:.4g}" for cause in self.causes_)
-        progress("what is left" + (f" beside {told}" if told else ""), 0, 1)
+        progress(f"what is left beside {told or 'no cause'}", 0, 1)
         self.remainder_ = find_remainder(
             space, found.fitted, horizon=self._rows_ahead(), random_state=random_state
         )
