@@ -244,8 +244,8 @@ def find_causes(
     turns : int, default=16
         Moves from a set to another at most; the search that makes them all has not come to rest.
     coarse : bool, default=False
-        Whether noise is estimated no finer than a path, and slopes alone tell a cause from what acts much like it;
-        otherwise that has a fit of its own in the cause's place.
+        Whether noise is estimated no finer than a path, and slopes alone tell what a cause is worth beside the others
+        and from what acts much like it; otherwise fits without it, and of the other in its place, do.
     shorter : callable, optional
         ``shorter(length)`` lays the log out in chains of at most so many transitions.
     resumed : Search, optional
@@ -316,7 +316,7 @@ def find_causes(
             if held:
                 moved = fits.without(now, held)
                 seen = seen.beside(moved)
-        if moved is None:
+        if moved is None and not coarse:
             seen, moved = _superfluous(fits, now, gram, seen, needed)
         if moved is None and not coarse:
             seen, rivals, moved = _rivals(fits, now, (gram, state.first or gram), seen)
