@@ -30,7 +30,7 @@ SINGLE = [
     ("halfcheetah", ("timestep", None, 0.5)),
 ]
 # Of the quick run; the others are long together.
-QUICK = {"tilt in puck"}
+QUICK = {"stiffness in hopper"}
 MISSED = {
     "bias in hopper": "Nothing detected: short chains at contacts see too little of a sensor's .2 m/s",
     "inertia in hopper": "Of 1.5 it names 1.445 alone: 11 % of the difference from 1 too little, 5 is asked",
@@ -160,6 +160,7 @@ def test_gain_of_the_right_mass_at_contacts_may_be_all_of_the_excess(gains_at_co
         assert gain.interval[0] < 1 < gain.interval[1]
 
 
+@pytest.mark.long
 @pytest.mark.xfail(
     strict=True,
     reason="A right model's error is 1.72, .93 and 1.63 in three logs: a linearisation about the filter's states says "

@@ -114,6 +114,7 @@ def test_progress_is_reported_to_the_end():
     assert calls[-1] == ("carrying", 6, 6)
 
 
+@pytest.mark.long
 def test_the_diagnosis_is_one_of_the_methods_and_predicts_by_the_extended_simulator():
     table = domain_matrix(
         "hopper",
