@@ -285,7 +285,9 @@ def find_changes(
     drawn = _drawn(sides)
     while True:
         worth = _bagged(question, sides, drawn, gram, priors)
-        best, nats = without_weak(max(worth.seen.values(), key=lambda one: one.evidence), worth, needed)
+        # Of any two sets, that with more names must be worth what they need.
+        best = max(worth.seen.values(), key=lambda one: one.evidence - needed * len(one.members))
+        best, nats = without_weak(best, worth, needed)
         absurd = _at_bounds(best, question.candidates, priors)
         if not absurd:
             break
