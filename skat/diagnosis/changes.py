@@ -59,7 +59,7 @@ APART = 2.0
 PLACES, ALIKE = 3, 0.9995
 # Rows by which commands may come late in the first log, and by how many later, or earlier, in the second.
 LATE_IN_BOTH = tuple(0.5 * one for one in range(17))
-LATER = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0)
+LATER = (0.5, 1.0, 2.0, 3.0, 4.0)
 # Turns of noise, and within each of what windows differ by.
 NOISE_TURNS, WINDOW_TURNS = 4, 5
 # Of its typical size, by which an effect differs from window to window until the logs tell; and a slope is taken over.
@@ -685,7 +685,7 @@ def _settled(sides: Sequence[Rows]) -> _Law:
     spread, weights = np.full(k, BEGUN**2), np.r_[np.ones(k), np.full(k, BEGUN**-2)]
     maps = np.eye(k, 2 * k), np.hstack([np.eye(k), np.eye(k)])
     for turn in range(2 * NOISE_TURNS):
-        squares, shares = np.empty(len(noise)), np.empty(len(noise))
+        squares = np.empty(len(noise))
         for turn_of_window in range(WINDOW_TURNS):
             windows = [_Windows.of(rows, noise[own]) for rows, own in zip(sides, masks)]
             (G0, h0), (G1, h1) = (one.without(spread).every() for one in windows)
@@ -709,12 +709,11 @@ def _settled(sides: Sequence[Rows]) -> _Law:
                     seen = N - N @ apart
                     lever = np.sum((N @ inner) * N, axis=1) + np.sum((seen @ cover) * seen, axis=1)
                     left = rows.target[mine] - rows.columns[mine] @ (value + mean)
-                    places = np.flatnonzero(own)[mine]
-                    squares[places], shares[places] = left**2, np.clip(1 - lever, 0.0, 1.0)
+                    squares[np.flatnonzero(own)[mine]] = left**2 / np.maximum(1 - lever, 0.1)
             # MacKay's fixed point: squares over how many of them the rows tell, and not the law itself.
             spread = (moments + PSEUDO * APART_AT_LEAST**2) / (np.maximum(told, 0) + PSEUDO)
             weights = 2 / (1 + solved**2)
-        noise = noise_of(together, squares, shares, flat=turn < NOISE_TURNS)
+        noise = noise_of(together, squares, flat=turn < NOISE_TURNS)
     return _Law((noise[first], noise[~first]), spread, weights[:k], solved[:k], np.zeros(k))
 
 
@@ -1068,30 +1067,43 @@ def _mistake(
         return ""
     kept = np.ones(len(question.sides[0].target), dtype=bool), ~question.held_out
 
-    def misfits(side: int) -> Array:
-        """Return half the log of what is left over the noise, of all drawn windows, for each order of columns."""
-        rows, noise = question.sides[side], question.law.noise[side]
-        windows = np.unique(rows.stretch[kept[side]])
-        cells = [
-            [(rows.joint == joint) & (rows.stretch == one) for one in windows]
-            for joint in np.unique(rows.joint)
-        ]
-        counts = np.array([[own.sum() for own in joint] for joint in cells])
-        found = []
-        for half in [question.halves[side], *(one for _, one in mixed[side])]:
-            left = _transformed(half, _forces(simulator, half, [model]))[0][:, 0]
-            if side and half is question.halves[side]:
-                left = left - rows.columns[:, len(question.effects) :] @ differences
-            squares = np.array([[np.sum((left / noise)[own] ** 2) for own in joint] for joint in cells])
-            times = np.array([one[side] for one in drawn])
-            many = np.maximum(times @ counts.T, 1)
-            found.append(0.5 * np.sum(many * np.log1p(times @ squares.T / many), axis=1))
-        return np.array(found)
+    def misfits(side: int) -> tuple[Array, Array]:
+        """Return half the log of what is left over the noise, of all drawn windows, as columns are and in other orders.
+
+        Of two joints that change places, as far as both were fast: beyond, one of them has no rows.
+        """
+        own, rows, noise = question.halves[side], question.sides[side], question.law.noise[side]
+        windows, window = np.unique(rows.stretch[kept[side]], return_inverse=True)
+        joints, joint = np.unique(rows.joint[kept[side]], return_inverse=True)
+        times = np.array([one[side] for one in drawn])
+
+        def left(half: _Half) -> Array:
+            motion = replace(half.motion, cutoff=own.motion.cutoff)
+            forces = _forces(simulator, half, [model])
+            return _transformed(replace(half, motion=motion), forces)[0][:, 0]
+
+        def misfit(squares: Array, seen: Mask) -> Array:
+            shape = len(windows), len(joints)
+            place = np.ravel_multi_index((window, joint), shape)
+            sums, counts = (
+                np.bincount(place, some[kept[side]], minlength=shape[0] * shape[1]).reshape(shape)
+                for some in (squares * seen, seen.astype(float))
+            )
+            many = np.maximum(times @ counts, 1)
+            return np.asarray(0.5 * np.sum(many * np.log1p(times @ sums / many), axis=1))
+
+        given = left(own) - (rows.columns[:, len(question.effects) :] @ differences if side else 0.0)
+        as_is, otherwise = [], []
+        for _, half in mixed[side]:
+            seen = rows.frequency <= np.tile(half.motion.cutoff, 2)[rows.joint]
+            as_is.append(misfit((given / noise) ** 2, seen))
+            otherwise.append(misfit((left(half) / noise) ** 2, seen))
+        return np.array(as_is), np.array(otherwise)
 
     first, second = misfits(0), misfits(1)
     # What as well mends the first log is the model's matter.
     share = kept[1].sum() / kept[0].sum()
-    mended = second[0] + price - second[1:] - share * np.maximum(first[0] - first[1:], 0)
+    mended = second[0] + price - second[1] - share * np.maximum(first[0] - first[1], 0)
     # Probabilities of none of them, and of each, in each draw; their means, as of sets of changes.
     logs = np.vstack([np.zeros(mended.shape[1]), mended + np.log(MIXED_UP / len(mended))])
     means = logsumexp(logs - logsumexp(logs, axis=0), axis=1)
@@ -1132,6 +1144,7 @@ def _mixed_up(simulator: MujocoSimulator, half: _Half) -> list[tuple[str, _Half]
                 motion,
                 states=motion.states[:, np.r_[order, order + nv]],
                 accelerations=motion.accelerations[:, order],
+                cutoff=np.minimum(motion.cutoff, motion.cutoff[order]),
             )
             found.append(
                 (

@@ -230,16 +230,14 @@ def transformed(motion: Motion, forces: Array) -> tuple[Array, NDArray[np.intp],
     return tuple(map(np.concatenate, (parts, joints, frequencies, stretches)))  # type: ignore[return-value]
 
 
-def noise_of(rows: Rows, squares: Array, shares: Array | None = None, *, flat: bool = False) -> Array:
+def noise_of(rows: Rows, squares: Array, *, flat: bool = False) -> Array:
     """Return the deviation of each row's noise, which changes smoothly with frequency.
 
     Parameters
     ----------
     rows : Rows
     squares : ndarray of shape (n_rows,)
-        Of what is left of each row.
-    shares : ndarray of shape (n_rows,), optional
-        Of each row's noise that is left, where effects took some of it; 1 by default.
+        Unbiased squares of what is left of each row.
     flat : bool, default=False
         Whether each joint's noise is white. A curve, fitted before the causes are, takes them for noise.
 
@@ -247,9 +245,8 @@ def noise_of(rows: Rows, squares: Array, shares: Array | None = None, *, flat: b
     -----
     Of each joint the log of the variance is a curve of three numbers: a level, a drift that falls with the logarithm of
     the frequency, and a rise, as differentiated noise has. They maximise the likelihood of squares that are variance
-    times chi-squared of as many degrees of freedom as is left of the row.
+    times chi-squared of one degree of freedom.
     """
-    shares = np.ones(len(squares)) if shares is None else shares
     deviations = np.empty(len(squares))
     least = 1e-18 * float(np.mean(rows.nominal**2)) + 1e-300
     for joint in np.unique(rows.joint):
@@ -258,22 +255,21 @@ def noise_of(rows: Rows, squares: Array, shares: Array | None = None, *, flat: b
         curves = np.column_stack([np.ones_like(share), np.log(share + DRIFT), share**2])
         own = np.maximum(squares[mine], least)
         curves = curves[:, : 1 if flat or len(own) < FEWEST_FOR_CURVES else 3]
-        deviations[mine] = np.exp(0.5 * curves @ _log_variance(curves, own, shares[mine]))
+        deviations[mine] = np.exp(0.5 * curves @ _log_variance(curves, own))
         curves = curves[:, : 1 if len(own) < FEWEST_FOR_CURVES else 3]
-        nominal = np.maximum(rows.nominal[mine] ** 2, least)
-        missing = np.exp(0.5 * curves @ _log_variance(curves, nominal, np.ones(len(nominal))))
+        missing = np.exp(0.5 * curves @ _log_variance(curves, np.maximum(rows.nominal[mine] ** 2, least)))
         deviations[mine] = np.maximum(deviations[mine], INEXACT * missing)
     return np.maximum(deviations, np.sqrt(least))
 
 
-def _log_variance(curves: Array, squares: Array, shares: Array) -> Array:
+def _log_variance(curves: Array, squares: Array) -> Array:
     """Return coefficients of the log variance of squares, by Fisher's scoring with steps of at most a factor of e^2."""
     coefficients = np.zeros(curves.shape[1])
-    coefficients[0] = np.log(squares.sum() / shares.sum())
-    information = curves.T @ (shares[:, None] * curves) + 1e-3 * np.eye(curves.shape[1])
+    coefficients[0] = np.log(squares.mean())
+    information = curves.T @ curves + 1e-3 * np.eye(curves.shape[1])
     for _ in range(40):
         fitted = curves @ coefficients
-        step = np.linalg.solve(information, curves.T @ (squares * np.exp(-fitted) - shares))
+        step = np.linalg.solve(information, curves.T @ (squares * np.exp(-fitted) - 1))
         largest = float(np.abs(curves @ step).max())
         coefficients = coefficients + step * min(1.0, 2 / max(largest, 1e-12))
         if largest < 1e-3:
