@@ -2,10 +2,12 @@
 
 The commit's hash draws the lines and what becomes of each: a comparison, an operator, a sign, a number, min for max.
 Each changed line meets the tests of its own folder, the long ones left out, in a copy of the commit; the tree itself
-stays as it is. A run that fails, or takes much longer than that of the commit, has caught the change. Some changes are
-none, as ``<`` for ``<=`` where equality has no chance: look at the survivors before adding a test.
+stays as it is. A run that fails, or takes much longer than that of the commit, has caught the change. Of a folder only
+those files are run of which some test reaches the line, as a run of the commit with coverage tells; the quick ones
+first. Some changes are none, as ``<`` for ``<=`` where equality has no chance: look at the survivors before adding a
+test.
 
-    python benchmarks/mutations.py --output FILE        # 50 lines; two hours or three; ended by anybody, it goes on
+    python benchmarks/mutations.py --output FILE        # 50 lines; an hour or two; ended by anybody, it goes on
     python benchmarks/mutations.py --lines 5 --only transport
 """
 
@@ -14,15 +16,15 @@ import ast
 import contextlib
 import copy
 import io
+import json
 import os
 import random
-import re
 import signal
 import subprocess
 import sys
 import tarfile
 import tempfile
-import time
+import xml.etree.ElementTree as ET
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -106,20 +108,71 @@ def folder_of_tests(path, root):
     return "tests/transport"
 
 
-def by_mention(path, tests, root):
-    """Return the files of tests, those first that speak most of what the module defines: they notice soonest."""
-    if (root / tests).is_file():
-        return [tests]
-    source = (root / path).read_text("utf-8")
-    defined = (getattr(node, "name", "_") for node in ast.parse(source).body)
-    names = {Path(path).stem, *(name for name in defined if not name.startswith("_"))}
+@dataclass(frozen=True)
+class Reached:
+    """Which lines the files of a folder of tests reach, and how long each takes.
 
-    def silence(file):
-        text = file.read_text("utf-8")
-        return -sum(text.count(name) for name in names), file.name
+    Attributes
+    ----------
+    seconds : dict of str to float
+        Of each file of tests.
+    lines : dict of str to dict of str to list of str
+        Of each module, for each line that is run, the files whose tests reach it; none where it is run on import.
+    """
 
-    files = sorted((root / tests).rglob("test_*.py"), key=silence)
-    return [str(file.relative_to(root)) for file in files]
+    seconds: dict
+    lines: dict
+
+    def files(self, mutation):
+        """Return the files that reach a mutation, quick ones first; all, of a line that is run as it is imported."""
+        first, last = _statement(mutation)
+        own = self.lines.get(mutation.path, {})
+        told = [own[str(line)] for line in range(first, last + 1) if str(line) in own]
+        found = {file for files in told for file in files} or (self.seconds if told else ())
+        return sorted(found, key=lambda file: (self.seconds[file], file))
+
+
+def _statement(mutation):
+    """Return first and last line of the innermost statement that a mutation is in, of its head where it has a body."""
+    place = 1, 1
+    for node in ast.walk(ast.parse(mutation.source)):
+        if isinstance(node, ast.stmt):
+            body = getattr(node, "body", None)
+            last = body[0].lineno - 1 if body else node.end_lineno
+            if node.lineno <= mutation.line <= last and node.lineno >= place[0]:
+                place = node.lineno, last
+    return place
+
+
+def reached(place, tests):
+    """Return what the tests of a folder reach in a copy of a commit, from a run with coverage.
+
+    Raises
+    ------
+    SystemExit
+        If they fail.
+    """
+    from coverage import CoverageData
+
+    with tempfile.TemporaryDirectory() as folder:
+        data, times = Path(folder) / "coverage", Path(folder) / "times.xml"
+        options = ["--cov=skat", "--cov-context=test", "--cov-report=", f"--junitxml={times}"]
+        options += ["-o", "junit_family=xunit1"]
+        code = _run(place, [tests, *options], 7200, COVERAGE_FILE=str(data))
+        if code:
+            raise SystemExit(f"{tests} fails (exit code {code}) before anything is changed.")
+        seconds, lines = {}, {}
+        for case in ET.parse(times).iter("testcase"):
+            seconds[case.get("file")] = seconds.get(case.get("file"), 0.0) + float(case.get("time"))
+        measured = CoverageData(str(data))
+        measured.read()
+        for path in measured.measured_files():
+            contexts = measured.contexts_by_lineno(path)
+            lines[Path(path).relative_to(place).as_posix()] = {
+                str(line): sorted({one.partition("::")[0] for one in told} & seconds.keys())
+                for line, told in contexts.items()
+            }
+    return Reached(seconds, lines)
 
 
 def drawn(root, seed, n_lines, only=None):
@@ -150,19 +203,11 @@ def main():
             each for each in chosen if not {f"{word} {each}" for word in (CAUGHT, SURVIVED)} & {*report.lines}
         ]
         tests_of = {each: folder_of_tests(each.path, places[0]) for each in left}
-        seconds = {}
-        for tests in sorted(set(tests_of.values())):
-            if told := re.search(
-                rf"^{re.escape(tests)} unchanged: (\d+) s$", "\n".join(report.lines), re.MULTILINE
-            ):
-                seconds[tests] = float(told[1])
-                continue
-            began = time.monotonic()
-            code = _run(places[0], [tests], 3600)
-            if code:
-                raise SystemExit(f"{tests} fails (exit code {code}) before anything is changed.")
-            seconds[tests] = time.monotonic() - began
-            report.say(f"{tests} unchanged: {seconds[tests]:.0f} s")
+        known = _kept(arguments.output, commit)
+        for tests in sorted(set(tests_of.values()) - known.keys()):
+            known[tests] = reached(places[0], tests)
+            _keep(arguments.output, commit, known)
+            report.say(f"{tests} unchanged: {sum(known[tests].seconds.values()):.0f} s")
 
         copies = Queue()
         for place in places:
@@ -174,8 +219,12 @@ def main():
             source = file.read_text("utf-8")
             try:
                 file.write_text(mutation.source, "utf-8")
+                files = known[tests].files(mutation)
                 # Some changes make a loop endless: that is noticed, too.
-                return _run(place, by_mention(mutation.path, tests, place), 60 + 3 * seconds[tests]) != 0
+                return (
+                    bool(files)
+                    and _run(place, files, 60 + 3 * sum(known[tests].seconds[file] for file in files)) != 0
+                )
             finally:
                 file.write_text(source, "utf-8")
                 copies.put(place)
@@ -250,11 +299,25 @@ def _changes(node):
     yield changed
 
 
-def _run(place, tests, limit):
+def _kept(output, commit):
+    """Return what tests reach, as an earlier run of this commit has kept it beside its output."""
+    path = output and Path(f"{output}.reached.json")
+    kept = json.loads(path.read_text("utf-8")) if path and path.exists() else {}
+    return {tests: Reached(**one) for tests, one in kept.get(commit, {}).items()}
+
+
+def _keep(output, commit, known):
+    if output:
+        told = {tests: {"seconds": one.seconds, "lines": one.lines} for tests, one in known.items()}
+        Path(f"{output}.reached.json").write_text(json.dumps({commit: told}), "utf-8")
+
+
+def _run(place, tests, limit, **environment):
     options = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:randomly", "-m", "not long"]
     command = [sys.executable, "-m", "pytest", *options, *tests]
     environment = {
         **os.environ,
+        **environment,
         "PYTHONPATH": str(place),
         "PYTHONDONTWRITEBYTECODE": "1",
         "OMP_NUM_THREADS": "1",

@@ -52,12 +52,48 @@ def test_every_module_of_the_core_has_tests(script):
         assert (ROOT / script["folder_of_tests"](each.path, ROOT)).exists()
 
 
-def test_tests_that_speak_of_a_module_come_first_and_none_is_left_out(script):
-    files = script["by_mention"]("skat/transport/batched.py", "tests/transport", ROOT)
-    assert files[0] == "tests/transport/test_batched.py"
-    assert sorted(files) == sorted(
-        f"tests/transport/{each.name}" for each in (ROOT / "tests/transport").glob("test_*.py")
+MODULE = """SHIFT = 2
+
+
+def shifted(x):
+    if x > 0:
+        return x + (
+            SHIFT * 1
+        )
+    return x - SHIFT
+
+
+def other(x):
+    return x * 3
+"""
+
+
+def test_files_that_reach_a_line_are_found_quick_ones_first(script, tmp_path):
+    (tmp_path / "skat").mkdir()
+    (tmp_path / "skat" / "__init__.py").write_text("")
+    (tmp_path / "skat" / "moves.py").write_text(MODULE)
+    (tmp_path / "tests").mkdir()
+    (tmp_path / "tests" / "test_up.py").write_text(
+        "from skat.moves import shifted\n\n\ndef test_up():\n    assert shifted(1) == 3\n"
     )
+    (tmp_path / "tests" / "test_slow.py").write_text(
+        "import time\n\nfrom skat.moves import shifted\n\n\n"
+        "def test_up_and_down():\n    time.sleep(0.3)\n    assert shifted(2) == 4\n    assert shifted(-1) == -3\n"
+    )
+    reached = script["reached"](tmp_path, "tests")
+    drawn = script["mutations"]("skat/moves.py", MODULE)
+
+    def files(line):
+        return [file.removeprefix("tests/test_") for file in reached.files(drawn[line][0])]
+
+    assert files(1) == ["up.py", "slow.py"]
+    assert files(7) == ["up.py", "slow.py"]
+    assert files(9) == ["slow.py"]
+    assert files(13) == []
+    kept = tmp_path / "found.txt"
+    script["_keep"](kept, "a", {"tests": reached})
+    assert script["_kept"](kept, "a") == {"tests": reached}
+    assert script["_kept"](kept, "b") == {}
 
 
 def test_a_run_goes_on_from_what_its_file_has_and_refuses_that_of_another_commit(script, tmp_path, capsys):
