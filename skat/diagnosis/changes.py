@@ -42,6 +42,7 @@ from skat.diagnosis.force_space import (
     noise_of,
     rivals_of,
     smooth_motion,
+    smooth_squares,
     transformed,
 )
 from skat.diagnosis.set_search import Weigher, alternatives, search_sets, without_weak
@@ -408,7 +409,7 @@ def _asked(
     base = _base(simulator, halves[0], prompt[0], _settled(prompt))
     sides = [_rows(simulator, half, base, common, sizes) for half in halves]
     law = _settled(sides)
-    apart = _apart(halves, sides, law, len(common))
+    apart = _apart(simulator, halves, sides, law)
     # Drivers filter speeds, which takes from a fast motion more than from a slow one.
     filtered = [effect.name.startswith("scale[qvel.") for effect in common]
     law = replace(law, apart=np.where(filtered, np.maximum(apart, 1.0), apart))
@@ -745,31 +746,39 @@ def _unlike(halves: Sequence[_Half]) -> Array:
     return np.asarray(np.max(between / np.maximum(between + within, 1e-12), axis=0))
 
 
-def _apart(halves: Sequence[_Half], sides: Sequence[Rows], law: "_Law", k: int) -> Array:
+def _apart(simulator: MujocoSimulator, halves: Sequence[_Half], sides: Sequence[Rows], law: "_Law") -> Array:
     """Return the variance by which effects may differ between logs that move otherwise, though nothing changed.
 
-    What a model leaves of a joint's force may look, by a share, like any effect on it.
+    What a model leaves of a joint's force may look, by a share, like any effect on it; what the noise of sensors makes
+    of it is no misfit.
     """
-    # Each log has effects of its own in it: a change is no misfit.
-    rows, left = _joined(sides), np.concatenate(law.noise)
+    rows, left = _joined(sides), np.concatenate(law.noise) ** 2
+    read = _of_sensors(simulator, halves, rows)
     unlike = np.tile(_unlike(halves), 2)
     joints = np.unique(rows.joint)
-    exerted = np.array([np.sum(rows.columns[rows.joint == joint, :k] ** 2, axis=0) for joint in joints])
-    # Of the frequencies at which an effect acts: noise that differentiation lifts is no misfit.
-    remains = np.array(
-        [
-            own.sum() * (left[own] ** 2 @ rows.columns[own, :k] ** 2)
-            for joint in joints
-            for own in [rows.joint == joint]
-        ]
-    )
-    feels = np.argmax(
-        exerted / np.array([np.sum(rows.nominal[rows.joint == joint] ** 2) for joint in joints])[:, None],
-        axis=0,
-    )
+    own = [rows.joint == joint for joint in joints]
+    exerted = np.array([np.sum(rows.columns[one] ** 2, axis=0) for one in own])
+    # Of the frequencies at which an effect acts.
+    remains = np.array([one.sum() * ((left - read)[one] @ rows.columns[one] ** 2) for one in own])
+    feels = np.argmax(exerted / np.array([np.sum(rows.nominal[one] ** 2) for one in own])[:, None], axis=0)
     # Of an effect that several joints feel it would have to look alike on each.
     worst = 1 / np.maximum(np.sum(exerted**2 / np.maximum(remains, 1e-300), axis=0), 1e-300)
     return np.asarray(APART * unlike[joints[feels]] * (law.spread + worst) + 1e-12)
+
+
+def _of_sensors(simulator: MujocoSimulator, halves: Sequence[_Half], rows: Rows) -> Array:
+    """Return the variance of rows that the noise of positions makes, by motions that were read anew."""
+    squares = []
+    for half in halves:
+        motions = [
+            half.motion,
+            *(replace(half.motion, states=q, accelerations=a) for q, a in half.motion.anew),
+        ]
+        forces = np.concatenate(
+            [_forces(simulator, replace(half, motion=motion), [_Model({})]) for motion in motions]
+        )
+        squares.append(np.mean(_transformed(half, forces[1:] - forces[:1])[0] ** 2, axis=1))
+    return smooth_squares(rows, np.concatenate(squares))
 
 
 def _joined(sides: Sequence[Rows]) -> Rows:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.fft import dct
 
 from skat.diagnosis.filtering import Array
-from skat.diagnosis.smoothing import smooth_coordinate
+from skat.diagnosis.smoothing import Smooth, smooth_coordinate
 from skat.effects import Effect
 from skat.simulators import MujocoSimulator
 
@@ -28,17 +28,18 @@ from skat.simulators import MujocoSimulator
 KEPT = 0.75
 # Blocks of rows for each period of that frequency: forces change within a block by little.
 BLOCKS_A_PERIOD = 4
-# Of the power of a speed, and how far beyond the frequency below which it is forces are compared.
-MOTION, BEYOND_MOTION = 0.99, 2.0
-# The same where logs are cut into windows: of hard stops, which ring, less is lost than is gained.
-MOTION_OF_WINDOWS = 0.95
+# Of the power of a speed, and how far beyond the frequency below which it is forces are compared: of hard stops, which
+# ring, less is lost than is gained.
+MOTION, BEYOND_MOTION = 0.95, 2.0
 # Fewest blocks of a stretch without contacts, and rows about a contact that a smoothed motion blurs.
 SHORTEST = 12
 BLURRED = 2
 # Blocks of a window, at least.
 FEWEST_OF_WINDOW = 16
-# Blocks of a log that are compared at most, in stretches of so many.
-MOST_BLOCKS, STRETCH = 6000, 1000
+# Blocks of a log that are compared at most.
+MOST_BLOCKS = 6000
+# How often a motion is read anew, with the noise of its sensors.
+READ_ANEW = 4
 # Rows of a joint without which its noise is white; and the share of the highest frequency below which drift is level.
 FEWEST_FOR_CURVES, DRIFT = 40, 0.02
 # Blocks from which the strength of commands is told.
@@ -73,6 +74,8 @@ class Motion:
         Standard deviation of speeds: slower, the direction of friction is not known.
     cutoff : ndarray of shape (nv,)
         Highest frequency that is compared, Hz.
+    anew : tuple of (states, accelerations)
+        The same had the motion been read, and smoothed, again: by how much they differ is what sensors make of noise.
     """
 
     states: Array
@@ -84,10 +87,11 @@ class Motion:
     duration: float
     slip: Array
     cutoff: Array
+    anew: tuple[tuple[Array, Array], ...]
 
 
 def smooth_motion(
-    simulator: MujocoSimulator, X: Array, y: Array, groups: Array, *, window: float | None = None
+    simulator: MujocoSimulator, X: Array, y: Array, groups: Array, *, window: float
 ) -> Motion | None:
     """Return the smoothed motion of a log without what contacts push, None if nothing is left.
 
@@ -97,7 +101,7 @@ def smooth_motion(
     X, y : ndarray of shape (n_rows, n_inputs), (n_rows, n_outputs)
         NaN in states where nothing was measured.
     groups : ndarray of shape (n_rows,)
-    window : float, optional
+    window : float
         About how long a stretch is, s.
     """
     n_states, dt = len(simulator.state_names), simulator.dt
@@ -107,26 +111,23 @@ def smooth_motion(
     episodes = np.insert(np.asarray(groups), ends + 1, groups[ends])
     if n_states != 2 * nv:
         return None
-    q, v, a = (np.empty((len(instants), nv)) for _ in range(3))
-    slip, cutoff = np.empty(nv), np.empty(nv)
-    share = MOTION if window is None else MOTION_OF_WINDOWS
-    for joint in range(nv):
-        try:
-            smooth = smooth_coordinate(instants[:, joint], instants[:, nv + joint], episodes, dt)
-        except ValueError:
-            return None
-        q[:, joint], v[:, joint], a[:, joint] = smooth.position, smooth.velocity, smooth.acceleration
-        slip[joint] = smooth.velocity_error
-        cutoff[joint] = min(smooth.cutoff(KEPT, dt), _busy(v[:, joint], episodes, dt, share))
+    read = [(instants[:, joint], instants[:, nv + joint]) for joint in range(nv)]
+    try:
+        smooth = [smooth_coordinate(*one, episodes, dt) for one in read]
+    except ValueError:
+        return None
+    q, v = (np.column_stack([getattr(one, name) for one in smooth]) for name in ("position", "velocity"))
+    slip = np.array([one.velocity_error for one in smooth])
+    cutoff = np.array(
+        [min(one.cutoff(KEPT, dt), _busy(speed, episodes, dt, MOTION)) for one, speed in zip(smooth, v.T)]
+    )
     free = ~simulator.constrained(np.column_stack([q, v]))
     for _ in range(BLURRED):
         free = free & np.r_[True, free[:-1]] & np.r_[free[1:], True]
     # A block ends where the next one begins, and has the mean speed and acceleration of what is in between.
     length = max(1, int(1 / (BLOCKS_A_PERIOD * dt * max(float(cutoff.max()), 1e-9))))
-    most = STRETCH
-    if window is not None:
-        length = min(length, max(1, int(window / (FEWEST_OF_WINDOW * dt))))
-        most = max(SHORTEST, round(window / (length * dt)))
+    length = min(length, max(1, int(window / (FEWEST_OF_WINDOW * dt))))
+    most = max(SHORTEST, round(window / (length * dt)))
     blocks, stretches = [], []
     instant_of_row = np.arange(len(X)) + np.cumsum(np.r_[0, groups[1:] != groups[:-1]])
     usable = free[instant_of_row] & free[instant_of_row + 1]
@@ -144,10 +145,15 @@ def smooth_motion(
     middle = first[:, None] + np.arange(length + 1)
     ends_count = np.r_[0.5, np.ones(length - 1), 0.5] / length
     duration = length * dt
-    states = np.column_stack([np.einsum("bij,i->bj", q[middle], ends_count), (q[last] - q[first]) / duration])
+
+    def in_blocks(q: Array, v: Array) -> tuple[Array, Array]:
+        means = np.einsum("bij,i->bj", q[middle], ends_count)
+        return np.column_stack([means, (q[last] - q[first]) / duration]), (v[last] - v[first]) / duration
+
+    rng = np.random.default_rng(0)
+    again = [_read_anew(read, smooth, episodes, dt, rng) for _ in range(READ_ANEW)]
     return Motion(
-        states,
-        (v[last] - v[first]) / duration,
+        *in_blocks(q, v),
         X[:, n_states:],
         np.asarray(groups),
         rows,
@@ -155,7 +161,30 @@ def smooth_motion(
         duration,
         slip,
         np.minimum(cutoff, 0.5 / duration),
+        tuple(in_blocks(*one) for one in again),
     )
+
+
+def _read_anew(
+    read: Sequence[tuple[Array, Array]],
+    smooth: Sequence[Smooth],
+    episodes: Array,
+    dt: float,
+    rng: np.random.Generator,
+) -> tuple[Array, Array]:
+    """Return positions and speeds of a motion that was read again, with noise of its own, and smoothed as it was."""
+    found = []
+    for (positions, rates), one in zip(read, smooth):
+        noises = one.position_noise, one.position_noise * np.sqrt(one.velocity_noise) / dt
+        other = [
+            np.where(np.isfinite(seen), truth + noise * rng.normal(size=len(truth)), np.nan)
+            for seen, truth, noise in zip((positions, rates), (one.position, one.velocity), noises)
+        ]
+        found.append(smooth_coordinate(other[0], other[1], episodes, dt, like=one))
+    positions, speeds = (
+        np.column_stack([getattr(one, name) for one in found]) for name in ("position", "velocity")
+    )
+    return positions, speeds
 
 
 def _busy(speed: Array, episodes: Array, dt: float, share: float) -> float:
@@ -240,6 +269,13 @@ def noise_of(rows: Rows, squares: Array, *, flat: bool = False) -> Array:
         Unbiased squares of what is left of each row.
     flat : bool, default=False
         Whether each joint's noise is white. A curve, fitted before the causes are, takes them for noise.
+    """
+    inexact = INEXACT**2 * smooth_squares(rows, rows.nominal**2)
+    return np.sqrt(np.maximum(smooth_squares(rows, squares, flat=flat), inexact))
+
+
+def smooth_squares(rows: Rows, squares: Array, *, flat: bool = False) -> Array:
+    """Return the variance of which rows have such squares: of each joint a smooth curve over frequency.
 
     Notes
     -----
@@ -247,19 +283,15 @@ def noise_of(rows: Rows, squares: Array, *, flat: bool = False) -> Array:
     the frequency, and a rise, as differentiated noise has. They maximise the likelihood of squares that are variance
     times chi-squared of one degree of freedom.
     """
-    deviations = np.empty(len(squares))
+    variances = np.empty(len(squares))
     least = 1e-18 * float(np.mean(rows.nominal**2)) + 1e-300
     for joint in np.unique(rows.joint):
         mine = rows.joint == joint
         share = rows.frequency[mine] / max(float(rows.frequency[mine].max()), 1e-12)
         curves = np.column_stack([np.ones_like(share), np.log(share + DRIFT), share**2])
-        own = np.maximum(squares[mine], least)
-        curves = curves[:, : 1 if flat or len(own) < FEWEST_FOR_CURVES else 3]
-        deviations[mine] = np.exp(0.5 * curves @ _log_variance(curves, own))
-        curves = curves[:, : 1 if len(own) < FEWEST_FOR_CURVES else 3]
-        missing = np.exp(0.5 * curves @ _log_variance(curves, np.maximum(rows.nominal[mine] ** 2, least)))
-        deviations[mine] = np.maximum(deviations[mine], INEXACT * missing)
-    return np.maximum(deviations, np.sqrt(least))
+        curves = curves[:, : 1 if flat or len(share) < FEWEST_FOR_CURVES else 3]
+        variances[mine] = np.exp(curves @ _log_variance(curves, np.maximum(squares[mine], least)))
+    return np.maximum(variances, least)
 
 
 def _log_variance(curves: Array, squares: Array) -> Array:

@@ -73,7 +73,9 @@ class Smooth:
         return float(frequencies[lost[0] - 1] if lost.size else frequencies[-1])
 
 
-def smooth_coordinate(positions: Array, velocities: Array, episodes: Array, dt: float) -> Smooth:
+def smooth_coordinate(
+    positions: Array, velocities: Array, episodes: Array, dt: float, *, like: Smooth | None = None
+) -> Smooth:
     """Return a smoothed coordinate, its variances estimated.
 
     Parameters
@@ -84,6 +86,8 @@ def smooth_coordinate(positions: Array, velocities: Array, episodes: Array, dt: 
         Episode of each instant; those of one follow each other.
     dt : float
         s.
+    like : Smooth, optional
+        Take the ratios of variances of this one.
 
     Raises
     ------
@@ -102,9 +106,12 @@ def smooth_coordinate(positions: Array, velocities: Array, episodes: Array, dt: 
         # Of velocities alone only differences of positions matter.
         first = np.isin(np.arange(len(read)), starts)
         read[first, 0], seen[first, 0] = 0.0, True
-    part = slice(0, max(int(np.searchsorted(np.arange(len(read)), ROWS_FOR_VARIANCES)), 3))
-    log_jerk, log_velocity = _variances(read[part], seen[part], joined[: len(read[part]) - 1])
-    jerk, ratio = np.exp(log_jerk), np.exp(log_velocity)
+    if like is None:
+        part = slice(0, ROWS_FOR_VARIANCES)
+        log_jerk, log_velocity = _variances(read[part], seen[part], joined[: len(read[part]) - 1])
+        jerk, ratio = float(np.exp(log_jerk)), float(np.exp(log_velocity))
+    else:
+        jerk, ratio = like.jerk, like.velocity_noise
     _, states, factor, scale = _posterior(read, seen, joined, jerk, ratio)
     longest = int(np.argmax(np.diff(np.r_[starts, len(read)])))
     middle = (starts[longest] + (np.r_[starts, len(read)][longest + 1])) // 2
@@ -117,8 +124,8 @@ def smooth_coordinate(positions: Array, velocities: Array, episodes: Array, dt: 
         2 * states[:, 2] / dt**2,
         float(np.sqrt(spread) / dt),
         float(np.sqrt(scale)),
-        float(jerk),
-        float(ratio),
+        jerk,
+        ratio,
     )
 
 

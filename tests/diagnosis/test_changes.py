@@ -4,7 +4,18 @@ import numpy as np
 import pytest
 
 from skat.diagnosis import SimulationDiagnosis
-from skat.diagnosis.changes import _Bagged, _integrated, _later
+from skat.diagnosis.changes import (
+    LATER,
+    _Bagged,
+    _between,
+    _half,
+    _integrated,
+    _joined,
+    _later,
+    _Model,
+    _of_sensors,
+    _rows,
+)
 from skat.diagnosis.evidence import Gram, Priors
 from skat.diagnosis.set_search import Weigher
 from skat.simulators import FunctionSimulator, MujocoSimulator
@@ -61,6 +72,31 @@ def test_a_gain_that_changed_is_told_as_how_many_times_it_is():
     assert found.gain_.extended < found.gain_.nominal
     assert "times what it was" in change.sentence
     assert set(found.common_) == {"qvel.shoulder", "qvel.elbow"}
+
+
+def test_chords_of_a_delay_meet_and_hold_near_their_ends():
+    spans = [_between(late) for late in LATER]
+    assert [low for low, _ in spans[1:]] == [high for _, high in spans[:-1]]
+    for late, (low, high) in zip(LATER, spans, strict=True):
+        assert 0 < low < late < high
+        assert _between(-late) == (-high, -low)
+
+
+def test_sensors_explain_about_what_the_right_model_leaves():
+    simulator, truth = MujocoSimulator(ARM, frame_skip=5), {"damping[shoulder]": 0.4, "damping[elbow]": 0.2}
+    halves = [_half(simulator, log_of(seed, damping=(0.4, 0.2)), "log") for seed in (4, 5)]
+    rows = _joined([_rows(simulator, half, _Model(truth), [], np.zeros(0)) for half in halves])
+    read = _of_sensors(simulator, halves, rows)
+    for joint in (0, 1):
+        own = rows.joint == joint
+        assert 0.5 < np.mean(rows.target[own] ** 2) / np.mean(read[own]) < 3
+
+
+def test_a_mass_that_changed_is_told_though_motions_differ():
+    (change,) = asked(log_of(4, **WRONG), log_of(5, **{**WRONG, "mass": 1.15 * 1.4})).changes_
+    # Inertias of the model are those of a mass that is 15 % less.
+    assert change.name == "mass[lower]"
+    assert change.value - 1 == pytest.approx(1.15 * 0.4, rel=0.07)
 
 
 def test_swapped_columns_are_told_and_nothing_is_named():

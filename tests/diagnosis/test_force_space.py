@@ -6,6 +6,7 @@ import pytest
 
 from skat.diagnosis.changes import find_changes
 from skat.diagnosis.evidence import Gram, Priors, weigh
+from skat.diagnosis.force_space import Rows, noise_of, smooth_motion, smooth_squares
 from skat.diagnosis.set_search import Weigher, search_sets
 from skat.diagnosis.smoothing import smooth_coordinate
 from skat.simulators import MujocoSimulator
@@ -28,8 +29,10 @@ ARM = """
 JOINTS = ("shoulder", "elbow")
 
 
-def log_of(seed, *, friction=(0.0, 0.0), damping=(0.0, 0.0), gain=(1.0, 1.0), mass=1.0, rows=1200):
-    """Return (X, y, groups) of the arm by plain MuJoCo, with noise, rows of 10 ms."""
+def log_of(
+    seed, *, friction=(0.0, 0.0), damping=(0.0, 0.0), gain=(1.0, 1.0), mass=1.0, rows=1200, noise=0.002
+):
+    """Return (X, y, groups) of the arm by plain MuJoCo, with noise of positions, ten times of speeds, rows of 10 ms."""
     model = mujoco.MjModel.from_xml_string(ARM)
     model.dof_frictionloss[:], model.dof_damping[:] = friction, damping
     model.actuator_gainprm[:, 0] = gain
@@ -44,7 +47,7 @@ def log_of(seed, *, friction=(0.0, 0.0), damping=(0.0, 0.0), gain=(1.0, 1.0), ma
         commands.append(command)
         data.ctrl[:] = command
         mujoco.mj_step(model, data, 5)
-    states = np.array(states) + rng.normal(size=(rows + 1, 4)) * [0.002, 0.002, 0.02, 0.02]
+    states = np.array(states) + noise * rng.normal(size=(rows + 1, 4)) * [1, 1, 10, 10]
     return np.column_stack([states[:-1], commands[:-1]]), states[1:], np.zeros(rows, dtype=int)
 
 
@@ -66,6 +69,59 @@ def test_smoother_leaves_a_parabola_as_it_is():
     smooth = smooth_coordinate(1 + 2 * time + 3 * time**2, np.full(60, np.nan), np.zeros(60), 0.01)
     np.testing.assert_allclose(smooth.velocity, 2 + 6 * time, atol=1e-6)
     np.testing.assert_allclose(smooth.acceleration, 6.0, atol=1e-4)
+
+
+def test_smoothing_with_variances_that_are_known_is_the_same():
+    rng = np.random.default_rng(3)
+    read = np.sin(0.05 * np.arange(300)) + 0.01 * rng.normal(size=300)
+    unread = np.full(300, np.nan)
+    first = smooth_coordinate(read, unread, np.zeros(300), 0.01)
+    again = smooth_coordinate(read, unread, np.zeros(300), 0.01, like=first)
+    np.testing.assert_array_equal(again.acceleration, first.acceleration)
+
+
+def test_a_motion_read_anew_errs_as_much_as_it_did_when_it_was_read():
+    simulator = MujocoSimulator(ARM, frame_skip=5)
+    (X, y, groups), (exact, exact_y, _) = (
+        log_of(4, friction=(0.1, 0.05)),
+        log_of(4, friction=(0.1, 0.05), noise=0.0),
+    )
+    for table in (X, y, exact, exact_y):
+        table[:, 2:4] = np.nan
+    motion = smooth_motion(simulator, X, y, groups, window=2.0)
+    instants = np.vstack([exact[:, :2], exact_y[-1:, :2]])
+    ends = motion.rows[:, [0, -1]] + [0, 1]
+    speed = (instants[ends[:, 1]] - instants[ends[:, 0]]) / motion.duration
+    error = np.std(motion.states[:, 2:] - speed, axis=0)
+    anew = np.mean(
+        [np.std(states[:, 2:] - motion.states[:, 2:], axis=0) for states, _ in motion.anew], axis=0
+    )
+    np.testing.assert_allclose(anew, error, rtol=0.15)
+
+
+@pytest.mark.parametrize("n", [30, 3000])
+def test_squares_of_rows_become_a_curve_over_frequency_and_a_level_of_few(n):
+    rng, place = np.random.default_rng(0), np.linspace(0.01, 1, n)
+    variance = 0.3 * np.exp(2 * place**2) * (place + 0.02) ** -0.7
+    squares = variance * rng.chisquare(1, n)
+    rows = Rows(np.zeros(n), np.zeros((n, 0)), np.zeros(n, int), place, np.zeros(n, int), np.full(n, 1e-3))
+    found = smooth_squares(rows, squares)
+    if n == 30:
+        np.testing.assert_allclose(found, squares.mean(), rtol=1e-2)
+        return
+    np.testing.assert_allclose(found[n // 10 :], variance[n // 10 :], rtol=0.2)
+    np.testing.assert_allclose(smooth_squares(rows, squares, flat=True), squares.mean(), rtol=1e-2)
+
+
+def test_no_row_is_known_better_than_a_share_of_the_force_that_is_missing():
+    n = 60
+    rows = Rows(
+        np.zeros(n), np.zeros((n, 0)), np.repeat([0, 1], 30), np.tile(np.arange(30.0), 2), np.zeros(n, int),
+        np.repeat([2.0, 0.01], 30),
+    )  # fmt: skip
+    found = noise_of(rows, np.full(n, 1e-4))
+    np.testing.assert_allclose(found[:30], 0.03 * 2.0, rtol=1e-3)
+    np.testing.assert_allclose(found[30:], 1e-2, rtol=1e-3)
 
 
 def test_missing_force_is_that_of_inverse_dynamics():
