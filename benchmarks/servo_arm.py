@@ -2,12 +2,14 @@
 
 Six joints with the gains of users' models of a UR5e and every effect on offer: a delay of one and of two rows, with
 white noise of 1 % and with 14-bit encoders. A quadruped on its feet, its free base hidden, one motor 10 % weak, which
-is among the effects offered or is not; and the same robot with nothing hidden::
+is among the effects offered or is not; and the same robot with nothing hidden. A bench: dry friction in all six
+joints and a link that is 10 % heavier, read by 14-bit encoders, thirty seconds at 100 and at 15 Hz::
 
     python benchmarks/servo_arm.py --cut
     python benchmarks/servo_arm.py --cases delay     # see tables.py for the rest
 """
 
+import mujoco
 import numpy as np
 import tables
 from tables import Case, Table
@@ -16,6 +18,10 @@ from worlds.robots import actuator_names, make_log, nominal_model
 SENSORS = ("ideal", "encoder")
 N_DELAYS, N_WEAK, N_CLEAN = 8, 5, 8
 WEAK = 0.9
+BENCH = {"servo_arm": "100 Hz", "servo_arm_15hz": "15 Hz"}
+N_BENCH, ROWS_OF_BENCH = 3, {"servo_arm": 3000, "servo_arm_15hz": 450}
+# Of each joint, N m, about; of one link.
+FRICTION, HEAVIER = (6.0, 6.0, 5.0, 1.5, 1.4, 1.2), 1.1
 
 
 def cases(cut):
@@ -35,6 +41,8 @@ def cases(cut):
     for index in range(1 if cut else N_CLEAN):
         for sensor in SENSORS:
             found.append(Case(f"clean | servo_arm | {sensor}", 8300 + index))
+    for index in range(1 if cut else N_BENCH):
+        found += [Case(f"bench | {robot} | {rate}", 8400 + index) for robot, rate in BENCH.items()]
     return found
 
 
@@ -44,6 +52,15 @@ def log_of(case):
     if kind == "delay":
         return make_log(
             robot, {"delay[action]": 0.01 * case.settings["rows"]}, sensor=which, seed=case.seed
+        ), "all"
+    if kind == "bench":
+        return make_log(
+            robot,
+            bench(robot, case.seed),
+            sensor="encoder",
+            seed=case.seed,
+            rows=ROWS_OF_BENCH[robot],
+            episodes=1,
         ), "all"
     if kind == "clean":
         return make_log(robot, sensor=which, seed=case.seed), "all"
@@ -61,6 +78,26 @@ def log_of(case):
             e.name for e in kept if e.target not in (motor, "all") or e.family not in ("gain", "kp", "kv")
         ]
     return make_log(robot, truth, seed=case.seed), effects
+
+
+def bench(robot, seed):
+    """Return a friction of each joint and a link that is too heavy."""
+    rng = np.random.default_rng([seed, 20261126])
+    model = nominal_model(make_log(robot, seed=0, rows=8, episodes=1).mjcf)
+    joints, bodies = (
+        [mujoco.mj_id2name(model, kind, one) for one in range(start, count)]
+        for kind, start, count in (
+            (mujoco.mjtObj.mjOBJ_JOINT, 0, model.njnt),
+            (mujoco.mjtObj.mjOBJ_BODY, 1, model.nbody),
+        )
+    )
+    truth = {
+        f"dry_friction[{name}]": size * rng.uniform(0.7, 1.3)
+        for name, size in zip(joints, FRICTION, strict=True)
+    }
+    # The upper arm or the forearm: what is beyond weighs little.
+    heavy = sorted(bodies, key=lambda name: -model.body(name).mass[0])[rng.integers(2)]
+    return {**truth, f"mass[{heavy}]": HEAVIER}
 
 
 def hide_base(simulator, log):
@@ -82,6 +119,29 @@ def run(case, parameters):
     return {"kind": kind, "which": which, "truth": log.truth, "n_effects": len(simulator.effects()), **answer}
 
 
+def told(line, name):
+    """Return the value of a cause, None where it is not named."""
+    return next((cause["value"] for cause in line["causes"] if cause["name"] == name), None)
+
+
+def heavier(line):
+    """Whether the weight that is off was told: its mass by at least 90 % of it, or as an alias."""
+    (name,) = (one for one in line["truth"] if one.startswith("mass"))
+    value = told(line, name)
+    if value is not None:
+        return value - 1 >= 0.9 * (HEAVIER - 1)
+    return any(name in [alias for alias, _ in cause["aliases"]] for cause in line["causes"])
+
+
+def beside(line):
+    """Return the names that are neither a truth nor have one as an alias."""
+    return [
+        cause["name"]
+        for cause in line["causes"]
+        if not {cause["name"], *(alias for alias, _ in cause["aliases"])} & line["truth"].keys()
+    ]
+
+
 def report(lines, shown):
     for rows in (1, 2):
         for sensor in SENSORS:
@@ -97,6 +157,27 @@ def report(lines, shown):
         "5 of 5",
     )
     shown.share("... no motor weak: alarms", [not tables.silent(x) for x in by["healthy"]], "none")
+    for rate in BENCH.values():
+        mine = [line for line in lines if line["kind"] == "bench" and line["which"] == rate]
+        frictions = [
+            (name, value, line)
+            for line in mine
+            for name, value in line["truth"].items()
+            if name.startswith("dry_friction")
+        ]
+        found = [(told(line, name), value) for name, value, line in frictions]
+        shown.share(f"bench, {rate}: friction of a joint named", [one is not None for one, _ in found], "all")
+        shown.number(
+            "... mean error of a friction, as a share",
+            [abs(one / value - 1) for one, value in found if one is not None],
+            "mean .10" if rate == "15 Hz" else "",
+        )
+        shown.share(
+            "... weight: at least 90 % of what is off, or an alias",
+            [heavier(line) for line in mine],
+            "all",
+        )
+        shown.number("... names beside", [float(len(beside(line))) for line in mine])
     shown.share("intervals that cover", [one for line in lines for one in tables.in_interval(line)])
     shown.probabilities(lines)
 

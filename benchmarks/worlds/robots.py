@@ -20,8 +20,8 @@ A log of one call::
     log.sigma, log.exact                          # true noise of the ideal sensor; true states of the rows
 
 ``mjcf, frame_skip, X, y, groups, truth = robots.as_tuple(log)`` gives the six at once. Robots: two_link, cart_pole,
-torque_arm, servo_arm, so101, quadruped_hung, quadruped_free, hopper, halfcheetah, puck, and feedback (the two-link arm
-under feedback of its own noisy readings of a row ago).
+torque_arm, servo_arm, servo_arm_15hz, so101, quadruped_hung, quadruped_free, hopper, halfcheetah, puck, and feedback
+(the two-link arm under feedback of its own noisy readings of a row ago).
 
 Hidden families: mass, inertia, length, centre_of_mass, gravity, tilt, wind, damping, dry_friction, armature, stiffness,
 gain, kp, kv, offset, contact_friction[all], restitution[all], delay[action], bias, scale.
@@ -120,6 +120,16 @@ ROBOTS = {
         centre=ARM_POSE,
         rate=1.2,
         rows=1500,
+    ),
+    # The same arm, logged at 15 Hz.
+    "servo_arm_15hz": Robot(
+        functools.partial(texts.six_joint_arm, "servo"),
+        33,
+        "servos",
+        (0.5, 0.35, 0.4, 0.5, 0.5, 0.6),
+        centre=ARM_POSE,
+        rate=1.2,
+        rows=450,
     ),
     "so101": Robot(texts.so101, 4, "servos", 0.4, rate=1.5, rows=1500),
     "quadruped_hung": Robot(
