@@ -4,18 +4,11 @@ import numpy as np
 import pytest
 
 from skat.diagnosis import SimulationDiagnosis
-from skat.diagnosis.changes import (
-    LATER,
-    _Bagged,
-    _between,
-    _half,
-    _integrated,
-    _joined,
-    _later,
-    _Model,
-    _of_sensors,
-    _rows,
-)
+from skat.diagnosis.changes.candidates import LATER, Model, _between
+from skat.diagnosis.changes.force_space import joined
+from skat.diagnosis.changes.law import _of_sensors
+from skat.diagnosis.changes.motions import _later, half_of, rows_about
+from skat.diagnosis.changes.windows import Bagged, integrated
 from skat.diagnosis.evidence import Gram, Priors
 from skat.diagnosis.set_search import Weigher
 from skat.simulators import FunctionSimulator, MujocoSimulator
@@ -32,7 +25,7 @@ def asked(before, after, **options):
 def test_integrating_out_is_the_marginal_of_a_normal_law():
     rng = np.random.default_rng(0)
     N, z, weights = rng.normal(size=(40, 5)), rng.normal(size=40), np.array([0.7, 2.0])
-    products, projections = _integrated(N.T @ N, N.T @ z, np.arange(2), weights)
+    products, projections = integrated(N.T @ N, N.T @ z, np.arange(2), weights)
     covariance = np.eye(40) + N[:, :2] @ np.diag(1 / weights) @ N[:, :2].T
     np.testing.assert_allclose(
         products[2:, 2:], N[:, 2:].T @ np.linalg.solve(covariance, N[:, 2:]), atol=1e-10
@@ -45,7 +38,7 @@ def test_a_set_has_the_mean_of_its_probabilities_over_drawn_windows():
     grams = [Gram(np.diag([40.0, 30.0]), np.array(b), np.zeros(2)) for b in ([90.0, 8.0], [70.0, 9.0])]
     pool = [(), (0,), (1,), (0, 1)]
     bags = [Weigher(gram, priors) for gram in grams]
-    bagged = _Bagged(Weigher(grams[0], priors), bags, pool)
+    bagged = Bagged(Weigher(grams[0], priors), bags, pool)
     evidences = np.array([[worth(members).evidence for members in pool] for worth in bags])
     shares = np.exp(evidences - evidences.max(axis=1, keepdims=True))
     expected = (shares / shares.sum(axis=1, keepdims=True)).mean(axis=0)
@@ -84,8 +77,8 @@ def test_chords_of_a_delay_meet_and_hold_near_their_ends():
 
 def test_sensors_explain_about_what_the_right_model_leaves():
     simulator, truth = MujocoSimulator(ARM, frame_skip=5), {"damping[shoulder]": 0.4, "damping[elbow]": 0.2}
-    halves = [_half(simulator, log_of(seed, damping=(0.4, 0.2)), "log") for seed in (4, 5)]
-    rows = _joined([_rows(simulator, half, _Model(truth), [], np.zeros(0)) for half in halves])
+    halves = [half_of(simulator, log_of(seed, damping=(0.4, 0.2)), "log") for seed in (4, 5)]
+    rows = joined([rows_about(simulator, half, Model(truth), [], np.zeros(0)) for half in halves])
     read = _of_sensors(simulator, halves, rows)
     for joint in (0, 1):
         own = rows.joint == joint

@@ -19,9 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct
 
-from skat.diagnosis.filtering import Array
+from skat.diagnosis.filtering import Array, Mask
 from skat.diagnosis.smoothing import Smooth, smooth_coordinate
-from skat.effects import Effect
 from skat.simulators import MujocoSimulator
 
 # Of a motion, that the smoother must keep up to the highest frequency that is compared.
@@ -42,15 +41,8 @@ MOST_BLOCKS = 6000
 READ_ANEW = 4
 # Rows of a joint without which its noise is white; and the share of the highest frequency below which drift is level.
 FEWEST_FOR_CURVES, DRIFT = 40, 0.02
-# Blocks from which the strength of commands is told.
-ROWS_FOR_ANCHORS = 200
-# Of factors: in units of the commands a motor that does nothing cannot be told.
-WEAKEST = 0.2
 # Of the missing force: smoothed motions and commands that hold for a row tell none of it better.
 INEXACT = 0.03
-# Sets that are less likely by at most this factor cannot be told apart.
-ALIAS_ODDS = 20.0
-WIDTH_95 = 1.96
 
 
 @dataclass(frozen=True)
@@ -241,6 +233,24 @@ class Rows:
         """Return target and columns over the noise."""
         return self.target / deviations, self.columns / deviations[:, None]
 
+    def part(self, kept: Mask) -> "Rows":
+        """Return some of the rows."""
+        return Rows(
+            self.target[kept],
+            self.columns[kept],
+            self.joint[kept],
+            self.frequency[kept],
+            self.stretch[kept],
+            self.nominal[kept],
+        )
+
+
+def joined(sides: Sequence[Rows]) -> Rows:
+    """Return the rows of several logs, which have the same columns, one log after the other."""
+    return Rows(
+        *(np.concatenate([getattr(side, name) for side in sides]) for name in Rows.__dataclass_fields__)
+    )
+
 
 def transformed(motion: Motion, forces: Array) -> tuple[Array, NDArray[np.intp], Array, NDArray[np.intp]]:
     """Return the cosine coefficients (n_rows, k) of forces (n_blocks, nv, k); joint, frequency, stretch of each."""
@@ -307,15 +317,3 @@ def _log_variance(curves: Array, squares: Array) -> Array:
         if largest < 1e-3:
             break
     return coefficients
-
-
-def rivals_of(effects: Sequence[Effect]) -> dict[int, list[int]]:
-    """Return for each effect those that are all of its family, or each of it."""
-    rivals: dict[int, list[int]] = {}
-    for every, effect in enumerate(effects):
-        if effect.target == "all":
-            for one, other in enumerate(effects):
-                if other.family == effect.family and one != every:
-                    rivals.setdefault(every, []).append(one)
-                    rivals.setdefault(one, []).append(every)
-    return rivals

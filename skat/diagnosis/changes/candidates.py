@@ -1,0 +1,234 @@
+"""What may have changed: effects, weights at places on bodies, later commands; how likely it is, and by how much."""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skat.diagnosis.evidence import Priors
+from skat.diagnosis.filtering import Array
+from skat.effects import Effect
+from skat.simulators import MujocoSimulator
+
+# Families that a machine does not change from one log to another, and those that forces do not show.
+FIXED = ("gravity", "tilt", "length", "wind", "air_drag", "position_friction", "inertia")
+UNSEEN = ("force_limit", "lag", "timestep", "backlash", "lag_torque", "payload")
+# Factors that all of a joint's force is divided by, in units of what its motor exerts.
+MOTORS = ("gain", "kp")
+# Of factors: in units of the commands a motor that does nothing cannot be told.
+WEAKEST = 0.2
+# Places along each side of a body at which a weight is tried; those that act alike are one.
+PLACES, ALIKE = 3, 0.9995
+# Rows by which commands may come later, or earlier, in the second log.
+LATER = (0.5, 1.0, 2.0, 3.0, 4.0)
+
+
+@dataclass(frozen=True)
+class Model:
+    """A model about which forces are taken.
+
+    Attributes
+    ----------
+    values : mapping from name of an effect to value
+        In the effects' units; neutral where not given.
+    late : float
+        Rows by which commands reach it late.
+    """
+
+    values: Mapping[str, float]
+    late: float = 0.0
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A difference that is searched for: an effect, a weight at a place, or commands that come later.
+
+    Attributes
+    ----------
+    effect : Effect
+    odds : float
+        Of all that act as this one.
+    beside : mapping from name to value
+        Where a weight is, m.
+    late : float
+        Rows by which commands come later; 0 of all others.
+    """
+
+    effect: Effect
+    odds: float
+    beside: Mapping[str, float]
+    late: float = 0.0
+
+    @property
+    def is_factor(self) -> bool:
+        """Whether values are told as multiples."""
+        return self.effect.neutral == 1
+
+    def told(self, value: float) -> float:
+        """Return a difference, in the effect's unit, as it is told: of a factor, how many times what it was."""
+        if self.effect.family in MOTORS or self.effect.name.startswith("scale[qpos."):
+            share = 1 - value
+            return 1 / (share if abs(share) > 1e-3 else 1e-3)
+        return value + self.is_factor
+
+    def moved(self, model: Model, value: float, dt: float) -> Model | None:
+        """Return a model that has so much more of it, in the effect's unit; None if there is none. ``dt`` is in s."""
+        if self.late:
+            return replace(model, late=model.late + value / dt)
+        name = self.effect.name
+        new = model.values.get(name, self.effect.neutral) + value
+        low, high = self.effect.bounds
+        return (
+            replace(model, values={**model.values, **self.beside, name: new}) if low <= new <= high else None
+        )
+
+
+def offered_candidates(
+    simulator: MujocoSimulator,
+    effects: Sequence[Effect],
+    common: Sequence[Effect],
+    sizes: Array,
+    typical: Mapping[str, float],
+) -> tuple[list[Candidate], Array]:
+    """Return what may have changed, and the typical size of each.
+
+    Parameters
+    ----------
+    simulator : MujocoSimulator
+    effects : sequence of Effect
+        All that a user asks about.
+    common : sequence of Effect
+        Those of single targets that the logs show.
+    sizes : ndarray of shape (n_common,)
+        Typical sizes of these, each in its effect's unit.
+    typical : mapping from name to size
+        Of a user's own, which hold as they are.
+
+    Returns
+    -------
+    candidates : list of Candidate
+    scales : ndarray of shape (n_candidates,)
+        Each in its effect's unit.
+    """
+    seen = [effect for effect in effects if effect.family not in UNSEEN]
+    names = {effect.name for effect in common}
+    offered = [
+        Candidate(effect, effect.odds, {})
+        for effect in seen
+        if effect.family not in (*FIXED, "delay") and (effect.name in names or effect.target == "all")
+    ]
+    offered += _weights(simulator)
+    offered += [
+        Candidate(effect, effect.odds / (2 * len(LATER)), {}, late)
+        for effect in effects
+        if effect.name == "delay[action]"
+        for late in (*LATER, *(-one for one in LATER))
+    ]
+    known = dict(zip([effect.name for effect in common], sizes))
+    for effect in seen:
+        if effect.target == "all" and effect.force_share is not None and effect.name not in typical:
+            own = [size for one, size in zip(common, sizes) if one.family == effect.family]
+            known[effect.name] = max(own, default=effect.typical)
+    scales = np.array(
+        [known.get(one.effect.name, typical.get(one.effect.name, one.effect.typical)) for one in offered]
+    )
+    return offered, scales
+
+
+def _weights(simulator: MujocoSimulator) -> list[Candidate]:
+    """Return weights at places on each body."""
+    found = []
+    for effect in simulator.all_effects():
+        if effect.family == "payload" and effect.unit == "kg":
+            places = simulator.payload_places(str(effect.target), per_axis=PLACES)
+            for place in places:
+                at = {f"payload[{effect.target}.{axis}]": float(one) for axis, one in zip("xyz", place)}
+                found.append(Candidate(effect, effect.odds / len(places), at))
+    return found
+
+
+def distinct(offered: Sequence[Candidate], whitened: Array) -> tuple[list[Candidate], list[int]]:
+    """Return candidates that can be seen, of one effect those that act differently, and their places among all.
+
+    ``whitened`` (n_rows, n_candidates) holds what typical sizes exert, over the noise. Of those that act alike one has
+    the odds of all.
+    """
+    sizes = np.linalg.norm(whitened, axis=0)
+    kept: list[int] = []
+    odds = [one.odds for one in offered]
+    for place, one in enumerate(offered):
+        if sizes[place] < 1e-6 * sizes.max():
+            continue
+        twins = [
+            other
+            for other in kept
+            if offered[other].effect is one.effect
+            and not one.late
+            and whitened[:, other] @ whitened[:, place] > ALIKE * sizes[other] * sizes[place]
+            and abs(sizes[other] / sizes[place] - 1) < 0.1
+        ]
+        if twins:
+            odds[twins[0]] += one.odds
+        else:
+            kept.append(place)
+    return [replace(offered[place], odds=odds[place]) for place in kept], kept
+
+
+def rivals_of(candidates: Sequence[Candidate]) -> dict[int, list[int]]:
+    """Return places of candidates that exclude that of each: of one effect, all of a family and each of it."""
+    rivals = _rivals_by_family([one.effect for one in candidates])
+    for place, one in enumerate(candidates):
+        same = [other for other, two in enumerate(candidates) if two.effect is one.effect and other != place]
+        rivals.setdefault(place, []).extend(same)
+    return rivals
+
+
+def _rivals_by_family(effects: Sequence[Effect]) -> dict[int, list[int]]:
+    """Return for each effect those that are all of its family, or each of it."""
+    rivals: dict[int, list[int]] = {}
+    for every, effect in enumerate(effects):
+        if effect.target == "all":
+            for one, other in enumerate(effects):
+                if other.family == effect.family and one != every:
+                    rivals.setdefault(every, []).append(one)
+                    rivals.setdefault(one, []).append(every)
+    return rivals
+
+
+def priors_of(candidates: Sequence[Candidate], scales: Array, dt: float) -> Priors:
+    """Return the priors of differences, those of the effects; what is taken off again is a change, too.
+
+    Parameters
+    ----------
+    candidates : sequence of Candidate
+    scales : ndarray of shape (n_candidates,)
+        Typical sizes, each in its effect's unit: the units of values and bounds of the priors.
+    dt : float
+        Of a row, s.
+    """
+    odds = np.array([one.odds for one in candidates])
+    high = np.array([one.effect.bounds[1] - one.effect.neutral for one in candidates])
+    low = np.array(
+        [
+            max(one.effect.bounds[0] - 1, WEAKEST - 1) if one.is_factor else -most
+            for one, most in zip(candidates, high)
+        ]
+    )
+    # One over a gain is searched for: from 1 / WEAKEST to that of a motor that turns the other way.
+    motors = np.array([one.effect.family in MOTORS for one in candidates], dtype=bool)
+    low, high = np.where(motors, 1 - 1 / WEAKEST, low), np.where(motors, 2.5, high)
+    # A chord is a delay at its end alone: a mean of commands of two times is none.
+    nearest = dt * np.array([_between(one.late) if one.late else (0, 0) for one in candidates])
+    late = np.array([bool(one.late) for one in candidates])
+    low, high = np.where(late, nearest[:, 0], low), np.where(late, nearest[:, 1], high)
+    names = tuple(one.effect.name for one in candidates)
+    return Priors(names, np.ones(len(names)), np.log(odds / (odds.sum() + 1)), low / scales, high / scales)
+
+
+def _between(late: float) -> tuple[float, float]:
+    """Return between how many rows commands are late for which a grid has one value."""
+    ends = (LATER[0] / 2, *(0.5 * (one + other) for one, other in itertools.pairwise(LATER)), LATER[-1] + 0.5)
+    place = LATER.index(abs(late))
+    low, high = sorted(np.sign(late) * np.array(ends[place : place + 2]))
+    return float(low), float(high)

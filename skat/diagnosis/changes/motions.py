@@ -1,0 +1,233 @@
+"""The motion of a log from positions alone, the forces that models lack for it, and what effects exert of them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skat.diagnosis.changes.candidates import MOTORS, WEAKEST, Candidate, Model
+from skat.diagnosis.changes.force_space import Motion, Rows, smooth_motion, transformed
+from skat.diagnosis.filtering import Array
+from skat.effects import Effect
+from skat.simulators import MujocoSimulator
+
+# Rows (n_rows, n_inputs), what followed them (n_rows, n_outputs), and their episodes (n_rows,).
+Log = tuple[Array, Array, NDArray[Any]]
+# A log has so many windows, of so many seconds at most.
+WINDOWS, LONGEST = 8, 2.0
+# Of its typical size, over which the slope of an effect's force is taken.
+STEP = 0.01
+# Blocks from which the strength of commands is told.
+ROWS_FOR_ANCHORS = 200
+
+
+@dataclass(frozen=True)
+class Half:
+    """One of the logs.
+
+    Attributes
+    ----------
+    motion : Motion
+        From positions alone.
+    speeds : ndarray of shape (n_blocks, nv)
+        As measured, m/s or rad/s; NaN where not.
+    """
+
+    motion: Motion
+    speeds: Array
+
+
+def half_of(simulator: MujocoSimulator, log: Log, name: str) -> Half:
+    """Return the motion of a log, cut into windows.
+
+    Parameters
+    ----------
+    simulator : MujocoSimulator
+    log : tuple of (X, y, groups)
+        NaN in states where nothing was measured.
+    name : str
+        Of the log, for errors.
+
+    Raises
+    ------
+    ValueError
+        If the model has a free or a ball joint, a joint was not measured, or contacts push all the time.
+    """
+    X, y, groups = (np.asarray(one) for one in log)
+    n_states, nv = len(simulator.state_names), len(simulator.residual_names) // 2
+    if n_states != 2 * nv:
+        raise ValueError(
+            "changes are searched for in the forces on joints that turn or slide, and this model has a free or a ball "
+            "joint, on which contacts push. If its base did not move, pass base='fixed'; else fit the log before, and "
+            "diagnose the log after with extended_simulator_."
+        )
+    speeds = X[:, nv:n_states], y[:, nv:]
+    X, y = X.astype(float), y.astype(float)
+    X[:, nv:n_states], y[:, nv:] = np.nan, np.nan
+    window = min(LONGEST, len(X) * simulator.dt / WINDOWS)
+    motion = smooth_motion(simulator, X, y, groups, window=window)
+    if motion is None:
+        raise ValueError(
+            f"no stretch of the log {name} is free of contacts and long enough, or the position of a joint was not "
+            "measured. Record the machine moving freely; or fit the log before, and diagnose the log after with "
+            "extended_simulator_."
+        )
+    # The mean speed between the ends of a block.
+    return Half(motion, 0.5 * sum(one[motion.rows].mean(axis=1) for one in speeds))
+
+
+def rows_about(
+    simulator: MujocoSimulator, half: Half, base: Model, effects: Sequence[Effect], sizes: Array
+) -> Rows:
+    """Return the rows of a log about a model, with the columns of effects in units of their sizes.
+
+    Parameters
+    ----------
+    simulator : MujocoSimulator
+    half : Half
+    base : Model
+        Which lacks the target.
+    effects : sequence of Effect
+        The columns: by how much typical sizes of them lessen what is lacking.
+    sizes : ndarray of shape (n_effects,)
+        Each in its effect's unit.
+
+    Returns
+    -------
+    Rows
+        First forces, N or N m, of degrees of freedom 0 to nv - 1; those of nv and on are measured speeds, m/s or rad/s.
+    """
+    candidates = [Candidate(effect, 1.0, {}, float(effect.family == "delay")) for effect in effects]
+    forces, steps = _steps(simulator, half, base, candidates, sizes)
+    whole = np.concatenate([forces[:1], (forces[0] - forces[1:]) / steps[:, None, None]])
+    nominal = lacking_forces(simulator, half, [Model({})])
+    coefficients, joint, frequency, stretch = coefficients_of(half, np.concatenate([whole, nominal]))
+    return Rows(coefficients[:, 0], coefficients[:, 1:-1], joint, frequency, stretch, coefficients[:, -1])
+
+
+def columns_of(
+    simulator: MujocoSimulator, half: Half, base: Model, candidates: Sequence[Candidate], scales: Array
+) -> Array:
+    """Return the columns of candidates, in units of their scales, (n_rows, n_candidates): rows are `rows_about`'s."""
+    forces, steps = _steps(simulator, half, base, candidates, scales)
+    return coefficients_of(half, (forces[0] - forces[1:]) / steps[:, None, None])[0]
+
+
+def _steps(
+    simulator: MujocoSimulator, half: Half, base: Model, candidates: Sequence[Candidate], scales: Array
+) -> tuple[Array, Array]:
+    """Return forces of a model, and with a step of each candidate; and the steps, in units of scales."""
+    models, steps = [base], []
+    for one, scale in zip(candidates, scales):
+        step = one.late * simulator.dt if one.late else STEP * scale
+        model = one.moved(base, step, simulator.dt)
+        if model is None:
+            step = -step
+            model = one.moved(base, step, simulator.dt)
+        models.append(base if model is None else model)
+        steps.append(step / scale)
+    return lacking_forces(simulator, half, models), np.array(steps)
+
+
+def lacking_forces(simulator: MujocoSimulator, half: Half, models: Sequence[Model]) -> Array:
+    """Return the force that models lack for a motion, and by how much measured speeds differ, (n, n_blocks, 2 nv).
+
+    Forces are in N or N m, speeds in m/s or rad/s, and NaN where they were not measured.
+
+    The force of motors counts as it is: a model of motors that do nothing and bodies that weigh nothing would lack no
+    force. So forces are over the factor by which a model scales what commands exert on a joint.
+    """
+    motion, nv = half.motion, len(half.motion.slip)
+    found = np.empty((len(models), len(motion.states), 2 * nv))
+    for places, scale in _by_scale(simulator, models):
+        values = [
+            {name: one for name, one in models[place].values.items() if not _is_sensed(name)}
+            for place in places
+        ]
+        commands = np.empty((len(places), *motion.states.shape[:1], motion.commands.shape[1]))
+        lates = np.array([models[place].late for place in places])
+        for late in np.unique(lates):
+            own = np.flatnonzero(lates == late)
+            sent = _later(motion.commands, motion.episodes, late)
+            acting = simulator.acting_commands(sent, [values[one] for one in own], groups=motion.episodes)
+            commands[own] = acting[:, motion.rows].mean(axis=2)
+        states, moved = motion.states / np.tile(scale, 2), motion.accelerations / scale
+        forces = simulator.missing_forces(states, moved, commands, values, slip=motion.slip)
+        found[places, :, :nv] = (
+            forces / _strengths(simulator, motion, states, moved, commands, values)[:, None]
+        )
+        found[places, :, nv:] = half.speeds - states[:, nv:]
+        for place in places:
+            one = models[place].values
+            for joint, name in enumerate(simulator.residual_names[nv:]):
+                found[place, :, nv + joint] -= one.get(f"bias[{name}]", 0.0)
+                found[place, :, nv + joint] -= (one.get(f"scale[{name}]", 1.0) - 1) * states[:, nv + joint]
+    return found
+
+
+def _is_sensed(name: str) -> bool:
+    """Whether an effect is of what scales the motion, or of measured speeds."""
+    return name.startswith(("scale[q", "bias[qvel."))
+
+
+def _by_scale(simulator: MujocoSimulator, models: Sequence[Model]) -> list[tuple[list[int], Array]]:
+    """Return the places of models with equal scales of the positions' sensors, and these, by which speeds scale."""
+    names = simulator.residual_names[: len(simulator.residual_names) // 2]
+    found: dict[tuple[float, ...], list[int]] = {}
+    for place, model in enumerate(models):
+        found.setdefault(tuple(model.values.get(f"scale[{name}]", 1.0) for name in names), []).append(place)
+    return [(places, np.array(scale)) for scale, places in found.items()]
+
+
+def _later(commands: Array, episodes: NDArray[np.intp], late: float) -> Array:
+    """Return commands that come so many rows later, or, where negative, earlier; interpolated between rows."""
+    if not late or not commands.shape[1]:
+        return commands
+    moved = np.empty_like(commands)
+    for episode in np.unique(episodes):
+        own = np.flatnonzero(episodes == episode)
+        places = np.arange(len(own))
+        for column in range(commands.shape[1]):
+            moved[own, column] = np.interp(places - late, places, commands[own, column])
+    return moved
+
+
+def _strengths(
+    simulator: MujocoSimulator,
+    motion: Motion,
+    states: Array,
+    moved: Array,
+    commands: Array,
+    values: Sequence[Mapping[str, float]],
+) -> Array:
+    """Return by which factor models scale what commands exert on each joint, (n, nv); 1 where no motor drives it."""
+    found = np.ones((len(values), len(motion.slip)))
+    names = [{name for name in one if name.partition("[")[0] in MOTORS} for one in values]
+    changed = [place for place, one in enumerate(names) if one]
+    if not changed:
+        return found
+    some = np.unique(np.linspace(0, len(states) - 1, ROWS_FOR_ANCHORS).astype(int))
+    plain = {name: value for name, value in values[0].items() if name not in names[0]}
+    whole = [plain, *(values[place] for place in changed)]
+    sent = np.concatenate([commands[:1, some], commands[changed][:, some]])
+    held = np.repeat(sent.mean(axis=1, keepdims=True), len(some), axis=1)
+    force = simulator.missing_forces
+    exerted = force(states[some], moved[some], sent, whole) - force(states[some], moved[some], held, whole)
+    sizes = np.sqrt(np.mean(exerted**2, axis=1))
+    found[changed] = np.where(sizes[0] > 0, np.maximum(sizes[1:], WEAKEST * sizes[0]), 1.0) / np.where(
+        sizes[0] > 0, sizes[0], 1.0
+    )
+    return found
+
+
+def coefficients_of(half: Half, forces: Array) -> tuple[Array, NDArray[np.intp], Array, NDArray[np.intp]]:
+    """Return the cosine coefficients of forces (n, n_blocks, 2 nv) where something was measured, and their places.
+
+    As `transformed` does: coefficients (n_rows, n); joint, frequency in Hz and stretch of each row.
+    """
+    motion = replace(half.motion, cutoff=np.tile(half.motion.cutoff, 2))
+    whole, joint, frequency, stretch = transformed(motion, forces.transpose(1, 2, 0))
+    seen = np.isfinite(whole[:, 0])
+    return whole[seen], joint[seen], frequency[seen], stretch[seen]

@@ -1,0 +1,176 @@
+"""What is told of two logs: causes with intervals and aliases, the gain on windows held out, and sizes of forces."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skat.diagnosis.changes.candidates import Candidate
+from skat.diagnosis.changes.force_space import joined
+from skat.diagnosis.changes.question import Question
+from skat.diagnosis.evidence import Weighed
+from skat.diagnosis.filtering import Array, Mask
+from skat.diagnosis.findings import Alias, Cause, Gain
+from skat.diagnosis.set_search import Weigher, alternatives
+from skat.simulators import MujocoSimulator
+
+# Sets that are less likely by at most this factor cannot be told apart.
+ALIAS_ODDS = 20.0
+WIDTH_95 = 1.96
+BOOTSTRAPS = 400
+
+
+@dataclass(frozen=True)
+class Changes:
+    """What changed between two logs.
+
+    Attributes
+    ----------
+    changes : tuple of Cause
+        Most telling first. The value is by how much an effect is more in the second log; of factors, how many times
+        what it was.
+    verdict : {"nothing changed", "named", "ambiguous", "unexplained"}
+    gain : Gain or None
+        Of windows of the second log that were held out: mean squared missing force over its noise, with what is
+        common in the model, and with the changes, too; the channels are rms forces, N or N m.
+    common : dict of str to tuple of two floats
+        Of each degree of freedom, by the name of its speed: rms force that the model as it is lacks in the two logs,
+        and what is left with all that is common in it, N or N m.
+    mistake : str
+        How columns of the second log seem to be mixed up; empty if they do not.
+    """
+
+    changes: tuple[Cause, ...]
+    verdict: str
+    gain: Gain | None
+    common: dict[str, tuple[float, float]]
+    mistake: str = ""
+
+
+def causes_of(
+    question: Question, best: Weighed, worth: Weigher, nats: Mapping[int, float]
+) -> tuple[Cause, ...]:
+    """Return the members of a set as they are told, most telling first.
+
+    Parameters
+    ----------
+    question : Question
+    best : Weighed
+        The set that is named; its values are in units of scales.
+    worth : Weigher
+        By which others are about as likely: the aliases.
+    nats : mapping from place to float
+        What each member is worth, in log odds.
+    """
+    if not best.members:
+        return ()
+    errors = np.sqrt(np.maximum(np.diag(np.linalg.inv(best.curvature)), 0.0))
+    others = alternatives(worth(best.members), worth, np.log(ALIAS_ODDS))
+    found = []
+    for place, value, error in zip(best.members, best.values, errors):
+        one = question.candidates[place]
+        aliases: dict[str, float] = {}
+        for other, lost in others[place]:
+            name = question.candidates[other].effect.name
+            if name != one.effect.name:
+                aliases[name] = aliases.get(name, 0.0) + float(np.exp(-lost))
+        total = 1 + sum(aliases.values()) + float(np.exp(-nats[place]))
+        told = [
+            float(one.told(at * question.scales[place]))
+            for at in (value, *(value + WIDTH_95 * error * np.array([-1, 1])))
+        ]
+        centre = told[0]
+        found.append(
+            Cause(
+                name=one.effect.name,
+                family=one.effect.family,
+                target=one.effect.target,
+                value=centre,
+                interval=(told[1], told[2]),
+                unit=one.effect.unit,
+                probability=1 / total,
+                evidence=float(nats[place]),
+                aliases=tuple(
+                    Alias(name, share / total)
+                    for name, share in sorted(aliases.items(), key=lambda pair: -pair[1])
+                ),
+                sentence=_sentence(one, centre),
+            )
+        )
+    return tuple(sorted(found, key=lambda cause: -cause.evidence))
+
+
+def _sentence(one: Candidate, value: float) -> str:
+    words = one.effect.meaning
+    if one.is_factor:
+        return f"{words} is {value:.4g} times what it was"
+    unit = "" if one.effect.unit == "1" else f" {one.effect.unit}"
+    place = ""
+    if one.beside:
+        place = ", about at (" + ", ".join(f"{at:.2g}" for at in one.beside.values()) + ") m"
+    return f"{words}: {abs(value):.4g}{unit} {'more' if value > 0 else 'less'} than it was{place}"
+
+
+def gain_of(question: Question, value: Array, differences: Array) -> Gain | None:
+    """Return the gain on the windows that were held out, None if none were.
+
+    Parameters
+    ----------
+    question : Question
+    value : ndarray of shape (n_effects,)
+        What is common, in units of sizes.
+    differences : ndarray of shape (n_candidates,)
+        In units of scales.
+    """
+    mine = question.held_out
+    if not mine.any():
+        return None
+    nominal = question.left(value, np.zeros(len(question.candidates)))[1][mine]
+    extended = question.left(value, differences)[1][mine]
+    noise, rows = question.law.noise[1][mine], question.sides[1]
+    windows = [rows.stretch[mine] == one for one in np.unique(rows.stretch[mine])]
+    squares = np.array(
+        [[float(np.sum((one[own] / noise[own]) ** 2)) for one in (nominal, extended)] for own in windows]
+    )
+    counts = np.array([int(own.sum()) for own in windows])
+    errors = squares.sum(axis=0) / counts.sum()
+    rng = np.random.default_rng(0)
+    drawn = rng.integers(len(windows), size=(BOOTSTRAPS, len(windows)))
+    some = squares[drawn].sum(axis=1) / counts[drawn].sum(axis=1)[:, None]
+    shares = (some[:, 0] - some[:, 1]) / np.maximum(some[:, 0] - 1, 1e-12)
+    low, high = np.percentile(shares, [2.5, 97.5]) if len(windows) >= 5 else (np.nan, np.nan)
+    excess = errors[0] - 1
+    return Gain(
+        nominal=float(errors[0]),
+        extended=float(errors[1]),
+        floor=1.0,
+        explained=float((errors[0] - errors[1]) / excess) if excess > 0 else 0.0,
+        interval=(float(low), float(high)),
+        horizon=0.0,
+        channels={
+            name: (_rms(nominal, own), _rms(extended, own))
+            for joint, name in enumerate(_dof_names(question.simulator))
+            if (own := rows.joint[mine] == joint).any()
+        },
+    )
+
+
+def sizes_of(question: Question, value: Array) -> dict[str, tuple[float, float]]:
+    """Return rms of the force that the model as it is lacks, and of what is left with what is common in it, N or N m.
+
+    By the name of the speed of each degree of freedom, of both logs; ``value`` (n_effects,) is in units of sizes.
+    """
+    rows = joined([replace(side, columns=side.columns[:, :0]) for side in question.sides])
+    left = np.concatenate(question.left(value, np.zeros(len(question.candidates))))
+    return {
+        name: (_rms(rows.nominal, rows.joint == joint), _rms(left, rows.joint == joint))
+        for joint, name in enumerate(_dof_names(question.simulator))
+    }
+
+
+def _rms(values: Array, chosen: Mask) -> float:
+    return float(np.sqrt(np.mean(values[chosen] ** 2)))
+
+
+def _dof_names(simulator: MujocoSimulator) -> tuple[str, ...]:
+    return tuple(simulator.residual_names[len(simulator.residual_names) // 2 :])
