@@ -163,7 +163,8 @@ class Support:
                 "this transport has seen no rows that say which distances are usual (dask rows are not looked at "
                 "one by one). Use support_distance and a threshold of your own."
             )
-        return float(self.quantiles[np.searchsorted(LEVELS, level - 1e-12)])
+        place = min(int(np.searchsorted(LEVELS, level - 1e-12)), len(LEVELS) - 1)
+        return float(self.quantiles[place])
 
 
 def importance_weights(
