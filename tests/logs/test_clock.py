@@ -156,6 +156,9 @@ def test_a_clock_that_goes_back_to_the_middle_is_refused_at_its_row():
     places = np.r_[np.arange(20), 3 + np.arange(25)]
     with pytest.raises(LogError, match=r"row 20: time goes back by 0.25 s"):
         placed(places * TICK)
+    # A restart before it excuses it not, nor one after it.
+    with pytest.raises(LogError, match="row 40: time goes back"):
+        placed(np.r_[np.arange(20), np.arange(20), 9 + np.arange(25)] * TICK)
     # The same within the second of two episodes, whose beginning is not the first's.
     labels = np.r_[np.zeros(10, int), np.ones(35, int)]
     with pytest.raises(LogError, match="row 30: time goes back"):

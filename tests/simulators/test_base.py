@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
@@ -264,3 +265,115 @@ def test_number_of_steps_is_checked(pendulum, n_steps):
 def test_actions_of_another_shape_are_refused(pendulum):
     with pytest.raises(ValueError, match=r"\(1, 3, 1\), with the columns torque; got \(1, 2, 1\)"):
         pendulum.rollout([[0.0, 0.0]], np.zeros((1, 2, 1)), n_steps=3)
+
+
+def spring(X, **values):
+    place, speed, push = X.T
+    return np.stack([place + 0.1 * speed, speed + 0.1 * (push - 4.0 * values["stiffness"] * place)], axis=1)
+
+
+@pytest.fixture
+def oscillator():
+    stiffness = Effect("stiffness", unit="1", neutral=1.0, bounds=(-2.0, 4.0))
+    names = ("place", "speed")
+    return FunctionSimulator(
+        spring,
+        input_names=(*names, "push"),
+        output_names=names,
+        state_names=names,
+        effects=[stiffness],
+        dt=0.1,
+        units={"place": "deg"},
+    )
+
+
+def late_readings(truth, lag, dt):
+    """Return what a filter of first order reads of a truth that goes straight from row to row, steady before."""
+    read = [truth[0] - lag * (truth[1] - truth[0]) / dt]
+    for start, end in pairwise(truth):
+        slope, left = (end - start) / dt, np.exp(-dt / lag)
+        read.append(end - lag * slope + (read[-1] - start + lag * slope) * left)
+    return np.array(read)
+
+
+@pytest.mark.parametrize("lag", [0.03, 0.1, 0.5])
+def test_a_late_sensor_is_a_filter_in_rollouts_and_along_the_rows_of_a_log(oscillator, lag):
+    pushes = np.random.default_rng(0).normal(size=(1, 40, 1))
+    truth = oscillator.rollout([[0.2, 1.0]], pushes, n_steps=40)[0]
+    read = np.column_stack([late_readings(truth[:, 0], lag, 0.1), truth[:, 1]])
+    values = {"lag[place]": lag}
+    assert oscillator.extended(values).hidden_state_names == ("ahead.place",)
+    rows = np.column_stack([read[:-1], pushes[0]])
+    np.testing.assert_allclose(oscillator.predict(rows, effects=values), read[1:], atol=1e-12)
+    found = oscillator.rollout(read[:1], pushes, n_steps=40, effects=values)[0]
+    np.testing.assert_allclose(found, read, atol=1e-12)
+    # The same from the middle of a log, and of two episodes that are told apart by their groups.
+    before = oscillator.rollout_many(
+        read[15:16], pushes[:, 15:], [values, {}], n_steps=25, before=rows[None, :15]
+    )
+    np.testing.assert_allclose(before[0, 0], read[15:], atol=1e-12)
+    assert np.abs(before[1, 0] - read[15:]).max() > 1e-3
+    twice = oscillator.predict_many(np.vstack([rows, rows]), [{}, values], groups=np.repeat(["b", "a"], 40))
+    np.testing.assert_allclose(twice[1], np.vstack([read[1:], read[1:]]), atol=1e-12)
+    np.testing.assert_allclose(twice[0], np.vstack([oscillator.predict(rows)] * 2), atol=1e-14)
+
+
+def test_a_late_sensor_reads_with_its_scale_and_bias(oscillator):
+    pushes = np.random.default_rng(0).normal(size=(1, 20, 1))
+    plain = oscillator.rollout([[0.2, 1.0]], pushes, n_steps=20, effects={"lag[place]": 0.2})[0]
+    values = {"lag[place]": 0.2, "scale[place]": 2.0, "bias[place]": -1.0}
+    found = oscillator.rollout([[-0.6, 1.0]], pushes, n_steps=20, effects=values)[0]
+    np.testing.assert_allclose(found, plain * [2.0, 1.0] - [1.0, 0.0], atol=1e-12)
+
+
+def test_bounds_of_factors_that_turn_the_sign_are_those_of_the_total(oscillator):
+    def bounds(built_in):
+        effects = oscillator.extended({"stiffness": built_in}).effects()
+        return next(effect.bounds for effect in effects if effect.name == "stiffness")
+
+    assert bounds(2.0) == (-1.0, 2.0)
+    assert bounds(-0.5) == (-8.0, 4.0)
+    assert bounds(-2.0) == (-2.0, 1.0)
+    assert bounds(4.0) == (-0.5, 1.0)
+    assert bounds(0.0) == bounds(1.0) == (-2.0, 4.0)
+    zero = oscillator.extended({"stiffness": 0.0})
+    np.testing.assert_array_equal(zero.predict([[1.0, 0.0, 0.0]], effects={"stiffness": 3.0}), [[1.0, 0.0]])
+
+
+def test_a_bias_is_up_to_half_a_turn_in_any_unit_and_lags_are_listed_when_asked_for(oscillator):
+    plain, late = ({effect.name: effect for effect in oscillator.effects(also=also)} for also in ((), "all"))
+    assert plain["bias[place]"].bounds == (-180.0, 180.0)
+    assert plain["bias[speed]"].bounds[1] == -plain["bias[speed]"].bounds[0] >= 1e12
+    assert plain["scale[place]"].bounds == pytest.approx((0.1, 1 / 0.1))
+    asked = {name for name in late if name not in plain}
+    assert {"lag[place]", "lag[speed]"} <= asked
+    assert {effect.name for effect in oscillator.effects(also=["lag[speed]"])} == {*plain, "lag[speed]"}
+    by_family = {effect.name for effect in oscillator.effects(also=["lag"])} - {*plain}
+    assert by_family == {name for name in asked if name.startswith("lag[")}
+    assert late["lag[place]"].typical == oscillator.dt == oscillator.time_step
+    assert late["lag[place]"].bounds[0] == late["lag[place]"].neutral == 0.0
+    assert oscillator.n_lags() == 0
+    assert oscillator.command_limits == {}
+    assert oscillator.joint_forces() == ()
+    assert oscillator.angle_names == ()
+
+
+@pytest.mark.parametrize(("n_bad", "end"), [(5, r"0, 1, 2, 3, 4\)"), (6, r"0, 1, 2, 3, 4, \.\.\.\)")])
+def test_at_most_five_diverged_rows_are_named(n_bad, end):
+    broken = FunctionSimulator(lambda X: X * np.inf, input_names=("a",), output_names=("b",), effects=())
+    with pytest.raises(RuntimeError, match=rf"diverged in {n_bad} of {n_bad} rows \(row {end}"):
+        broken.predict(np.ones((n_bad, 1)))
+
+
+def test_no_rows_and_no_candidates_have_outputs_of_their_shape(oscillator):
+    assert oscillator.predict_many(np.ones((4, 3)), []).shape == (0, 4, 2)
+    assert oscillator.predict_many(np.ones((0, 3)), [{}]).shape == (1, 0, 2)
+
+
+def test_the_first_bad_action_is_located(oscillator):
+    actions = np.zeros((3, 4, 1))
+    actions[1, 2, 0] = actions[2, 0, 0] = np.nan
+    with pytest.raises(ValueError, match="episode 1, step 2, push"):
+        oscillator.rollout(np.zeros((3, 2)), actions, n_steps=4)
+    moved = oscillator.displace(np.zeros((1, 3)), np.ones((5, 2)))
+    np.testing.assert_array_equal(moved, np.tile([1.0, 1.0, 0.0], (5, 1)))

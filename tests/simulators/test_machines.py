@@ -148,3 +148,93 @@ def test_ur10_reaches_as_far_as_the_manufacturers_dimensions_say():
     # Holding the stretched arm, the shoulder carries each link's weight at its distance.
     lever = 12.93 * 0.306 + 3.87 * (a2 + 0.28615) + (1.96 + 1.96 + 0.202) * (a2 + a3)
     assert abs(data.qfrc_bias[1]) == pytest.approx(9.81 * lever, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_moments_of_inertia_are_those_of_bodies_that_can_be(name):
+    """No moment is more than the sum of the others, and none of a body larger than a metre about its own centre."""
+    model = make_simulator(name).compiled()
+    for mass, moments in zip(model.body_mass[1:], model.body_inertia[1:]):
+        assert 0 < mass < 15
+        assert 2 * moments.max() <= moments.sum() * (1 + 1e-3)
+        assert moments.max() < mass
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_rows_come_as_often_as_robots_are_read(name):
+    """From 50 to 500 times a second, of steps of a millisecond or two."""
+    machine = make_simulator(name)
+    assert machine.compiled().opt.timestep in (0.001, 0.002)
+    assert round(1 / machine.dt) in (50, 125, 167, 200, 500)
+
+
+def test_the_legs_of_a_go2_are_mirror_images():
+    model = make_simulator("go2_air").compiled()
+    for part in ("hip", "thigh", "calf"):
+        bodies = {leg: model.body(f"{leg}_{part}") for leg in ("FL", "FR", "RL", "RR")}
+        across = np.array([1.0, -1.0, 1.0])
+        for left, right in (("FL", "FR"), ("RL", "RR")):
+            for field in ("pos", "ipos"):
+                np.testing.assert_allclose(
+                    getattr(bodies[left], field), across * getattr(bodies[right], field), rtol=1e-12
+                )
+            tensors = []
+            for leg in (left, right):
+                turn = np.zeros(9)
+                mujoco.mju_quat2Mat(turn, bodies[leg].iquat)
+                axes = turn.reshape(3, 3)
+                tensors.append(axes @ np.diag(bodies[leg].inertia) @ axes.T)
+            np.testing.assert_allclose(tensors[0], np.outer(across, across) * tensors[1], atol=2e-8)
+        assert {float(body.mass[0]) for body in bodies.values()} == {float(bodies["FL"].mass[0])}
+    front, rear = model.body("FL_hip"), model.body("RL_hip")
+    np.testing.assert_allclose(front.pos, rear.pos * [-1, 1, 1])
+    np.testing.assert_allclose(front.ipos, rear.ipos * [-1, 1, 1])
+    ranges = {
+        name: model.joint(f"{name}_joint").range for name in ("FL_hip", "FL_calf", "FL_thigh", "RL_thigh")
+    }
+    assert ranges["FL_hip"][0] == -ranges["FL_hip"][1]
+    assert -np.pi < ranges["FL_calf"][0] < ranges["FL_calf"][1] < 0  # knees bend one way
+    # The hind thighs are the front ones, turned by sixty degrees.
+    np.testing.assert_allclose(ranges["RL_thigh"] - ranges["FL_thigh"], np.radians(60), atol=1e-4)
+    # Stretched, a leg is two links of one length.
+    np.testing.assert_allclose(model.body("FL_calf").pos, [0, 0, -0.213])
+
+
+def test_so101_turns_each_joint_by_less_than_a_turn_and_weighs_half_a_kilogram():
+    model = make_simulator("so101").compiled()
+    low, high = model.jnt_range.T
+    assert (low < 0).all()
+    assert (high > 0).all()
+    assert (np.maximum(-low, high) < np.pi).all()
+    np.testing.assert_allclose(-low[:4], high[:4], rtol=1e-6)
+    assert 0.45 < model.body_mass.sum() < 0.55
+    np.testing.assert_array_equal(model.actuator_ctrlrange, model.jnt_range)
+
+
+def test_double_pendulum_has_links_of_one_kind_and_a_geared_rotor():
+    """The rotor is felt by the gear's square; one more of it at the shoulder, whose motor turns with nothing."""
+    model = make_simulator("double_pendulum").compiled()
+    shoulder, elbow = model.dof_armature
+    assert elbow / (shoulder - elbow) == pytest.approx(36)
+    np.testing.assert_allclose(model.body("lower").pos, [0, 0, -0.2])
+    assert 1.0 < model.body_mass.sum() < 1.3
+    for body, reach in (("upper", 0.2), ("lower", 0.3)):
+        assert 0.1 < -model.body(body).ipos[2] <= reach
+
+
+def test_a_cylinder_of_a_ur10_has_the_inertia_that_mujoco_gives_one():
+    model = make_simulator("ur10").compiled()
+    for _, link, mass, length, *_ in UR10:
+        text = (
+            '<mujoco><worldbody><body><freejoint/><geom type="cylinder" '
+            f'size="0.075 {length / 2}" mass="{mass}"/></body></worldbody></mujoco>'
+        )
+        shape = mujoco.MjModel.from_xml_string(text)
+        np.testing.assert_allclose(
+            np.sort(model.body(link).inertia), np.sort(shape.body_inertia[1]), rtol=1e-9
+        )
+    np.testing.assert_array_equal(model.actuator_ctrlrange[:, 0], -model.actuator_ctrlrange[:, 1])
+    # Larger motors are nearer to the base, and come in three sizes.
+    torques = model.actuator_ctrlrange[:, 1]
+    assert (np.diff(torques) <= 0).all()
+    np.testing.assert_array_equal(torques, [330, 330, 150, 54, 54, 54])

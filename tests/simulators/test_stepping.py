@@ -1,0 +1,259 @@
+"""The stepping of rows: what needs a substep of its own, steady states, and forces against plain MuJoCo."""
+
+import os
+
+import mujoco
+import numpy as np
+import pytest
+
+from skat.simulators.friction import NEUTRAL, budget, creep
+from skat.simulators.stepping import (
+    Forces,
+    Job,
+    Play,
+    Rest,
+    Stepper,
+    _alike,
+    _different,
+    _rigid_parts,
+    _sizes,
+    _thread_count,
+    _weighted,
+    steady_activations,
+)
+
+ARM = """
+<mujoco><compiler angle="radian"/><option timestep="0.004" integrator="implicitfast">
+<flag autoreset="disable"/></option><worldbody>
+<body pos="0 0 1"><joint name="yaw" axis="0 0 1"/><geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.03"/>
+<body pos="0.2 0 0"><joint name="lift" axis="0 1 0" damping="0.1" stiffness="0.3"/>
+<geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.03"/>
+<body pos="0.3 0 0"><joint name="slide" type="slide" axis="1 0 0"/><geom size="0.04"/></body></body></body></worldbody>
+<actuator>
+  <motor joint="yaw" gear="2"/><position joint="lift" kp="5" kv="0.1"/><motor joint="slide"/>
+</actuator></mujoco>
+"""
+MODEL = mujoco.MjModel.from_xml_string(ARM)
+
+
+def rows(n_rows=4, seed=0):
+    return np.random.default_rng(seed).normal(size=(1, n_rows, 9)) * 0.5
+
+
+def plain(model, row, n_substeps, force=None):
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:], data.ctrl[:] = np.split(row, 3)
+    for _ in range(n_substeps):
+        if force is not None:
+            mujoco.mj_forward(model, data)
+            data.xfrc_applied[1, :3] = force(data)
+        mujoco.mj_step(model, data)
+    return np.r_[data.qpos, data.qvel]
+
+
+def test_a_force_needs_its_substeps_only_where_it_changes():
+    law = tuple(NEUTRAL.values())
+    loaded = tuple((NEUTRAL | {"load_friction": 0.1}).values())
+    cases = {
+        (): Forces(body=1, wind=(1.0, 2.0, 3.0), joints=((0, 1.0),)),
+        ("drag",): Forces(drag=(0.0, 0.0, 0.1)),
+        ("drag", None): Forces(drag_all=0.1),
+        ("friction",): Forces(friction=((0, 0, law),)),
+        ("friction", "load"): Forces(friction=((0, 0, law), (1, 1, loaded))),
+        ("dead_zones",): Forces(dead_zones=((0, 0.1),)),
+        ("speed_slopes",): Forces(speed_slopes=((0, 0.1),)),
+        ("torque_lags",): Forces(torque_lags=((0, 0.1),)),
+    }
+    for kinds, forces in cases.items():
+        assert forces.kinds == {kind for kind in kinds if kind}
+        assert forces.changes_within_transition == bool(kinds)
+        assert forces.has_drag == ("drag" in kinds)
+
+
+def test_a_job_hides_activations_torques_and_two_numbers_of_each_play():
+    plays = (Play(0, 0, 3, 3, 0.1), Play(1, 1, 4, 4, 0.1))
+    assert Job(0, MODEL, 1).n_hidden == 0
+    assert Job(0, MODEL, 1, Forces(torque_lags=((0, 0.1), (2, 0.1))), plays=plays).n_hidden == 6
+
+
+def test_jobs_run_together_where_substeps_controls_and_laws_are_alike():
+    lagging = Forces(torque_lags=((0, 0.1),))
+    jobs = [
+        Job(0, MODEL, 1),
+        Job(1, MODEL, 2),
+        Job(2, MODEL, 1, Forces(wind=(1.0, 0.0, 0.0))),
+        Job(3, MODEL, 1, controls=np.zeros((4, 1, 3))),
+        Job(4, MODEL, 1, lagging),
+        Job(5, MODEL, 1, Forces(torque_lags=((1, 0.1),))),
+        Job(6, MODEL, 1, Forces(torque_lags=((0, 0.3),))),
+        Job(7, MODEL, 1, Forces(drag_all=1.0)),
+    ]
+    assert _alike(jobs) == [[0, 2], [1], [3], [4, 6], [5], [7]]
+
+
+def test_states_are_those_of_plain_mujoco_and_beyond_the_limit_none():
+    inputs = rows()
+    inputs[0, 2, 3] = 1e11
+    with np.errstate(over="ignore", invalid="ignore"):
+        states, hidden = Stepper().run([Job(0, MODEL, 3)], inputs)
+    for index in (0, 1, 3):
+        np.testing.assert_allclose(states[0, index], plain(MODEL, inputs[0, index], 3), atol=1e-12)
+    assert np.isnan(states[0, 2]).all()
+    assert hidden[0].shape == (4, 0)
+
+
+@pytest.mark.parametrize("n_substeps", [1, 3])
+def test_wind_and_drag_are_forces_at_the_bodys_centre(n_substeps):
+    inputs, wind, drag = rows(), np.array([0.3, -0.2, 0.1]), np.array([2.0, 1.0, 0.5])
+    forces = Forces(body=1, wind=tuple(wind), drag=tuple(drag), drag_all=0.7)
+
+    def force(data):
+        velocity = np.zeros(6)
+        mujoco.mj_objectVelocity(MODEL, data, mujoco.mjtObj.mjOBJ_BODY, 1, velocity, 0)
+        speed = velocity[3:]
+        return wind - drag * np.abs(speed) * speed - 0.7 * np.linalg.norm(speed) * speed
+
+    states, _ = Stepper().run([Job(0, MODEL, n_substeps, forces)], inputs)
+    for index in range(4):
+        np.testing.assert_allclose(
+            states[0, index], plain(MODEL, inputs[0, index], n_substeps, force), rtol=1e-8, atol=1e-10
+        )
+
+
+def test_forces_on_joints_act_on_theirs_and_controls_change_from_substep_to_substep():
+    inputs = rows()
+    controls = np.random.default_rng(1).normal(size=(4, 3, 3))
+    states, _ = Stepper().run(
+        [Job(0, MODEL, 3, Forces(joints=((1, 0.4), (2, -0.3))), controls=controls)], inputs
+    )
+    for index in range(4):
+        data = mujoco.MjData(MODEL)
+        data.qpos[:], data.qvel[:], _ = np.split(inputs[0, index], 3)
+        data.qfrc_applied[1:] = 0.4, -0.3
+        for substep in range(3):
+            data.ctrl[:] = controls[index, substep]
+            mujoco.mj_step(MODEL, data)
+        np.testing.assert_allclose(states[0, index], np.r_[data.qpos, data.qvel], atol=1e-12)
+
+
+def test_missing_forces_are_those_of_inverse_dynamics():
+    inputs, accelerations = rows(), np.random.default_rng(2).normal(size=(4, 3))
+    found, friction = Stepper().missing_forces([Job(0, MODEL, 1)], inputs, accelerations)
+    data = mujoco.MjData(MODEL)
+    for index in range(4):
+        data.qpos[:], data.qvel[:], data.ctrl[:] = np.split(inputs[0, index], 3)
+        mujoco.mj_forward(MODEL, data)
+        data.qacc[:] = accelerations[index]
+        mujoco.mj_inverse(MODEL, data)
+        np.testing.assert_allclose(found[0, index], data.qfrc_inverse - data.qfrc_actuator, atol=1e-10)
+    np.testing.assert_array_equal(friction, 0)
+
+
+def test_a_mass_matrix_times_accelerations_is_that_of_the_full_one():
+    data = mujoco.MjData(MODEL)
+    data.qpos[:] = 0.3, -0.8, 0.1
+    mujoco.mj_forward(MODEL, data)
+    full, accelerations = np.zeros((3, 3)), np.random.default_rng(0).normal(size=(5, 3))
+    mujoco.mj_fullM(MODEL, data, full)
+    found = _weighted(MODEL, np.tile(data.M, (5, 1)), accelerations)
+    np.testing.assert_allclose(found, accelerations @ full, rtol=1e-12)
+
+
+def test_rows_that_settle_stop_by_themselves_and_others_never_do():
+    text = (
+        '<mujoco><option timestep="0.01" gravity="0 0 0"><flag autoreset="disable"/></option><worldbody><body>'
+        '<joint type="slide" damping="10"/>'
+        '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></worldbody></mujoco>'
+    )
+    model = mujoco.MjModel.from_xml_string(text)
+    rest = Rest(lambda qpos, qvel: np.abs(qvel[:, 0]) < 1e-3, 20)
+    inputs = np.array([[[0.0, 1.0], [0.0, 0.0], [2.0, -0.5], [0.0, 1e8]]])
+    states, _ = Stepper().run([Job(0, model, 10)], inputs, rest=rest)
+    # A free body that is braked in proportion to its speed goes as far as speed * mass / damping, implicitly stepped.
+    way = inputs[0, :3, 0] + inputs[0, :3, 1] / 10
+    np.testing.assert_allclose(states[0, :3, 0], way, atol=2e-4)
+    np.testing.assert_array_equal(states[0, 1], [0, 0])
+    assert np.isnan(states[0, 3]).all()
+
+
+ACTUATORS = """
+<motor joint="yaw"/>
+<general joint="lift" dyntype="filter" dynprm="0.1" ctrlrange="-1 2" ctrllimited="true"/>
+<general joint="slide" dyntype="filterexact" dynprm="0.1" actrange="-0.5 0.5" actlimited="true"/>
+<intvelocity joint="lift" kp="5" gear="3" actrange="-9 9"/>
+<muscle joint="lift" lengthrange="0.1 1"/>
+<general joint="yaw" dyntype="integrator"/>
+"""
+
+
+def test_steady_activations_stay_where_their_controls_hold_them():
+    text = ARM.replace(ARM[ARM.index("<actuator>") + 10 : ARM.index("</actuator>")], ACTUATORS)
+    model = mujoco.MjModel.from_xml_string(text)
+    controls = np.array([[1.0, 5.0, 0.3, 0.0, 0.4, 0.0], [1.0, -0.4, -2.0, 0.0, 3.0, 0.0]])
+    qpos = np.array([[0.1, 0.2, 0.3], [0.4, -0.5, 0.6]])
+    steady = steady_activations(model, controls, qpos)
+    assert steady.shape == (2, 5)
+    np.testing.assert_allclose(steady[:, 0], [2.0, -0.4])
+    np.testing.assert_allclose(steady[:, 1], [0.3, -0.5])
+    np.testing.assert_allclose(steady[:, 2], 3 * qpos[:, 1])  # where the joint is, as its gear has it
+    np.testing.assert_allclose(steady[:, 3], [0.4, 1.0])
+    np.testing.assert_allclose(steady[:, 4], 0.0)
+    data = mujoco.MjData(model)
+    for row in range(2):
+        data.qpos[:], data.ctrl[:], data.act[:] = qpos[row], controls[row], steady[row]
+        mujoco.mj_forward(model, data)
+        np.testing.assert_allclose(data.act_dot[[0, 3]], 0, atol=1e-9)
+
+
+def test_models_differ_in_the_fields_that_were_changed():
+    text = ARM.replace('damping="0.1"', 'damping="0.2"').replace('timestep="0.004"', 'timestep="0.002"')
+    other = mujoco.MjModel.from_xml_string(text)
+    assert _different(MODEL, MODEL) == ()
+    assert set(_different(MODEL, other)) == {"dof_damping", "opt.timestep"}
+    assert _sizes(MODEL) == _sizes(other)
+    assert _rigid_parts(MODEL) == _rigid_parts(other)
+
+
+def test_a_process_of_its_own_uses_all_processors(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    assert _thread_count() >= (2 if len(os.sched_getaffinity(0)) > 1 else 1)
+
+
+def test_a_worker_uses_its_share_of_the_processors(monkeypatch):
+    monkeypatch.setattr("skat.simulators.stepping.multiprocessing.parent_process", lambda: object())
+    monkeypatch.setattr("skat.simulators.stepping.joblib.cpu_count", lambda: 8)
+    for share, expected in (("1", 1), ("3", 3), ("99", 8), ("0", 8), ("", 8), ("many", 8)):
+        monkeypatch.setenv("OMP_NUM_THREADS", share)
+        assert _thread_count() == expected
+
+
+def test_sticking_is_gone_at_speed_and_grows_with_place_and_load():
+    def friction(position=0.0, velocity=0.0, motor=0.0, external=0.0, **coefficients):
+        law = np.array(list((NEUTRAL | coefficients).values()))
+        return float(budget(law, *(np.array(one) for one in (position, velocity, motor, external))))
+
+    assert friction(3.0, 2.0, 1.0, -1.0) == 0.0
+    assert friction(-3.0, position_friction=0.2) == pytest.approx(0.6)
+    assert friction(stribeck=0.5) == 0.5
+    assert friction(velocity=-2.0, stribeck=0.5) == pytest.approx(0.5 * np.exp(-1))
+    assert friction(velocity=4.0, stribeck=0.5, stribeck_exponent=1.0) == pytest.approx(0.5 * np.exp(-2))
+    assert friction(motor=3.0, external=-2.0, load_friction=0.1) == pytest.approx(0.5)
+    assert friction(motor=3.0, external=3.0, load_friction=0.1) == 0.0
+    assert friction(motor=3.0, external=-2.0, load_square_motor=0.1) == pytest.approx(0.9)
+    assert friction(motor=1.0, external=-2.0, load_square_external=0.1) == pytest.approx(0.4)
+    assert friction(motor=3.0, external=2.0, load_square_motor=0.1) == 0.0
+
+
+def test_dry_friction_creeps_as_mujocos_does():
+    """Pushed by half of its friction, a joint ends up at the speed at which the soft constraint holds it."""
+    text = (
+        '<mujoco><option timestep="0.001" gravity="0 0 0"/><worldbody><body><joint type="slide" frictionloss="2"/>'
+        '<inertial pos="0 0 0" mass="3" diaginertia="1 1 1"/></body></worldbody></mujoco>'
+    )
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    data.qfrc_applied[0] = 1.0
+    for _ in range(5000):
+        mujoco.mj_step(model, data)
+    softness, damping = creep(model)
+    assert data.qvel[0] == pytest.approx(float(softness[0] * 1.0 / damping[0]), rel=1e-3)
