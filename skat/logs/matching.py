@@ -1,6 +1,6 @@
 """Find out which column of a recording stands for which input of a simulator."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -507,7 +507,8 @@ def _lacking(
         kind: [name for name in names if name not in matched and name not in constants]
         for kind, names in inputs.kinds.items()
     }
-    positions = [name for name in inputs.kinds["qpos"] if name not in inputs.roots]
+    # Of a body that only floats, its pose is all there is.
+    positions = [name for name in inputs.kinds["qpos"] if name not in inputs.roots] or inputs.kinds["qpos"]
     found = [name for name in positions if name in matched]
     if not found and not any(name in matched for name in inputs.kinds["qvel"]):
         raise LogError(
@@ -549,7 +550,7 @@ def _command_columns(
     return fitting or [one.name for members in series.values() for one in members]
 
 
-def _advice(known: Mapping[str, Column], positions: list[str], recording: Recording) -> str:
+def _advice(known: Mapping[str, Column], positions: Sequence[str], recording: Recording) -> str:
     likely = [name for name, one in known.items() if one.said.kind in ("qpos", "state")]
     likely += [
         name
