@@ -9,6 +9,7 @@ import pytest
 import scipy.linalg
 import scipy.stats
 from scipy.spatial.distance import cdist
+from sklearn.linear_model import Ridge
 
 from skat.gaussian import (
     AffineMap,
@@ -38,7 +39,10 @@ from skat.metrics.marginals import halves, marginal_squares, orders
 from skat.metrics.samples import row_weight, twice_the_spread, two_weights
 from skat.metrics.wasserstein import affinity, is_large_cost, optimal_plan, wasserstein_distance
 from skat.transport import fit_batched
+from skat.transport.alignment import PairFactors, look_shuffled, raw_alignment, whitened_alignment
+from skat.transport.regression import PENALTIES, ridge_regression
 from skat.transport.shift import Distances, Support, importance_weights
+from skat.transport.shrinkage import mean_drawn_towards
 
 
 def normal_rows(n_rows, n_features, seed=0):
@@ -400,6 +404,9 @@ def test_many_small_maps_are_each_the_optimal_one():
     for wrong in (X[:4], X[:, :, :2]):
         with pytest.raises(ValueError, match="stack of rows for 5 maps of 3 columns"):
             maps(wrong)
+    for wrong in (X[0], X[:, :0]):
+        with pytest.raises(ValueError, match="must be of shape"):
+            fit_batched(wrong, y)
     with pytest.raises(ValueError, match="NaN or infinity"):
         fit_batched(np.where(X[0, 0, 0] == X, np.inf, X), y)
 
@@ -670,3 +677,142 @@ def test_a_map_of_few_rows_is_told_of(n_fitted, warns):
         affinity_test(X, y, n_fitted=n_fitted, n_permutations=1, random_state=0)
         affinity_test(X, y, n_fitted=2, in_sample=True, n_permutations=1, random_state=0)
     assert len(caught) == warns
+
+
+# -- rows in pairs -----------------------------------------------------------------------------------------------------
+
+
+def pairs(n_rows, n_features, noise=0.5, seed=0):
+    rng = np.random.default_rng(seed)
+    source = normal_rows(n_rows, n_features, seed + 1)
+    target = source @ np.linalg.qr(rng.normal(size=(n_features, n_features)))[0]
+    target = (target + noise * normal_rows(n_rows, n_features, seed + 2)) * rng.uniform(0.5, 2, n_features)
+    source, target = (rows - rows.mean(axis=0) for rows in (source, target))
+    return (
+        PairFactors(triangle(source / np.sqrt(n_rows)), _along(source, target) / np.sqrt(n_rows)),
+        source,
+        target,
+    )
+
+
+def _along(source, target):
+    """Return the target in the coordinates that make a triangle of the source."""
+    turn = np.linalg.qr(source, mode="complete")[0]
+    return turn.T @ target
+
+
+@pytest.mark.parametrize("n_features", [1, 3, 65, 80])
+def test_map_of_pairs_is_the_polar_factor_between_roots(n_features):
+    factors, source, target = pairs(300, n_features)
+    assert (factors.triangles is not None) == (n_features > 64)
+    C_s, C_t, C_ts = source.T @ source / 300, target.T @ target / 300, target.T @ source / 300
+    root_s, root_t = (scipy.linalg.sqrtm(covariance).real for covariance in (C_s, C_t))
+    polar = scipy.linalg.polar(root_t @ C_ts @ np.linalg.inv(root_s))[0]
+    coef = root_t @ polar @ np.linalg.inv(root_s)
+    for quick in (True, False):
+        found = whitened_alignment(factors, quick=quick)
+        np.testing.assert_allclose(found.coef, coef, atol=1e-6 * np.abs(coef).max())
+        np.testing.assert_allclose(found.inverse_coef @ found.coef, np.eye(n_features), atol=1e-6)
+        assert (found.rank, found.unreached) == (n_features, 0.0)
+    np.testing.assert_allclose(found.rotation, polar, atol=1e-6)
+    raw = raw_alignment(factors)
+    rotation = scipy.linalg.polar(C_ts)[0]
+    np.testing.assert_allclose(raw.rotation, rotation, atol=1e-6)
+    np.testing.assert_allclose(
+        raw.coef, transport_map(rotation @ C_s @ rotation.T, C_t) @ rotation, atol=1e-5
+    )
+    np.testing.assert_allclose(raw.inverse_coef @ raw.coef, np.eye(n_features), atol=1e-5)
+    moved = np.full((n_features, n_features), 0.3)
+    with_means = raw_alignment(factors, mean_product=moved)
+    np.testing.assert_allclose(with_means.rotation, scipy.linalg.polar(C_ts + moved)[0], atol=1e-6)
+
+
+def test_pairs_reach_as_many_directions_as_their_source_has():
+    rng = np.random.default_rng(0)
+    source, target = np.zeros((50, 3)), rng.normal(size=(50, 3)) * [3.0, 2.0, 1.0]
+    source[:, :2] = target[:, :2] + 0.1 * rng.normal(size=(50, 2))
+    source, target = ((rows - rows.mean(axis=0)) / np.sqrt(50) for rows in (source, target))
+    found = whitened_alignment(PairFactors(source, target), reach=True)
+    assert found.rank == 2
+    assert found.inverse_coef is None
+    covariance, true = target.T @ target, found.coef @ source.T @ source @ found.coef.T
+    assert found.unreached == pytest.approx(1 - true.trace() / covariance.trace(), rel=1e-9)
+    assert 0 < found.unreached < 0.2
+    with pytest.raises(np.linalg.LinAlgError):
+        whitened_alignment(PairFactors(source, target))
+    back = whitened_alignment(PairFactors(target, source))
+    assert (back.rank, back.unreached, back.inverse_coef) == (2, 0.0, None)
+
+
+@pytest.mark.parametrize(("n_features", "n_rows"), [(1, 30), (4, 30), (66, 200)])
+def test_shuffled_pairs_look_shuffled_and_others_do_not(n_features, n_rows):
+    rng = np.random.default_rng(0)
+    n_draws, n_missed = (400, 0) if n_features < 64 else (20, 0)
+    for _ in range(n_draws):
+        source, target = rng.normal(size=(2, n_rows, n_features))
+        source, target = (rows - rows.mean(axis=0) for rows in (source, target))
+        n_missed += not look_shuffled(PairFactors(triangle(source), _along(source, target)), n_rows)
+    assert n_missed <= 0.03 * n_draws
+    if n_features == 1:
+        assert n_missed > 0  # one in a hundred
+    for noise in (0.0, 0.5):
+        seen = source + noise * target
+        assert not look_shuffled(PairFactors(triangle(source), _along(source, seen)), n_rows)
+
+
+def test_too_few_pairs_never_look_shuffled():
+    source, target = np.random.default_rng(0).normal(size=(2, 5, 4))
+    source, target = (rows - rows.mean(axis=0) for rows in (source, target))
+    assert not look_shuffled(PairFactors(source, target), 5)
+
+
+def test_ridge_is_that_of_least_generalised_cross_validation():
+    rng = np.random.default_rng(0)
+    context = normal_rows(40, 3, 1)
+    prior = rng.normal(size=(2, 3))
+    rest = context @ (prior + 0.3 * rng.normal(size=(2, 3))).T + rng.normal(size=(40, 2)) * [0.5, 3.0]
+    rows = np.column_stack([context, rest])
+    mask = np.array([True] * 3 + [False] * 2)
+    slope, residual, freedom = ridge_regression(row_moments(rows), mask, prior)
+    centred = context - context.mean(axis=0)
+    scaled = centred / centred.std(axis=0)
+    used = []
+    for column in range(2):
+        missing = rest[:, column] - rest[:, column].mean() - centred @ prior[column]
+        judged = []
+        for penalty in PENALTIES:
+            fit = Ridge(alpha=40 * penalty, fit_intercept=False).fit(scaled, missing)
+            hat = scaled @ np.linalg.solve(scaled.T @ scaled + 40 * penalty * np.eye(3), scaled.T)
+            error = np.square(missing - fit.predict(scaled)).sum() / (40 - 1 - hat.trace()) ** 2
+            judged.append((error, fit.coef_ / centred.std(axis=0), 1 + hat.trace()))
+        _, correction, own = min(judged, key=lambda one: one[0])
+        np.testing.assert_allclose(slope[column], prior[column] + correction, rtol=1e-6)
+        left = rest[:, column] - rest[:, column].mean() - centred @ slope[column]
+        assert np.square(residual[:, column]).sum() == pytest.approx(
+            np.square(left).sum() / (40 - own), rel=1e-8
+        )
+        used.append(own)
+    assert freedom == pytest.approx(max(used))
+
+
+@pytest.mark.parametrize("is_paired", [False, True])
+def test_mean_is_drawn_by_the_positive_part_of_james_and_stein(is_paired):
+    source, target = normal_rows(40, 5, 1), normal_rows(40, 5, 1) + 0.02 * normal_rows(40, 5, 2)
+    if not is_paired:
+        target = target[::-2]
+    moments = row_moments(source), row_moments(target)
+    together = row_moments(np.column_stack([source, target])) if is_paired else None
+    found, intensity = mean_drawn_towards(moments[1], moments[0], len(target), 40, together)
+    # In any coordinates that whiten the source.
+    white = np.linalg.inv(np.linalg.cholesky(biased_covariance(source)))
+    shift = white @ (target.mean(axis=0) - source.mean(axis=0))
+    error = np.cov((target @ white.T).T) / len(target) + np.cov((source @ white.T).T) / 40
+    if is_paired:
+        error = np.cov(((target - source) @ white.T).T) / 40
+    spare = error.trace() - 2 * np.linalg.eigvalsh(error)[-1]
+    assert intensity == pytest.approx(np.clip(spare / (shift @ shift), 0, 1), rel=1e-3)
+    drawn = (1 - intensity) * (target.mean(axis=0) - source.mean(axis=0))
+    np.testing.assert_allclose(found.mean - source.mean(axis=0), drawn, rtol=1e-9, atol=1e-12)
+    same, none = mean_drawn_towards(moments[0], moments[0], 40, 40)
+    assert none == 0.0
+    np.testing.assert_array_equal(same.mean, moments[0].mean)
