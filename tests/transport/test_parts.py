@@ -688,17 +688,13 @@ def pairs(n_rows, n_features, noise=0.5, seed=0):
     target = source @ np.linalg.qr(rng.normal(size=(n_features, n_features)))[0]
     target = (target + noise * normal_rows(n_rows, n_features, seed + 2)) * rng.uniform(0.5, 2, n_features)
     source, target = (rows - rows.mean(axis=0) for rows in (source, target))
-    return (
-        PairFactors(triangle(source / np.sqrt(n_rows)), _along(source, target) / np.sqrt(n_rows)),
-        source,
-        target,
-    )
+    return _factors(source, target, n_rows), source, target
 
 
-def _along(source, target):
-    """Return the target in the coordinates that make a triangle of the source."""
-    turn = np.linalg.qr(source, mode="complete")[0]
-    return turn.T @ target
+def _factors(source, target, n_rows=1):
+    """Return factors of as few rows as there are columns, the source's a triangle."""
+    both = triangle(np.hstack([source, target]) / np.sqrt(n_rows))
+    return PairFactors(both[:, : source.shape[1]], both[:, source.shape[1] :])
 
 
 @pytest.mark.parametrize("n_features", [1, 3, 65, 80])
@@ -751,13 +747,13 @@ def test_shuffled_pairs_look_shuffled_and_others_do_not(n_features, n_rows):
     for _ in range(n_draws):
         source, target = rng.normal(size=(2, n_rows, n_features))
         source, target = (rows - rows.mean(axis=0) for rows in (source, target))
-        n_missed += not look_shuffled(PairFactors(triangle(source), _along(source, target)), n_rows)
+        n_missed += not look_shuffled(_factors(source, target), n_rows)
     assert n_missed <= 0.03 * n_draws
     if n_features == 1:
         assert n_missed > 0  # one in a hundred
     for noise in (0.0, 0.5):
         seen = source + noise * target
-        assert not look_shuffled(PairFactors(triangle(source), _along(source, seen)), n_rows)
+        assert not look_shuffled(_factors(source, seen), n_rows)
 
 
 def test_too_few_pairs_never_look_shuffled():
