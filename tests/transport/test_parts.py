@@ -23,6 +23,7 @@ from skat.gaussian import (
     spectrum,
     transport_map,
 )
+from skat.gaussian.backends import _device_moments
 from skat.gaussian.maps import accurate_svd, coefficient_distance, reached_part, reached_rank, root_of_factor
 from skat.gaussian.moments import CHEAP_QR, Moments, SideBySide, triangle
 from skat.gaussian.threads import shared
@@ -191,6 +192,24 @@ def test_two_arrays_side_by_side_are_their_columns():
     np.testing.assert_array_equal(beside[7], stacked[7])
     np.testing.assert_array_equal(beside[3:9].less(np.arange(5.0)), stacked[3:9] - np.arange(5.0))
     np.testing.assert_allclose(row_moments(beside).covariance, biased_covariance(stacked), rtol=1e-10)
+
+
+@pytest.mark.parametrize("n_rows", [3, 50])
+@pytest.mark.parametrize("is_weighted", [False, True])
+def test_moments_of_another_library_are_those_of_numpy(is_weighted, n_rows):
+    xp = pytest.importorskip("array_api_strict")
+    rows = 1e6 + normal_rows(n_rows, 4)
+    weight = np.random.default_rng(1).uniform(0.5, 2, n_rows) if is_weighted else None
+    if is_weighted:
+        rows[0], weight[0] = 1e9, 0.0  # without weight, however far
+    given = None if weight is None else xp.asarray(weight)
+    found, true = _device_moments(xp.asarray(rows), given, xp, None), row_moments(rows, weight)
+    assert (found.n_rows, found.eps) == (true.n_rows, true.eps)
+    assert found.weight == pytest.approx(true.weight)
+    assert found.squared_weight == pytest.approx(true.squared_weight)
+    np.testing.assert_allclose(found.mean, true.mean, rtol=1e-14)
+    np.testing.assert_allclose(found.covariance, true.covariance, rtol=1e-6, atol=1e-9)
+    assert len(found.factor) <= max(n_rows, 4)
 
 
 def test_a_triangle_is_a_factor_of_the_same_product():
