@@ -1,8 +1,10 @@
-"""Poses over an episode: what is held, what is at rest, and when simulations start anew."""
+"""Poses over an episode: what is held, what is at rest, when simulations start anew, and how films run."""
 
 import numpy as np
 import pytest
+from PIL import Image
 
+from skat.replay.film import _write_gif
 from skat.replay.motion import Motion, _filled, _held, _rolled_out
 from skat.simulators import FunctionSimulator
 
@@ -64,3 +66,16 @@ def test_a_time_is_that_of_the_nearest_row():
     np.testing.assert_array_equal(found.time, [0, 0, 1, 1, 3, 3, 3])
     np.testing.assert_array_equal(found.simulated["m"], 10 * found.measured)
     assert found.notes == ("said",)
+
+
+@pytest.mark.parametrize("fps", [10.0, 20.0])
+def test_a_gif_runs_at_the_speed_that_was_asked_for_without_end(tmp_path, fps):
+    pictures = [np.full((20, 30, 3), shade, np.uint8) for shade in (0, 100, 200)]
+    _write_gif(tmp_path / "film.gif", iter(pictures), fps)
+    with Image.open(tmp_path / "film.gif") as film:
+        assert (film.n_frames, film.size) == (3, (30, 20))
+        assert film.info["loop"] == 0  # for ever
+        assert film.info["duration"] == 1000 / fps
+        for index, picture in enumerate(pictures):
+            film.seek(index)
+            np.testing.assert_allclose(np.asarray(film.convert("RGB")), picture, atol=3)
