@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from skat.simulators import MujocoSimulator, stepping
 from skat.simulators.friction import NEUTRAL, budget, creep
 from skat.simulators.stepping import (
     Forces,
@@ -15,6 +16,7 @@ from skat.simulators.stepping import (
     Stepper,
     _alike,
     _different,
+    _forces_of,
     _rigid_parts,
     _sizes,
     _thread_count,
@@ -257,3 +259,160 @@ def test_dry_friction_creeps_as_mujocos_does():
         mujoco.mj_step(model, data)
     softness, damping = creep(model)
     assert data.qvel[0] == pytest.approx(float(softness[0] * 1.0 / damping[0]), rel=1e-3)
+
+
+# -- laws that are renewed in each substep -----------------------------------------------------------------------------
+
+
+def renewed(change, row, n_substeps, text=ARM):
+    """Step plain MuJoCo, with what `change(model, data, control)` makes of it at the start of each substep."""
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:], control = np.split(row, 3)
+    for _ in range(n_substeps):
+        data.ctrl[:] = control
+        mujoco.mj_forward(model, data)
+        change(model, data, control)
+        data.qacc_warmstart[:] = 0
+        mujoco.mj_step(model, data)
+    return np.r_[data.qpos, data.qvel]
+
+
+@pytest.mark.parametrize("n_substeps", [1, 4])
+def test_within_its_dead_zone_a_servo_lacks_nothing(n_substeps):
+    inputs = rows(8)
+
+    def narrowed(model, data, control):
+        lacks = control[1] - data.actuator_length[1]
+        data.ctrl[1] = control[1] - np.sign(lacks) * min(abs(lacks), 0.2)
+
+    states, _ = Stepper().run([Job(0, MODEL, n_substeps, Forces(dead_zones=((1, 0.2),)))], inputs)
+    for index in range(8):
+        expected = renewed(narrowed, inputs[0, index], n_substeps)
+        np.testing.assert_allclose(states[0, index], expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("n_substeps", [1, 4])
+def test_a_motor_loses_force_with_speed_and_gains_none(n_substeps):
+    text = ARM.replace(
+        '<motor joint="yaw" gear="2"/>',
+        '<motor joint="yaw" gear="2" forcerange="-1 0.5" forcelimited="true"/>',
+    )
+    model, inputs = mujoco.MjModel.from_xml_string(text), rows(8) * 4
+
+    def tired(model, data, control):
+        lost = 0.3 * data.actuator_velocity[0]
+        model.actuator_forcerange[0] = np.clip([-1 - lost, 0.5 - lost], -1, 0.5)
+
+    states, _ = Stepper().run([Job(0, model, n_substeps, Forces(speed_slopes=((0, 0.3),)))], inputs)
+    for index in range(8):
+        expected = renewed(tired, inputs[0, index], n_substeps, text)
+        np.testing.assert_allclose(states[0, index], expected, atol=1e-12)
+
+
+def test_a_gears_friction_is_that_of_its_load():
+    """The motor's torque against that of gravity and springs."""
+    inputs = rows(8)
+    law = tuple(
+        (NEUTRAL | {"load_friction_motor": 0.1, "load_friction_external": 0.3, "stribeck": 0.05}).values()
+    )
+
+    def braked(model, data, control):
+        motor, external = data.qfrc_actuator[1], data.qfrc_spring[1] - data.qfrc_bias[1]
+        slow = np.exp(-((data.qvel[1] / 2.0) ** 2))
+        model.dof_frictionloss[1] = 0.05 * slow + abs(0.3 * external - 0.1 * motor)
+
+    states, _ = Stepper().run([Job(0, MODEL, 1, Forces(friction=((1, 1, law),)))], inputs)
+    for index in range(8):
+        np.testing.assert_allclose(
+            states[0, index], renewed(braked, inputs[0, index], 1), rtol=1e-6, atol=1e-8
+        )
+
+
+def test_forces_of_affine_actuators_are_mujocos_within_their_limits():
+    actuators = """
+    <general joint="yaw" gaintype="affine" gainprm="2 0.5 -0.3" biastype="affine" biasprm="0.1 -1 0.2"
+      ctrlrange="-0.3 0.2" ctrllimited="true"/>
+    <position joint="lift" kp="5" kv="0.1" forcerange="-0.2 0.4" forcelimited="true"/>
+    <motor joint="slide" gear="3"/>"""
+    text = ARM.replace(ARM[ARM.index("<actuator>") + 10 : ARM.index("</actuator>")], actuators)
+    model = mujoco.MjModel.from_xml_string(text)
+    data, inputs = mujoco.MjData(model), rows(20)[0]
+    lengths, speeds, forces = np.empty((3, 20, 3))
+    for index, row in enumerate(inputs):
+        data.qpos[:], data.qvel[:], data.ctrl[:] = np.split(row, 3)
+        mujoco.mj_forward(model, data)
+        lengths[index], speeds[index], forces[index] = (
+            data.actuator_length, data.actuator_velocity, data.actuator_force
+        )  # fmt: skip
+
+    def own(name):
+        return np.tile(getattr(model, name), (20, *[1] * getattr(model, name).ndim))
+
+    given = {name: own(name) for name in ("actuator_gainprm", "actuator_biasprm")}
+    free, limited = _forces_of(own, given, inputs[:, 6:], lengths, speeds)
+    np.testing.assert_allclose(limited, forces, atol=1e-12)
+    np.testing.assert_allclose(free[:, [0, 2]], forces[:, [0, 2]], atol=1e-12)
+    assert (np.abs(free[:, 1]) > np.abs(forces[:, 1])).any()
+
+
+# -- batches -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_stepper_that_has_run_one_model_runs_another():
+    heavier = mujoco.MjModel.from_xml_string(ARM.replace('size="0.04"', 'size="0.06"'))
+    inputs, stepper = rows(), Stepper()
+    for _ in range(2):
+        for models in ((MODEL,), (heavier,), (MODEL, heavier), (heavier, MODEL)):
+            states, _ = stepper.run([Job(0, model, 2) for model in models], inputs)
+            for model, found in zip(models, states):
+                expected = [plain(model, row, 2) for row in inputs[0]]
+                np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("chunk", [1, 3, 4, 5, 100])
+@pytest.mark.parametrize("forces", [Forces(), Forces(body=1, drag_all=0.5)], ids=["plain", "drag"])
+def test_rows_of_jobs_are_cut_into_chunks_anywhere(monkeypatch, chunk, forces):
+    inputs, jobs = rows(5), [Job(0, MODEL, 2, forces), Job(0, MODEL, 3, forces), Job(0, MODEL, 2, forces)]
+    whole, _ = Stepper().run(jobs, inputs)
+    monkeypatch.setattr(stepping, "CHUNK", chunk)
+    found, _ = Stepper().run(jobs, inputs)
+    np.testing.assert_array_equal(found, whole)
+    np.testing.assert_array_equal(found[0], found[2])
+
+
+def test_a_play_begins_where_it_was_or_at_the_flank_that_its_motor_presses_on():
+    model = MujocoSimulator(ARM).compiled({"backlash[lift]": 0.1})
+    motor, link = model.joint("lift"), model.joint("lift.play")
+    columns = (motor.qposadr[0], motor.dofadr[0], link.qposadr[0], link.dofadr[0])
+    play = Play(*(int(one) for one in columns), 0.1)
+    inputs = rows(3)
+    hidden = np.array([[np.nan, np.nan], [0.03, -0.2], [np.nan, np.nan]])
+    states, after = Stepper().run([Job(0, model, 1, plays=(play,), hidden=hidden)], inputs)
+    for index in range(3):
+        data = mujoco.MjData(model)
+        seen = [one for one in range(model.nq) if one != play.play]
+        data.qpos[seen], data.qvel[seen], data.ctrl[:] = np.split(inputs[0, index], 3)
+        mujoco.mj_forward(model, data)
+        place, speed = -np.sign(data.qfrc_actuator[play.joint_dof]) * 0.05, 0.0
+        if index == 1:
+            place, speed = hidden[1]
+        data.qpos[play.play], data.qvel[play.play_dof] = place, speed
+        data.qpos[play.joint] -= place
+        data.qvel[play.joint_dof] -= speed
+        data.qacc_warmstart[:] = 0
+        mujoco.mj_step(model, data)
+        np.testing.assert_allclose(
+            after[0][index], [data.qpos[play.play], data.qvel[play.play_dof]], atol=1e-9
+        )
+        assert states[0, index, 1] == pytest.approx(data.qpos[play.joint] + data.qpos[play.play], abs=1e-9)
+
+
+def test_a_contact_is_seen_in_its_row():
+    text = (
+        '<mujoco><worldbody><geom type="plane" size="1 1 1"/><body pos="0 0 0.1"><joint type="slide" axis="0 0 1"/>'
+        '<geom size="0.1"/></body></worldbody></mujoco>'
+    )
+    model = mujoco.MjModel.from_xml_string(text)
+    inputs = np.array([[[0.5, 0.0], [-0.01, 0.0], [0.2, 0.0], [-0.02, 0.0]]])
+    np.testing.assert_array_equal(Stepper().constrained(Job(0, model, 1), inputs), [False, True, False, True])
