@@ -109,6 +109,21 @@ def test_units_for_all_are_those_of_angles_and_their_commands(robot):
     np.testing.assert_allclose(log.X[:, 0], 0.1 * np.sin(log.time))
 
 
+def test_one_unit_for_all_is_none_of_a_floating_roots_pose():
+    simulator = MujocoSimulator(FLOATING)
+    np.testing.assert_array_equal(
+        load_log(floating(), simulator, units="deg").X, load_log(floating(), simulator).X
+    )
+
+
+def test_a_share_of_the_range_is_a_unit_of_any_joint(robot):
+    percent = {name: f"{name}:percent:-100:100" for name in ("qpos.rail", "qpos.elbow")}
+    shares = {"qpos.rail": np.full(40, 50.0), "qpos.elbow": np.full(40, -100.0)}
+    log = load_log(table(**shares), robot, columns=percent)
+    np.testing.assert_allclose(log.X[:, 0], 1.0)
+    np.testing.assert_allclose(log.X[:, 1], -1.5)
+
+
 @pytest.mark.parametrize(
     ("name", "unit"), [("qpos.rail", "deg"), ("qpos.elbow", "mm"), ("qvel.elbow", "m/s")]
 )
@@ -160,6 +175,11 @@ def test_missing_commands_are_asked_for(robot):
     said = refused(table(**{"ctrl.servo": None}), robot)
     assert "--map 'ctrl.*=" in said
     assert "of a position servo that is a position" in said
+    warm = table(**{"ctrl.servo": None, "temperature": np.zeros(40)})
+    assert "could be commands" not in refused(warm, robot)
+    assert "Columns that could be commands: effort.elbow." in refused(
+        warm.assign(**{"effort.elbow": 1.0}), robot
+    )
     two = MujocoSimulator(ROBOT.format(SERVO + '<motor name="push" joint="rail"/>'))
     assert "--map 'ctrl.push=" in refused(table(), two)
 
@@ -287,6 +307,10 @@ def test_quaternions_keep_one_sign_and_unit_length():
     # Of a body that only floats, a pose is a log.
     assert set(load_log(rows, simulator).unmeasured) == set(simulator.state_names[7:])
     assert "no column could be found" in refused(rows[["time"]].assign(level=1.0), simulator)
+    # Of streams with clocks of their own there is no row beside another.
+    apart = {f"qpos.root.q{part}": np.ones(3 if part == "w" else 2) for part in "wxyz"}
+    _align(apart)
+    assert all((values == 1).all() for values in apart.values())
     alone = {"qpos.root.qw": np.array([1.0, -1.0])}
     _align(alone)
     np.testing.assert_array_equal(alone["qpos.root.qw"], [1.0, -1.0])
