@@ -160,12 +160,21 @@ def test_moments_of_inertia_are_those_of_bodies_that_can_be(name):
         assert moments.max() < mass
 
 
-@pytest.mark.parametrize("name", MACHINES)
-def test_rows_come_as_often_as_robots_are_read(name):
-    """From 50 to 500 times a second, of steps of a millisecond or two."""
+@pytest.mark.parametrize(
+    ("name", "rate"),
+    [
+        ("pendulum", 200),
+        ("double_pendulum", 500),
+        ("ur10", 125),
+        ("so101", 50),
+        ("go2_air", 200),
+        ("ricmonk", 167),
+    ],
+)
+def test_rows_come_as_often_as_the_robot_is_read(name, rate):
     machine = make_simulator(name)
     assert machine.compiled().opt.timestep in (0.001, 0.002)
-    assert round(1 / machine.dt) in (50, 125, 167, 200, 500)
+    assert round(1 / machine.dt) == rate
 
 
 def test_the_legs_of_a_go2_are_mirror_images():
