@@ -288,3 +288,16 @@ def test_interpolated_grid_begins_with_the_samples_and_ends_before_them(step):
     assert piece.slots is None
     assert (piece.start, piece.spacing) == (pytest.approx(4.0), step * TICK)
     assert piece.size == len(np.arange(0, 30 + 1e-3, step))
+
+
+def test_one_uneven_episode_makes_the_clock_uneven():
+    stamps = 50 + (np.arange(100) + np.random.default_rng(7).uniform(-0.2, 0.2, size=100)) * TICK
+    times = np.r_[np.arange(100) * TICK, stamps]
+    moves = np.sin(3 * times)[:, np.newaxis]
+    for order in (slice(None), slice(None, None, -1)):
+        labels = np.repeat([0, 1], 100)
+        both = [times[:100], times[100:]][order]
+        places = [moves[:100], moves[100:]][order]
+        found, _, notes = placed(np.concatenate(both), labels, ("a", "b"), moves=np.concatenate(places))
+        assert "interpolated" in notes[0]
+        assert all(piece.slots is None for piece in found)
