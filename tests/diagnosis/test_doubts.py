@@ -458,7 +458,7 @@ def test_a_solver_that_depends_on_where_it_begins_is_noticed(iterations, line, n
     states, commands = walked(text, 2)
     log = check_log(legged, np.hstack([states[:-1], commands]), states[1:], np.zeros(200))
     cold = [one for one in doubts.doubts_about(legged, log) if one.name == "cold"]
-    assert bool(cold) == noticed
+    assert len(cold) == noticed  # in one sentence, whatever channels it is about
     if noticed:
         assert "with at most 1 iterations" in cold[0].sentence
     velocities = [name for name in legged.state_names if name.startswith("qvel.")]
