@@ -9,6 +9,7 @@ from scipy import integrate, stats
 from skat.diagnosis.fitting import Fitted
 from skat.diagnosis.noise import normal_noise, passed
 from skat.diagnosis.prediction import (
+    Seen,
     _channel_errors,
     _cut,
     _gain,
@@ -196,6 +197,43 @@ def test_what_rests_is_known_at_each_row_as_the_mean_of_its_readings_until_then(
         mean = np.average(np.r_[begin, readings], weights=precisions)
         assert states[row, 0] == pytest.approx(mean, abs=1e-8)
         assert covariances[row, 0, 0] == pytest.approx(1 / precisions.sum(), rel=1e-6)
+
+
+def test_what_is_not_known_of_a_state_is_what_its_readings_leave_of_what_was_predicted():
+    """In the form of informations, for two coordinates of which one is read in half of the rows."""
+    rng, names = np.random.default_rng(0), ("p", "q")
+    A = np.array([[0.9, 0.3], [-0.2, 0.8]])
+    simulator = FunctionSimulator(
+        lambda X: X @ A.T, input_names=names, output_names=names, state_names=names, dt=DT
+    )
+    states = [rng.normal(size=2)]
+    for _ in range(30):
+        states.append(A @ states[-1] + 0.1 * rng.normal(size=2))
+    read_states = np.array(states) + 0.1 * rng.normal(size=(31, 2))
+    read_states[1::2, 1] = np.nan
+    space = state_space(
+        simulator, read_states[:-1], read_states[1:], np.zeros(30, dtype=int), consecutive=True
+    )
+    linear, errors = linearise(space, space.measured, {}), np.array([0.01, 0.02])
+    noise = normal_noise(linear.chains, 0.01 / space.carrier.diagonal() ** 2, errors)
+    estimate = passed(linear.chains, noise, space.real, covariances=True)
+    seen = Seen(linear, linear.chains, estimate, np.zeros(0))
+    states, covariances = filtered(space, seen)
+    one = estimate.filtered
+    for row in (0, 1, 2, 17):
+        predicted_information = np.linalg.inv(one.covariances[0, row])
+        reading_information = np.diag(np.where(space.mask[0, row], 1 / errors, 0.0))
+        kept = np.linalg.inv(predicted_information + reading_information)
+        np.testing.assert_allclose(covariances[row], kept, rtol=1e-6, atol=1e-12)
+        read_deviation = np.where(space.mask[0, row], linear.chains.measured[0, row], 0.0)
+        mean = kept @ (predicted_information @ one.means[0, row] + reading_information @ read_deviation)
+        np.testing.assert_allclose(states[row], space.measured[0, row] + mean, rtol=1e-6, atol=1e-9)
+    ahead = variances_ahead(space, seen, np.array([5]), 2)[0]
+    M = covariances[5]
+    for step in range(2):
+        M = A @ M @ A.T + 0.01 * np.eye(2)
+        most = 2 * (space.spread / 3) ** 2
+        np.testing.assert_allclose(ahead[step], np.minimum(np.diag(M), most) + errors, rtol=1e-5)
 
 
 def test_random_steps_add_up_ahead_of_a_start_until_two_motions_have_nothing_in_common():
