@@ -234,6 +234,10 @@ def test_full_turns_are_counted_where_the_simulation_turns_on(unit, half):
     assert sign.size == sign.words["count"] == np.sum(np.abs(y[:, 0] - X[:, 0]) > half)
     assert sign.words["rows"] == 100
     assert sign.size > 5
+    rows = np.arange(12)  # one turn is enough
+    assert np.sum(np.abs(y[rows, 0] - X[rows, 0]) > half) == 1
+    once = check_log(simulator, X[rows], y[rows], groups[rows])
+    assert "wrapped" in {one.name for one in doubts_about(simulator, once)}
 
 
 @pytest.mark.parametrize("n_changes", [19, 20])
@@ -277,6 +281,7 @@ def test_jumps_are_counted_and_the_first_five_named(at, told):
     (sign,) = doubts._jumps(look_at(simulator, X, y, groups))
     assert sign.size == len(at)
     assert sign.words["rows"] == told
+    assert "jumps" in {one.name for one in doubts_about(simulator, check_log(simulator, X, y, groups))}
 
 
 def test_where_many_rows_jump_or_one_channel_of_two_does_no_episode_begins():
