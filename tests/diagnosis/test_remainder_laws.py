@@ -11,12 +11,13 @@ from scipy import special, stats
 from skat.diagnosis.findings import Gain
 from skat.diagnosis.fitting import Fitted, settled
 from skat.diagnosis.noise import normal_noise, passed
-from skat.diagnosis.prediction import Seen
+from skat.diagnosis.prediction import Seen, variances_ahead, windows
 from skat.diagnosis.remainder import (
     SIZES,
     Law,
     Left,
     Remainder,
+    _ahead,
     _binned,
     _bins,
     _halves,
@@ -27,6 +28,7 @@ from skat.diagnosis.remainder import (
     _spectrum,
     _turned_back,
     _welch,
+    _white_spectra,
     _with_normal_noise,
     _word,
     _worth,
@@ -352,6 +354,53 @@ def test_a_log_with_heavy_tails_is_looked_at_with_normal_noise_too():
     assert np.isinf(normal.estimate.noise.error_nu).all()
     y = space.measured[:, 1, 0]
     assert normal.estimate.noise.error[0] == pytest.approx(np.mean(y**2), rel=0.05)
+
+
+def resting(lengths, *, error=0.1, force=0.0):
+    """Return the log of places that stay, one in each episode, and how it is seen at a known noise."""
+    simulator = FunctionSimulator(
+        lambda X: X, input_names=("x",), output_names=("x",), state_names=("x",), dt=DT
+    )
+    rng, read = np.random.default_rng(0), []
+    for length in lengths:
+        steps = np.sqrt(force) * rng.normal(size=(length + 1, 1))
+        read.append(5 * rng.normal() + np.cumsum(steps, axis=0) + error * rng.normal(size=(length + 1, 1)))
+    X, y = (np.concatenate([one[part] for one in read]) for part in (slice(None, -1), slice(1, None)))
+    groups = np.repeat(np.arange(len(lengths)), lengths)
+    space = state_space(simulator, X, y, groups, consecutive=True, chain_length=1000)
+    linear = linearise(space, space.measured, {})
+    forces = np.array([force / space.carrier[0, 0] ** 2])
+    noise = normal_noise(linear.chains, forces, np.array([error**2]))
+    estimate = passed(linear.chains, noise, space.real, covariances=True)
+    return space, Fitted({}, linear, linear.chains, estimate, np.zeros(0), np.ones(len(lengths)), np.zeros(1))
+
+
+def test_a_force_adds_ahead_the_product_of_what_its_two_estimates_move():
+    """What moves a place by .2 and by .3 a row moves it by ten times as much in ten rows."""
+    error = 0.1
+    space, fitted = resting([30, 40], error=error)
+    seen = Seen(fitted.linear, fitted.chains, fitted.estimate, fitted.shares)
+    starts, _ = windows(space, 10)
+    variances = variances_ahead(space, seen, starts, 10)[:, -1, 0]
+    forces = np.tile([0.2, 0.3], (70, 1))
+    ahead = _ahead(space, seen, np.ones((70, 1)), forces, 10)
+    assert ahead == pytest.approx(np.mean(2.0 * 3.0 / variances))
+    # Estimates that disagree are chance, and add nothing.
+    assert _ahead(space, seen, np.ones((70, 1)), forces * [1, -1], 10) == 0.0
+
+
+def test_a_white_force_that_sensors_show_has_a_flat_spectrum_and_one_they_hide_less_of_it():
+    levels = []
+    for error in (1e-4, 3.0):
+        space, fitted = resting([600], error=error, force=1.0)
+        directions = SimpleNamespace(names=("x",))
+        frequencies, (spectrum,) = _white_spectra(space, fitted, directions, np.random.RandomState(0))
+        levels.append(spectrum * frequencies[-1])
+    # What is shown is the force over its deviation.
+    assert levels[0].mean() == pytest.approx(1.0, rel=0.15)
+    assert levels[0][1:20].mean() == pytest.approx(levels[0][-20:-1].mean(), rel=0.3)
+    # Hidden from readings that scatter three times as far, most of all where it is fast.
+    assert levels[1][-20:].mean() < 0.1 < levels[1][1:4].mean()
 
 
 # -- what it looks like over time ------------------------------------------------------------------------------------
