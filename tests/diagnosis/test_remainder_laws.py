@@ -389,6 +389,21 @@ def test_a_force_adds_ahead_the_product_of_what_its_two_estimates_move():
     assert _ahead(space, seen, np.ones((70, 1)), forces * [1, -1], 10) == 0.0
 
 
+def test_an_acceleration_adds_ahead_what_it_moves_of_place_and_speed():
+    """In h rows a speed gains h f dt, and a place h (h - 1) / 2 f dt^2, as the speed before a row moves it."""
+    space = rolled([30, 40])
+    linear = linearise(space, space.measured, {})
+    noise = normal_noise(linear.chains, np.array([1e-6]), np.array([1e-8, 1e-6]))
+    estimate = passed(linear.chains, noise, space.real, covariances=True)
+    seen = Seen(linear, linear.chains, estimate, np.zeros(0))
+    h, forces = 10, np.tile([0.2, 0.3], (70, 1))
+    starts, _ = windows(space, h)
+    moved = np.array([h * (h - 1) / 2 * DT**2, h * DT])
+    variances = variances_ahead(space, seen, starts, h)[:, -1]
+    ahead = _ahead(space, seen, np.tile([0.0, DT], (70, 1)), forces, h)
+    assert ahead == pytest.approx(np.mean(0.2 * 0.3 * moved**2 / variances), rel=1e-5)
+
+
 def test_a_white_force_that_sensors_show_has_a_flat_spectrum_and_one_they_hide_less_of_it():
     levels = []
     for error in (1e-4, 3.0):
