@@ -197,6 +197,7 @@ def test_one_group_says_nothing_of_rows_without_a_state():
     thrown = FunctionSimulator(lambda X: X, input_names=("a",), output_names=("b",))
     X = np.linspace(0, 1, 12)[:, None]
     assert check_log(thrown, X, X, np.zeros(12)).n_episodes == 12
+    assert not check_log(thrown, X, X, np.repeat(range(4), 3)).consecutive
     with pytest.raises(ValueError, match="3 groups"):
         check_log(thrown, X, X, np.repeat(range(3), 4))
     assert check_log(thrown, X, X, np.repeat(range(3), 4), fewest_rows=1).n_episodes == 3

@@ -389,6 +389,21 @@ def test_a_force_adds_ahead_the_product_of_what_its_two_estimates_move():
     assert _ahead(space, seen, np.ones((70, 1)), forces * [1, -1], 10) == 0.0
 
 
+def test_a_force_that_sensors_hide_is_as_large_as_its_law_says_lasting_part_and_white_one():
+    space, fitted = resting([60], error=1e4)
+    white, fresh, share = 0.04, 0.09, np.array([0.8])
+    carrier = space.carrier[0, 0]
+    steady = fresh / (1 - share**2)
+    chains = fitted.linear.chains.with_memory(share, steady / carrier**2)
+    noise = normal_noise(chains, np.array([white, fresh]) / carrier**2, np.array([1e8, 1.0]))
+    estimate = passed(chains, noise, space.real, covariances=True)
+    lasting = replace(fitted, chains=chains, estimate=estimate, shares=share)
+    (part,) = find_remainder(space, lasting, random_state=np.random.RandomState(0)).parts
+    assert part.rms == pytest.approx(np.sqrt(white + steady[0]), rel=1e-3)
+    assert part.past == pytest.approx(share[0] ** 2 * steady[0] / (white + steady[0]))
+    assert part.word == "none"
+
+
 def test_an_acceleration_adds_ahead_what_it_moves_of_place_and_speed():
     """In h rows a speed gains h f dt, and a place h (h - 1) / 2 f dt^2, as the speed before a row moves it."""
     space = rolled([30, 40])
