@@ -290,9 +290,9 @@ def windows(space: StateSpace, horizon: int, *, n_lags: int = 0) -> tuple[Places
     starts = np.concatenate(
         [np.arange(begin + n_lags, begin + n, horizon) for begin, n in zip(first, length)]
     )
-    starts = np.unique(starts + np.maximum(late - step[starts], 0))
     last = np.repeat(first + length, length)
-    starts = starts[starts < len(last)]
+    settled = starts + np.maximum(late - step[starts], 0)
+    starts = np.unique(settled[settled < last[starts]])
     return starts[starts + horizon <= last[starts]], horizon
 
 

@@ -1,0 +1,448 @@
+"""What a search for causes counts in, and what it makes of its sets: coordinates, steps, blocks, aliases, draws."""
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from skat.diagnosis.causes import (
+    Rival,
+    Seen,
+    _aliases,
+    _cosines,
+    _deviations,
+    _ends_of_chords,
+    _families,
+    _live,
+    _readable,
+    _shares,
+    _typical_biases,
+    _with_refitted,
+    is_held,
+)
+from skat.diagnosis.evidence import Gram, Priors, Weighed, weigh
+from skat.diagnosis.fits import Fit
+from skat.diagnosis.fitting import (
+    Columns,
+    _blocks,
+    _force_guess,
+    _steps,
+    _with_memory,
+    _without_memory,
+    _worth_of_memories,
+    coordinate,
+    gram_of,
+    on_logarithm,
+    priors_of,
+    settled,
+    slopes_of,
+    value_at,
+)
+from skat.diagnosis.noise import Noise
+from skat.diagnosis.posterior import Posterior
+from skat.diagnosis.search import Ranked
+from skat.diagnosis.statespace import state_space
+from skat.effects import Effect
+from skat.simulators import FunctionSimulator
+
+GAIN = Effect("gain", unit="1", neutral=1.0, bounds=(0.25, 4.0), typical=0.2)
+TURN = Effect("turn", unit="1", neutral=1.0, bounds=(-2.0, 2.0), typical=0.2)
+DRAG = Effect("drag", unit="1/s", neutral=0.0, bounds=(0.0, 2.0), typical=0.1)
+SHIFT = Effect("shift", unit="m", neutral=0.0, bounds=(-3.0, 1.0), typical=0.1)
+
+
+# -- coordinates -----------------------------------------------------------------------------------------------------
+
+
+def test_factors_that_are_positive_count_on_the_logarithm_and_all_within_bounds():
+    assert [on_logarithm(one) for one in (GAIN, TURN, DRAG, SHIFT)] == [True, False, False, False]
+    for effect in (GAIN, TURN, DRAG, SHIFT):
+        assert coordinate(effect, effect.neutral) == 0.0
+        for value in np.linspace(*effect.bounds, 7):
+            assert value_at(effect, coordinate(effect, value)) == pytest.approx(value, abs=1e-12)
+        assert value_at(effect, -1e3) == effect.bounds[0]
+        assert value_at(effect, 100.0) == effect.bounds[1]
+    # Half and twice are as far from neutral.
+    assert coordinate(GAIN, 0.5) == -coordinate(GAIN, 2.0)
+
+
+def test_chances_of_effects_and_of_none_sum_to_one_and_bounds_are_those_of_the_coordinates():
+    effects = [GAIN, DRAG, Effect("rare", unit="1", neutral=0.0, bounds=(-1.0, 1.0), odds=0.1)]
+    priors = priors_of(effects, {"drag": 0.7})
+    chances = 1 / (1 + np.exp(-priors.log_odds))
+    assert chances.sum() + 1 / (1 + 2.1) == pytest.approx(1.0)
+    assert chances[0] / chances[2] == pytest.approx(10)
+    assert priors.scales[:2].tolist() == [0.2, 0.7]
+    np.testing.assert_allclose(priors.low, [-np.log(4), 0.0, -1.0])
+    np.testing.assert_allclose(priors.high, [np.log(4), 2.0, 1.0])
+    plain = priors_of(effects, logarithmic=False)
+    np.testing.assert_allclose([plain.low[0], plain.high[0]], [-0.75, 3.0])
+
+
+def test_slopes_are_taken_to_both_sides_of_a_cause_and_to_one_of_neutral():
+    effects, widths = [GAIN, DRAG, SHIFT, TURN], np.full(4, 0.1)
+    steps = _steps({"drag": 0.5, "shift": 1.0}, effects, widths)
+    assert steps["gain"] == pytest.approx((1.0, np.exp(0.1)))
+    assert steps["drag"] == pytest.approx((0.4, 0.6))
+    assert steps["shift"] == pytest.approx((0.9, 1.0))  # at its bound
+    assert steps["turn"] == pytest.approx((1.0, 1.1))
+    below = Effect("below", unit="1", neutral=0.0, bounds=(-1.0, 0.0))
+    assert _steps({}, [below], np.array([0.1]))["below"] == pytest.approx((-0.1, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("effect", "value", "held"),
+    [
+        (GAIN, 4.0, True),
+        (GAIN, 0.25, True),
+        (GAIN, 3.99, False),
+        (GAIN, 1.0, False),
+        (DRAG, 0.0, False),  # neutral is no bound that holds
+        (DRAG, 2.0, True),
+        (SHIFT, -3.0, True),
+        (SHIFT, -2.99, False),
+    ],
+)
+def test_an_estimate_is_held_at_a_bound_that_is_not_neutral(effect, value, held):
+    assert is_held(effect, value) == held
+
+
+def test_chords_end_at_a_typical_size_or_all_over_the_range_of_what_has_no_slope():
+    still = FunctionSimulator(lambda X: X, input_names=("a",), output_names=("b",))
+    assert _ends_of_chords(still, SHIFT, 0.1, False).tolist() == pytest.approx([-0.1, 0.1])
+    assert _ends_of_chords(still, DRAG, 0.1, False).tolist() == pytest.approx([0.1])
+    assert _ends_of_chords(still, GAIN, 0.2, False).tolist() == pytest.approx([np.exp(-0.2), np.exp(0.2)])
+    dead = _ends_of_chords(still, SHIFT, 0.1, True)
+    assert (dead.min(), dead.max()) == (-3.0, 1.0)
+    np.testing.assert_allclose(np.diff(dead[dead < 0]), 0.3)
+    np.testing.assert_allclose(np.diff(dead[dead > 0]), 0.1)
+    assert 0.0 not in dead
+    timed = SimpleNamespace(dt=0.02, frame_skip=4)
+    delay = Effect("delay[action]", unit="s", neutral=0.0, bounds=(0.0, 0.03))
+    assert _ends_of_chords(timed, delay, 0.01, False).tolist() == pytest.approx(0.005 * np.arange(1, 7))
+
+
+# -- fits ------------------------------------------------------------------------------------------------------------
+
+
+def pushed(gain=1.0, error=0.1, n=40, seed=0, times=1.0):
+    """Return the log of a place that a command moves `gain` times as far."""
+
+    def step(X, gain=1.0, shift=0.0):
+        return X[:, :1] + gain * X[:, 1:] + shift
+
+    simulator = FunctionSimulator(
+        step, input_names=("x", "u"), output_names=("x",), state_names=("x",), effects=(GAIN, SHIFT), dt=1.0
+    )
+    rng, X, y = np.random.default_rng(seed), [], []
+    for _ in range(3):
+        u = rng.normal(size=(n, 1))
+        path = np.r_[np.zeros((1, 1)), np.cumsum(gain * u, axis=0)] + error * rng.normal(size=(n + 1, 1))
+        X.append(np.c_[path[:-1], u])
+        y.append(path[1:])
+    groups = np.repeat(np.arange(3), n)
+    return state_space(simulator, np.concatenate(X), np.concatenate(y), groups, consecutive=True)
+
+
+def test_slopes_count_by_the_coordinate_of_the_search():
+    space = pushed()
+    fitted = settled(space, {}, None, np.zeros(1), turns=2)
+    effects = (GAIN, SHIFT)
+    slopes = slopes_of(space, fitted, effects, priors_of(effects))
+    chord = (np.exp(0.01) - 1) / 0.01
+    np.testing.assert_allclose(slopes[:, 0, 0], chord * space.X[:, 1], rtol=1e-6)
+    np.testing.assert_allclose(slopes[:, 0, 1], 1.0, rtol=1e-6)
+    wide = slopes_of(space, fitted, effects, priors_of(effects), np.array([0.5, 0.0]))
+    np.testing.assert_allclose(wide[:, 0, 0], (np.exp(0.5) - 1) / 0.5 * space.X[:, 1], rtol=1e-6)
+    columns = gram_of(space, fitted, slopes, effects)
+    assert columns.gram.origin.tolist() == [0.0, 0.0]
+    np.testing.assert_allclose(columns.gram.products, columns.columns.T @ columns.columns, rtol=1e-9)
+    # Of a right model a step by the score over its information is one of about its error.
+    step = columns.gram.projections / np.sqrt(np.diag(columns.gram.products))
+    assert np.abs(step).max() < 4
+
+
+def test_a_fit_at_given_noise_keeps_it_and_one_without_a_turn_is_none():
+    space = pushed()
+    given = settled(space, {}, None, np.zeros(1), given=np.array([0.3]), turns=2)
+    assert given.estimate.noise.error[0] == pytest.approx(0.09)
+    free = settled(space, {}, None, np.zeros(1))
+    assert free.estimate.noise.error[0] == pytest.approx(0.01, rel=0.35)
+    with pytest.raises(ValueError, match="turns must be at least 1"):
+        settled(space, {}, None, np.zeros(1), turns=0)
+
+
+def test_the_right_value_is_likelier_than_others():
+    space = pushed(gain=1.3)
+    bounds = [settled(space, {"gain": value}, None, np.zeros(1)).bound for value in (1.0, 1.3, 1.6)]
+    assert bounds[1] > max(bounds[0], bounds[2]) + 10
+
+
+def test_forces_are_first_guessed_as_large_as_what_one_step_leaves():
+    """Of two channels the one that shows less of the force bounds it."""
+    carrier = np.tile(np.array([[2.0], [0.5]]), (1, 6, 1, 1))
+    linear = SimpleNamespace(chains=SimpleNamespace(carrier=carrier))
+    assert _force_guess(linear, np.array([4.0, 0.01])).tolist() == pytest.approx([min(1.0, 0.04)])
+    nothing = SimpleNamespace(chains=SimpleNamespace(carrier=np.zeros((1, 6, 2, 0))))
+    assert len(_force_guess(nothing, np.ones(2))) == 0
+
+
+def test_a_noise_with_memory_is_as_large_as_without_and_comes_back_as_it_was():
+    noise = Noise(
+        np.array([4.0]), np.array([1.0, 2.0]), np.array([5.0]), np.array([np.inf, 3.0]), np.full((2, 3, 1), 0.5),
+        np.full((2, 4, 2), 0.7),
+    )  # fmt: skip
+    share = np.array([0.8])
+    both = _with_memory(noise, share)
+    # In steady state the lasting force has the variance of the white one.
+    assert both.force[1] / (1 - share[0] ** 2) == pytest.approx(4.0)
+    assert both.error.tolist() == [1.0, 2.0, 1.0]
+    assert (both.force_weights.shape, both.error_weights.shape) == ((2, 3, 2), (2, 4, 3))
+    assert np.isinf(both.force_nu[1])
+    back = _without_memory(both, 2, 1)
+    for name in ("force", "error", "force_nu", "error_nu", "force_weights", "error_weights"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(noise, name))
+    assert _without_memory(noise, 2, 1) is noise
+
+
+@pytest.mark.parametrize("share", [0.0, 0.9])
+def test_innovations_that_go_with_those_before_ask_for_a_memory(share):
+    rng, n = np.random.default_rng(0), 300
+    white = rng.normal(size=(4, n, 1))
+    z = np.zeros_like(white)
+    for step in range(n):
+        z[:, step] = share * z[:, step - 1] + np.sqrt(1 - share**2) * white[:, step]
+    chains = SimpleNamespace(mask=np.ones_like(z, dtype=bool))
+    worth = _worth_of_memories(chains, SimpleNamespace(filtered=SimpleNamespace(whitened=z)))
+    assert (max(worth) > 20) == bool(share)
+    assert len(worth) == 5
+    # Against each other is no memory.
+    against = z * (-1) ** np.arange(n)[:, None] if share else -z
+    turned = _worth_of_memories(chains, SimpleNamespace(filtered=SimpleNamespace(whitened=against)))
+    assert turned[0] < 20
+    short = SimpleNamespace(filtered=SimpleNamespace(whitened=z[:, :12]))
+    assert len(_worth_of_memories(SimpleNamespace(mask=np.ones((4, 12, 1), bool)), short)) == 3
+
+
+def columns_of(N, z, origin, blocks=None):
+    blocks = np.zeros(len(z), dtype=int) if blocks is None else blocks
+    return Columns(Gram(N.T @ N, N.T @ z, origin), z, N, blocks)
+
+
+def test_what_all_effects_move_together_is_a_ridge_towards_neutral():
+    rng = np.random.default_rng(0)
+    N, z, origin = rng.normal(size=(30, 4)), rng.normal(size=30), np.array([0.3, 0.0, -1.0, 0.5])
+    scales = np.array([0.1, 0.2, 0.5, 1.0])
+    rows = np.r_[N, np.diag(1 / scales)]
+    expected = np.linalg.lstsq(rows, np.r_[z, -origin / scales], rcond=None)[0]
+    np.testing.assert_allclose(columns_of(N, z, origin).dense(scales), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("each", [1, 8])
+def test_scores_scatter_between_blocks_by_what_the_blocks_have_in_common(each):
+    n_blocks = 12
+    shifts = np.random.default_rng(0).normal(size=n_blocks)
+    order = np.random.default_rng(1).permutation(n_blocks * each)
+    blocks = np.repeat(np.arange(n_blocks), each)[order]
+    columns = columns_of(np.ones((n_blocks * each, 1)), np.zeros(n_blocks * each), np.zeros(1), blocks)
+    excess = columns.excess(shifts[blocks])
+    assert excess[0] == pytest.approx(max(each * shifts.var(ddof=1) - 1, 0.0))
+    # What is the same in all blocks is the effect's own value, and no scatter.
+    np.testing.assert_allclose(columns.excess(shifts[blocks] + 5.0), excess)
+    assert columns.excess(np.zeros(len(blocks))).tolist() == [0.0]
+    few = columns_of(np.ones((18, 1)), np.zeros(18), np.zeros(1), np.repeat(np.arange(9), 2))
+    assert few.excess(100.0 * np.arange(18)).tolist() == [0.0]
+    enough = columns_of(np.ones((20, 1)), np.zeros(20), np.zeros(1), np.repeat(np.arange(10), 2))
+    assert enough.excess(100.0 * np.arange(20))[0] > 0
+
+
+@pytest.mark.parametrize("n", [30, 120, 1000])
+def test_rows_that_are_independent_fall_in_about_sixty_blocks(n):
+    blocks = _blocks(SimpleNamespace(real=np.ones((n, 1), dtype=bool)))
+    assert blocks.shape == (n, 2)
+    np.testing.assert_array_equal(blocks[:, 0], blocks[:, 1])
+    assert (np.diff(blocks[:, 0]) >= 0).all()
+    assert len(np.unique(blocks)) == pytest.approx(min(n, 60), rel=0.1)
+
+
+# -- sets ------------------------------------------------------------------------------------------------------------
+
+
+def gram_with(cosine):
+    """Return the Gram matrices of three effects, of which the first two act alike."""
+    products = 400 * np.array([[1.0, cosine, 0.0], [cosine, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    return Gram(products, products @ np.array([0.4, 0.0, 0.3]), np.zeros(3))
+
+
+PRIORS = Priors(tuple("abc"), np.full(3, 0.3), np.full(3, -2.0), np.full(3, -5.0), np.full(3, 5.0))
+
+
+def a_set(members, evidence):
+    k = len(members)
+    return Weighed(tuple(members), np.zeros(k), evidence, evidence, np.eye(k))
+
+
+def test_cosines_are_those_of_the_angles_between_responses():
+    N = np.random.default_rng(0).normal(size=(30, 3)) * [1.0, -5.0, 100.0]
+    expected = np.abs(np.corrcoef(np.r_[N, -N].T)[1])
+    np.testing.assert_allclose(_cosines(Gram(N.T @ N, np.zeros(3), np.zeros(3)), 1), expected, rtol=1e-9)
+
+
+def test_deviations_are_those_of_the_curvature():
+    gram = gram_with(0.9)
+    curvature = weigh(gram, PRIORS, (0, 1)).curvature
+    expected = np.sqrt(np.linalg.solve(curvature, np.eye(2)).diagonal())
+    np.testing.assert_allclose(_deviations(gram, PRIORS, (0, 1)), expected, rtol=1e-9)
+    assert len(_deviations(gram, PRIORS, ())) == 0
+
+
+def test_what_stands_in_a_cause_s_place_in_likely_sets_is_its_alias():
+    gram = gram_with(0.9)
+    best = a_set((0, 2), 50.0)
+    sets = best, a_set((1, 2), 49.0), a_set((2,), 48.5), a_set((0, 1, 2), 48.0), a_set((1,), 40.0)
+    ranked = Ranked(sets)
+    aliases = _aliases(ranked, gram, PRIORS, best)
+    weights = np.exp(np.array([one.evidence for one in sets]) - 50)
+    assert aliases["c"] == ()
+    ((name, share),) = aliases["a"]
+    assert name == "b"
+    assert share == pytest.approx(weights[1] / weights.sum())
+
+
+def test_rivals_share_a_cause_s_place_with_it_by_their_odds():
+    rivals = [Rival(0, 1, 9.0), Rival(0, 2, 8.0), Rival(3, 1, 30.0), Rival(3, 2, 10.0 - np.log(20) - 0.01)]
+    shares = _shares(rivals, 10.0)
+    total = 1 + np.exp(-1) + np.exp(-2)
+    assert dict(shares[0]) == pytest.approx({1: np.exp(-1) / total, 2: np.exp(-2) / total})
+    # One that does better has no more than half; one in twenty is told.
+    assert dict(shares[3]) == pytest.approx({1: 0.5})
+    assert _shares([Rival(0, 1, 10.0 - np.log(20) + 0.01)], 10.0)[0][0][1] == pytest.approx(1 / 21, rel=0.02)
+
+
+def test_aliases_by_fits_of_their_own_stand_before_those_of_slopes():
+    both = _with_refitted({"a": (("b", 0.2), ("c", 0.1)), "d": (("e", 0.3),)}, {"a": (("c", 0.4),)})
+    assert both == {"a": (("c", 0.4), ("b", 0.2)), "d": (("e", 0.3),)}
+
+
+def test_fits_of_a_set_are_those_that_were_added_last():
+    seen = Seen.of([Fit((0,), {}, None, evidence, np.zeros(1)) for evidence in (1.0, 4.0)])
+    assert (seen.least((0,)), seen.most([0]), seen.spread) == (1.0, 4.0, 3.0)
+
+    def beside(evidence):
+        return seen.beside(Fit((0, 1), {}, None, evidence, np.zeros(2)))
+
+    # More names must be worth 5 above the most, 4, by more than fits differ by, 3, and a tolerance of a tenth.
+    assert not beside(12.05).better((0, 1), (0,), 5.0)
+    assert beside(12.15).better((0, 1), (0,), 5.0)
+    # Fewer are preferred up to 4 + 5 + 3.
+    assert beside(11.95).better((0,), (0, 1), 5.0)
+    assert not beside(12.05).better((0,), (0, 1), 5.0)
+
+
+def test_effects_that_may_still_be_causes_are_those_of_likely_sets():
+    ranked = Ranked((a_set((4,), 100.0), a_set((1, 5), 90.0), a_set((7,), -1e6)))
+    assert _live(ranked, (2,)) == [2, 4, 1, 5]
+    many = Ranked(tuple(a_set((2 * k, 2 * k + 1), 100.0 - k) for k in range(40)))
+    live = _live(many, ())
+    assert len(live) == 24
+    assert live == list(range(24))
+
+
+def bias(target, unit):
+    return Effect(f"bias[{target}]", unit=unit, neutral=0.0, bounds=(-1.0, 1.0))
+
+
+def test_sensors_that_were_not_read_have_no_effects_and_biases_of_odd_units_are_shares_of_a_spread():
+    names = ("x", "y", "z")
+    mask = np.ones((2, 3, 3), dtype=bool)
+    mask[..., 1] = False
+    mask[0, :, 2] = False
+    space = SimpleNamespace(
+        mask=mask, spread=np.array([2.0, 3.0, 4.0]), simulator=SimpleNamespace(residual_names=names)
+    )
+    effects = [bias("x", "V"), bias("y", "V"), bias("z", "m"), DRAG]
+    assert [one.name for one in _readable(space, effects)] == ["bias[x]", "bias[z]", "drag"]
+    biases = _typical_biases(space, [*effects, bias("elsewhere", "V")])
+    assert set(biases) == {"bias[x]", "bias[y]"}
+    assert biases["bias[y]"] / biases["bias[x]"] == pytest.approx(1.5)
+
+
+def test_families_are_of_targets_and_not_of_what_stands_for_all():
+    effects = [
+        Effect(name, unit="1", neutral=0.0, bounds=(-1.0, 1.0))
+        for name in ("damping[all]", "damping[a]", "drag", "damping[b]", "mass[a]")
+    ]
+    assert _families(effects) == {"damping": [1, 3], "mass": [4]}
+
+
+# -- the posterior ---------------------------------------------------------------------------------------------------
+
+
+def found(probabilities=None, aliases=None):
+    gram = gram_with(0.9)
+    effects = tuple(Effect(name, unit="1", neutral=0.0, bounds=(-5.0, 5.0)) for name in "abc")
+    sets = tuple(
+        sorted((weigh(gram, PRIORS, m) for m in ((0, 2), (1, 2), (0, 1, 2))), key=lambda one: -one.evidence)
+    )
+    ranked = Ranked(sets)
+    best = sets[0]
+    known = {name: ranked.probability(place) for place, name in enumerate("abc")} | (probabilities or {})
+    return SimpleNamespace(
+        ranked=ranked,
+        gram=gram,
+        priors=PRIORS,
+        effects=effects,
+        best=best,
+        values={"abc"[one]: 0.0 for one in best.members},
+        probabilities=known,
+        aliases=aliases or {},
+    )
+
+
+def test_the_posterior_of_a_search_has_its_sets_by_their_probabilities():
+    search = found()
+    posterior = Posterior.of(search)
+    assert sum(one.probability for one in posterior.sets) == pytest.approx(1.0)
+    assert np.all(np.diff([one.probability for one in posterior.sets]) <= 0)
+    assert posterior.sets[0].names == ("a", "c")
+    for one, weighed in zip(posterior.sets, search.ranked.sets):
+        np.testing.assert_allclose(one.covariance @ weighed.curvature, np.eye(len(one.names)), atol=1e-9)
+        np.testing.assert_allclose(one.mean, weighed.values)
+        assert list(one.values.values()) == pytest.approx(one.mean)
+    assert all(one.probability >= 1e-3 for one in posterior.sets)
+
+
+def test_what_fits_leave_of_a_cause_is_left_of_all_sets_with_it():
+    search = found({"a": 0.6}, {"a": (("b", 0.4),)})
+    sets = {one.names: one.probability for one in Posterior.of(search).sets}
+    with_a = sum(share for names, share in sets.items() if "a" in names)
+    assert with_a == pytest.approx(0.6, abs=0.01)
+    assert sets["b", "c"] == pytest.approx(0.4, abs=0.01)
+
+
+def test_draws_are_of_sets_by_their_probability_with_values_of_their_law(tmp_path):
+    search = found({"a": 0.6}, {"a": (("b", 0.4),)})
+    posterior = Posterior.of(search)
+    draws = posterior.sample(1500, 0)
+    for one in posterior.sets:
+        own = np.array([list(draw.values()) for draw in draws if tuple(draw) == one.names])
+        assert len(own) / 1500 == pytest.approx(one.probability, abs=0.04)
+        if len(own) > 500:
+            np.testing.assert_allclose(
+                own.mean(axis=0), one.mean, atol=5 * np.sqrt(one.covariance.max() / len(own))
+            )
+            np.testing.assert_allclose(
+                np.cov(own.T), one.covariance, rtol=0.25, atol=0.1 * one.covariance.max()
+            )
+    assert posterior.sample(3, 1) == posterior.sample(3, 1)
+    nothing = Posterior(
+        (SimpleNamespace(names=(), probability=1.0, mean=np.zeros(0), covariance=np.eye(0)),), ()
+    )
+    assert nothing.sample(2) == [{}, {}]
+    path = posterior.to_randomization(tmp_path / "draws.json", n=5, random_state=3)
+    content = json.loads(path.read_text())
+    assert content["draws"] == posterior.sample(5, 3)
+    assert len(json.loads(posterior.to_randomization(path, force=True).read_text())["draws"]) == 100
+    with pytest.raises(FileExistsError):
+        posterior.to_randomization(path)

@@ -1,0 +1,367 @@
+"""A log in chains, its slopes and means over what is not known, and its noise, against closed forms."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy import optimize, stats
+
+from skat.diagnosis import statespace
+from skat.diagnosis.filtering import Chains, student_log_density
+from skat.diagnosis.noise import _best_scales, _scales, estimate_noise, normal_noise
+from skat.diagnosis.statespace import (
+    _carrier,
+    derivatives,
+    guessed,
+    in_chains,
+    linearise,
+    remembers,
+    state_space,
+    tangent_mask,
+)
+from skat.effects import Effect
+from skat.simulators import FunctionSimulator, MujocoSimulator
+
+DT = 0.1
+EFFECTS = (
+    Effect("gain", unit="1", neutral=1.0, bounds=(0.1, 5.0), typical=0.2),
+    Effect("bend", unit="1", neutral=0.0, bounds=(-2.0, 2.0), typical=0.2),
+)
+
+
+def of_states(step, n=2, effects=(), dt=DT, names=None):
+    names = names or tuple("pqrs"[:n])
+    return FunctionSimulator(
+        step, input_names=(*names, "u"), output_names=names, state_names=names, effects=effects, dt=dt
+    )
+
+
+def drifting(X, gain=1.0, bend=0.0):
+    return np.c_[X[:, 0] + 0.1 * X[:, 1], 0.9 * X[:, 1] + gain * X[:, 2] + bend**3 + bend]
+
+
+def logged(lengths, seed=0, simulator=None):
+    rng, X, y = np.random.default_rng(seed), [], []
+    for length in lengths:
+        path, u = rng.normal(size=(length + 1, 2)), rng.normal(size=(length, 1))
+        X.append(np.c_[path[:-1], u])
+        y.append(path[1:])
+    return np.concatenate(X), np.concatenate(y), np.repeat(np.arange(len(lengths)), lengths)
+
+
+# -- chains ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("chain_length", [4, 5, 64])
+def test_chains_are_pieces_of_episodes_about_as_long_as_each_other(chain_length):
+    lengths = [10, 1, 4, 13, 5]
+    X, y, groups = logged(lengths)
+    (chain, step), states = in_chains(
+        of_states(drifting), X, y, groups, consecutive=True, chain_length=chain_length
+    )
+    sizes = np.bincount(chain)
+    assert sizes.max() <= chain_length
+    assert len(sizes) == sum(-(-length // chain_length) for length in lengths)
+    np.testing.assert_array_equal(states[chain, step], X[:, :2])
+    np.testing.assert_array_equal(states[chain, step + 1], y)
+    assert np.isfinite(states).all(axis=2).sum() == len(X) + len(sizes)
+    for episode in range(len(lengths)):
+        own = chain[groups == episode]
+        assert (np.diff(own) >= 0).all()
+        assert len(set(np.bincount(own - own[0])[:-1])) <= 1
+    np.testing.assert_array_equal(step == 0, np.r_[True, np.diff(chain) > 0])
+
+
+def test_a_state_at_which_an_episode_was_cut_counts_once():
+    lengths = [10, 4, 13]
+    X, y, groups = logged(lengths)
+    for chain_length in (4, 64):
+        space = state_space(of_states(drifting), X, y, groups, consecutive=True, chain_length=chain_length)
+        assert space.mask.sum() == 2 * (sum(lengths) + len(lengths))
+        assert space.real.sum() == sum(lengths)
+        np.testing.assert_array_equal(space.padded(X)[space.places], X)
+        assert (space.padded(np.ones(len(X)))[~space.real] == 0).all()
+    apart = state_space(of_states(drifting), X, y, np.arange(27), consecutive=False)
+    assert apart.real.shape == (27, 1)
+    assert apart.mask.all()
+
+
+def test_a_channel_that_rests_is_known_to_a_millionth_of_the_widest_at_worst():
+    X, y, groups = logged([30])
+    X[:, 1], y[:, 1] = 2.0, 2.0
+    space = state_space(of_states(drifting), X, y, groups, consecutive=True)
+    states = np.r_[X[:1, 0], y[:, 0]]
+    assert space.spread[0] == pytest.approx(3 * states.std())
+    assert space.spread[1] == pytest.approx(1e-6 * space.spread[0])
+
+
+def test_a_part_of_a_log_holds_its_chains_and_their_rows():
+    space = state_space(of_states(drifting), *logged([10, 4, 13]), consecutive=True, chain_length=5)
+    chosen = np.arange(len(space.real)) % 2 == 1
+    part = space.part(chosen)
+    inside = chosen[space.places[0]]
+    np.testing.assert_array_equal(part.X, space.X[inside])
+    np.testing.assert_array_equal(part.path_ends(part.measured), space.path_ends(space.measured)[inside])
+    np.testing.assert_array_equal(part.rows(part.measured), space.rows(space.measured)[inside])
+    assert part.real.sum() == inside.sum()
+
+
+def test_what_was_not_measured_is_guessed_in_time_from_positions_or_from_the_rest_of_the_log():
+    names = ("qpos.a", "qvel.a", "other", "none")
+    simulator = of_states(lambda X: X[:, :4], names=names)
+    states = np.full((2, 5, 4), np.nan)
+    states[:, :, 0] = [[0.0, 1.0, np.nan, 3.0, 4.0], [np.nan, 2.0, 2.0, 2.0, np.nan]]
+    states[0, :, 2] = [1.0, 3.0, 1.0, 3.0, 2.0]
+    filled = guessed(simulator, states)
+    np.testing.assert_allclose(filled[..., 0], [[0, 1, 2, 3, 4], [2, 2, 2, 2, 2]])
+    np.testing.assert_allclose(filled[..., 1], [[1 / DT] * 5, [0] * 5], atol=1e-12)
+    np.testing.assert_allclose(filled[1, :, 2], 2.0)
+    np.testing.assert_array_equal(filled[..., 3], 0.0)
+    timeless = guessed(of_states(lambda X: X[:, :4], names=names, dt=None), states)
+    np.testing.assert_array_equal(timeless[..., 1], 0.0)
+
+
+BALL = MujocoSimulator(
+    "<mujoco><worldbody><body><freejoint name='b'/><geom size='.1'/></body></worldbody></mujoco>"
+)
+
+
+def test_a_rotation_nobody_measured_is_that_of_the_model_and_one_of_which_a_part_lacks_is_none():
+    states = np.zeros((1, 3, 13))
+    states[..., 3:7] = np.nan
+    np.testing.assert_array_equal(guessed(BALL, states)[..., 3:7], np.broadcast_to([1.0, 0, 0, 0], (1, 3, 4)))
+    seen = np.ones((3, 13), dtype=bool)
+    seen[1, 5] = seen[2, 0] = False
+    mask = tangent_mask(BALL, seen)
+    assert mask.shape == (3, 12)
+    assert np.argwhere(~mask).tolist() == [[1, 3], [1, 4], [1, 5], [2, 0]]
+
+
+@pytest.mark.parametrize("steps", [1, 2, 5])
+def test_an_acceleration_enters_as_semi_implicit_euler_carries_it(steps):
+    names = ("qpos.a", "qpos.b", "qvel.a", "qvel.b")
+    carrier = _carrier(SimpleNamespace(residual_names=names, dt=DT, frame_skip=steps), np.ones(4))
+    place = speed = 0.0
+    for _ in range(steps):
+        speed += DT / steps
+        place += speed * DT / steps
+    np.testing.assert_allclose(carrier, np.r_[place * np.eye(2), speed * np.eye(2)], rtol=1e-12)
+    unpaired = SimpleNamespace(residual_names=names[1:], dt=DT)
+    np.testing.assert_array_equal(_carrier(unpaired, np.array([1.0, 2.0, 3.0])), np.diag([1.0, 2.0, 3.0]))
+    timeless = SimpleNamespace(residual_names=names, dt=None)
+    np.testing.assert_array_equal(_carrier(timeless, np.ones(4)), np.eye(4))
+
+
+def test_a_force_on_a_joint_enters_by_its_mass():
+    text = "<mujoco><option gravity='0 0 0'/><worldbody><body><joint name='rail' type='slide' axis='1 0 0'/>"
+    simulator = MujocoSimulator(f"{text}<geom size='.1' mass='4'/></body></worldbody></mujoco>", frame_skip=5)
+    states = simulator.rollout([[0.0, 1.0]], n_steps=20)[0]
+    space = state_space(simulator, states[:-1], states[1:], np.zeros(20, int), consecutive=True)
+    dt = simulator.dt
+    carrier = linearise(space, space.measured, {}).chains.carrier[space.places]
+    np.testing.assert_allclose(carrier[:, :, 0], np.tile([dt**2 * 6 / 10 / 4, dt / 4], (20, 1)), rtol=1e-6)
+
+
+# -- slopes ----------------------------------------------------------------------------------------------------------
+
+
+def test_of_a_parabola_mean_slope_and_bend_are_those_of_the_normal_law():
+    def step(X):
+        return np.c_[X[:, 0] ** 2 + 3 * X[:, 1], X[:, 1] - 2 * X[:, 0] ** 2]
+
+    X, y, groups = logged([20])
+    space = state_space(of_states(step), X, y, groups, consecutive=True)
+    variance = np.array([0.04, 0.09])
+    covariances = np.broadcast_to(np.diag(variance), (1, 21, 2, 2))
+    linear = linearise(space, space.measured, {}, covariances)
+    ends = step(X)
+    np.testing.assert_allclose(linear.outputs, ends, rtol=1e-9)
+    x = X[:, 0]
+    slopes = np.stack([np.c_[2 * x, np.full(20, 3.0)], np.c_[-4 * x, np.ones(20)]], axis=1)
+    np.testing.assert_allclose(linear.chains.transitions[space.places], slopes, atol=1e-9)
+    mean = ends + np.array([1.0, -2.0]) * variance[0]
+    np.testing.assert_allclose(linear.chains.drive[space.places], mean - y, atol=1e-9)
+    bend = 2 * variance[0] ** 2 * np.outer([1.0, -2.0], [1.0, -2.0])
+    np.testing.assert_allclose(
+        linear.chains.bends[space.places], np.broadcast_to(bend, (20, 2, 2)), atol=1e-9
+    )
+    # At a point there is neither a bend nor a shift of the mean.
+    point = linearise(space, space.measured, {})
+    np.testing.assert_allclose(point.chains.transitions[space.places], slopes, atol=1e-6)
+    np.testing.assert_allclose(point.chains.drive[space.places], ends - y, rtol=1e-9)
+    assert (point.chains.bends == 0).all()
+    again = linearise(space, space.measured, {}, slopes=linear)
+    np.testing.assert_array_equal(again.chains.transitions, linear.chains.transitions)
+    np.testing.assert_array_equal(again.chains.bends, linear.chains.bends)
+    np.testing.assert_allclose(again.chains.drive[space.places], ends - y, rtol=1e-9)
+
+
+def test_a_correlated_law_has_the_slopes_of_a_linear_step():
+    A = np.array([[0.9, 0.2], [-0.3, 0.7]])
+    X, y, groups = logged([8])
+    space = state_space(of_states(lambda X: X[:, :2] @ A.T), X, y, groups, consecutive=True)
+    covariances = np.broadcast_to(0.1 * np.array([[2.0, 0.9], [0.9, 1.0]]), (1, 9, 2, 2))
+    linear = linearise(space, space.measured, {}, covariances)
+    np.testing.assert_allclose(linear.chains.transitions[space.places], np.tile(A, (8, 1, 1)), atol=1e-9)
+    np.testing.assert_allclose(linear.chains.bends, 0, atol=1e-18)
+
+
+@pytest.mark.parametrize("end", [np.nan, 1e6])
+def test_a_row_that_diverges_says_nothing_and_may_end_anywhere(end):
+    def step(X, gain=1.0, bend=0.0):
+        out = drifting(X, gain, bend)
+        out[X[:, 2] > 10] = end if np.isnan(end) else end * X[X[:, 2] > 10][:, :2]
+        return out
+
+    X, y, groups = logged([12])
+    X[[3, 7], 2] = 11.0
+    space = state_space(of_states(step, effects=EFFECTS), X, y, groups, consecutive=True)
+    linear = linearise(space, space.measured, {}, np.broadcast_to(0.1 * np.eye(2), (1, 13, 2, 2)))
+    assert np.flatnonzero(~linear.valid).tolist() == [3, 7]
+    rows = tuple(one[[3, 7]] for one in space.places)
+    assert (linear.chains.transitions[rows] == 0).all()
+    assert (linear.chains.drive[rows] == 0).all()
+    np.testing.assert_array_equal(linear.chains.bends[rows], np.tile(np.diag(space.spread**2), (2, 1, 1)))
+    slopes = derivatives(space, linear, {}, {"gain": (1.0, 1.1)})
+    assert (slopes[[3, 7]] == 0).all()
+    np.testing.assert_allclose(np.delete(slopes, [3, 7], axis=0)[:, 1, 0], np.delete(X[:, 2], [3, 7]))
+
+
+@pytest.mark.parametrize("at_once", [1.0, 2e7])
+def test_slopes_by_effects_are_chords_between_the_values_given(monkeypatch, at_once):
+    monkeypatch.setattr(statespace, "VALUES_AT_ONCE", at_once)
+    X, y, groups = logged([12])
+    space = state_space(of_states(drifting, effects=EFFECTS), X, y, groups, consecutive=True)
+    values = {"bend": 0.5}
+    linear = linearise(space, space.measured, values)
+    steps = {"gain": (0.9, 1.0), "bend": (0.3, 0.7)}
+    slopes = derivatives(space, linear, values, steps)
+    np.testing.assert_allclose(slopes[:, 0], 0, atol=1e-12)
+    np.testing.assert_allclose(slopes[:, 1, 0], X[:, 2], rtol=1e-9)
+    np.testing.assert_allclose(slopes[:, 1, 1], 1 + (0.7**3 - 0.3**3) / 0.4, rtol=1e-9)
+    from_here = derivatives(space, linear, values, {"bend": (0.5, 0.9)})
+    np.testing.assert_allclose(from_here[:, 1, 0], 1 + (0.9**3 - 0.5**3) / 0.4, rtol=1e-9)
+
+
+def test_a_simulation_remembers_where_commands_come_late_and_else_not():
+    simulator = MujocoSimulator(
+        "<mujoco><worldbody><body><joint name='a'/><geom size='.1' pos='.1 0 0'/></body></worldbody>"
+        "<actuator><motor joint='a'/></actuator></mujoco>",
+        frame_skip=5,
+    )
+    assert not remembers(simulator, {})
+    assert remembers(simulator, {"delay[action]": 2 * simulator.dt})
+
+
+# -- noise -----------------------------------------------------------------------------------------------------------
+
+
+def walk(increments, *, prior=1.0):
+    """Return the chains of a random walk that is read in each step."""
+    n, steps = increments.shape
+    path = np.concatenate([np.zeros((n, 1)), np.cumsum(increments, axis=1)], axis=1)
+    return Chains(
+        np.ones((n, steps, 1, 1)),
+        np.zeros((n, steps, 1)),
+        np.zeros((n, steps, 1, 1)),
+        np.ones((n, steps, 1, 1)),
+        path[..., None],
+        np.ones((n, steps + 1, 1), dtype=bool),
+        np.array([prior]),
+    )
+
+
+def readings(values):
+    """Return the chains of what is read about zero, each for itself."""
+    n, steps = values.shape[0], values.shape[1] - 1
+    return Chains(
+        np.zeros((n, steps, 1, 1)),
+        np.zeros((n, steps, 1)),
+        np.zeros((n, steps, 1, 1)),
+        np.zeros((n, steps, 1, 0)),
+        values[..., None],
+        np.ones((n, steps + 1, 1), dtype=bool),
+        np.array([1e-20]),
+    )
+
+
+def test_noise_about_what_is_known_is_its_mean_square_unless_given_or_below_the_floor():
+    values = 0.3 * np.random.default_rng(0).normal(size=(4, 50))
+    chains, real = readings(values), np.ones((4, 49), bool)
+    start = normal_noise(chains, np.zeros(0), np.array([1.0]))
+    options = {"floor": np.zeros(1), "heavy": False, "tolerance": 1e-9}
+    found = estimate_noise(chains, start, real, **options)
+    assert found.noise.error[0] == pytest.approx(np.mean(values**2), rel=1e-4)
+    assert np.isinf(found.noise.error_nu).all()
+    assert found.bound == pytest.approx(
+        stats.norm(0, np.sqrt(np.mean(values**2))).logpdf(values).sum(), abs=0.01
+    )
+    held = estimate_noise(chains, start, real, **options, held=np.array([True]))
+    assert held.noise.error[0] == 1.0
+    raised = estimate_noise(chains, start, real, **{**options, "floor": np.array([0.5])})
+    assert raised.noise.error[0] == 0.5
+    chains.mask[:, ::2] = False
+    seen = estimate_noise(chains, start, real, **options)
+    assert seen.noise.error[0] == pytest.approx(np.mean(values[:, 1::2] ** 2), rel=1e-4)
+
+
+def test_a_force_that_is_read_exactly_has_the_mean_square_of_its_steps():
+    steps = 0.2 * np.random.default_rng(0).normal(size=(5, 40))
+    chains, real = walk(steps), np.ones((5, 40), bool)
+    start = normal_noise(chains, np.array([1.0]), np.array([1e-10]))
+    found = estimate_noise(
+        chains, start, real, floor=np.zeros(1), heavy=False, held=np.array([True]), tolerance=1e-9
+    )
+    assert found.noise.force[0] == pytest.approx(np.mean(steps**2), rel=1e-3)
+    real[:, 20:] = False
+    first = estimate_noise(
+        chains, start, real, floor=np.zeros(1), heavy=False, held=np.array([True]), tolerance=1e-9
+    )
+    assert first.noise.force[0] == pytest.approx(np.mean(steps[:, :20] ** 2), rel=1e-3)
+
+
+def test_a_noise_that_was_given_has_no_outliers():
+    values = np.random.default_rng(0).standard_t(3, size=(4, 100))
+    chains, real = readings(values), np.ones((4, 99), bool)
+    start = normal_noise(chains, np.zeros(0), np.array([1.0]))
+    free = estimate_noise(chains, start, real, floor=np.zeros(1))
+    assert np.isfinite(free.noise.error_nu[0])
+    held = estimate_noise(chains, start, real, floor=np.zeros(1), held=np.array([True]))
+    assert np.isinf(held.noise.error_nu[0])
+    assert (held.noise.error_weights == 1).all()
+
+
+@pytest.mark.parametrize("nu", [3.0, 5.0, 10.0])
+def test_the_likeliest_scale_is_that_of_student_s_law(nu):
+    values = 2 * np.random.default_rng(0).standard_t(nu, size=(400, 1))
+    seen = np.ones((400, 1), dtype=bool)
+    seen[:100] = False
+    values[:100] = 50.0
+    scale = _best_scales(values**2, seen, np.array([1.0]), nu)[0]
+
+    def loss(log_scale):
+        return -stats.t(nu, scale=np.exp(log_scale / 2)).logpdf(values[100:]).sum()
+
+    best = np.exp(optimize.minimize_scalar(loss, bounds=(-3, 5), method="bounded").x)
+    assert scale == pytest.approx(best, rel=0.02)
+    assert student_log_density(values[100:] ** 2, scale, nu).sum() == pytest.approx(
+        -loss(np.log(best)), abs=0.05
+    )
+
+
+def test_heavy_tails_are_chosen_where_they_are_likelier_and_weigh_what_was_there():
+    rng = np.random.default_rng(0)
+    squares = (
+        np.stack([rng.standard_t(3, size=(5, 200)), rng.normal(size=(5, 200)), np.zeros((5, 200))], -1) ** 2
+    )
+    present = np.ones(squares.shape, dtype=bool)
+    present[..., 2] = False
+    present[0] = False
+    nus, weights = _scales(squares, np.array([1.0, 1.0, 1.0]), present)
+    assert nus[0] <= 5
+    assert np.isinf(nus[1:]).all()
+    assert (weights[..., 1:] == 1).all()
+    assert (weights[0] == 1).all()
+    np.testing.assert_allclose(weights[1:, :, 0], (nus[0] + 1) / (nus[0] + squares[1:, :, 0]))
+    nothing = _scales(squares, np.ones(3), np.zeros_like(present))
+    assert np.isinf(nothing[0]).all()
