@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from skat.diagnosis.changes.candidates import Model
-from skat.diagnosis.changes.force_space import Motion, Rows, joined
+from skat.diagnosis.changes.force_space import Motion, Rows, joined, smooth_squares
 from skat.diagnosis.changes.law import APART, Law, _of_sensors, _unlike, settled_law, variance_apart
-from skat.diagnosis.changes.motions import Half, half_of, rows_about
+from skat.diagnosis.changes.motions import Half, coefficients_of, half_of, lacking_forces, rows_about
 from tests.diagnosis.changes.arm import arm, effect_of
 from tests.diagnosis.test_force_space import log_of
 
@@ -178,3 +178,20 @@ def test_what_sensors_make_of_noise_is_no_misfit(logs):
     first = len(sides[0].target)
     law = replace(law_of(sides, 1.0), noise=(np.sqrt(read[:first]), np.sqrt(read[first:])))
     np.testing.assert_allclose(variance_apart(simulator, halves, sides, law), 0.0, atol=1e-9)
+
+
+def test_the_noise_of_sensors_is_by_how_much_forces_differ_that_were_read_anew(logs):
+    simulator, halves, sides = logs
+    squares = []
+    for half in halves:
+        motion = half.motion
+        motions = [motion, *(replace(motion, states=q, accelerations=a) for q, a in motion.anew[:2])]
+        read, first, second = (
+            coefficients_of(half, lacking_forces(simulator, replace(half, motion=one), [Model({})]))[0][:, 0]
+            for one in motions
+        )
+        squares.append(0.5 * ((first - read) ** 2 + (second - read) ** 2))
+    twice = [replace(half, motion=replace(half.motion, anew=half.motion.anew[:2])) for half in halves]
+    rows = joined(sides)
+    expected = smooth_squares(rows, np.concatenate(squares))
+    np.testing.assert_allclose(_of_sensors(simulator, twice, rows), expected, rtol=1e-6)

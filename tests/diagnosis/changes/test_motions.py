@@ -7,7 +7,6 @@ import pytest
 
 from skat.diagnosis.changes.candidates import WEAKEST, Candidate, Model
 from skat.diagnosis.changes.motions import coefficients_of, columns_of, half_of, lacking_forces, rows_about
-from skat.diagnosis.changes.question import _held_out
 from skat.simulators import MujocoSimulator
 from tests.diagnosis.changes.arm import arm, effect_of
 from tests.diagnosis.test_force_space import ARM, log_of
@@ -163,12 +162,3 @@ def test_speeds_that_were_not_measured_have_no_rows(simulator, half):
     rows = rows_about(simulator, some, Model({}), [], np.zeros(0))
     assert np.unique(rows.joint).tolist() == [0, 1, 2]
     assert np.isfinite(rows.target).all()
-
-
-@pytest.mark.parametrize(
-    ("n", "share", "held"),
-    [(8, 0.25, [2, 4]), (8, 0.0, []), (10, 0.3, [2, 4, 6]), (3, 0.9, [1]), (2, 0.5, []), (1, 0.5, [])],
-)
-def test_windows_that_are_held_out_are_spread_and_leave_two(n, share, held):
-    stretch = np.repeat(np.arange(n), 3)
-    assert np.unique(stretch[_held_out(stretch, share)]).tolist() == held
