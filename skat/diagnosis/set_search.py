@@ -1,9 +1,7 @@
-"""Sets of many causes, searched on a Gram matrix by whole families and by single effects.
+"""Sets of causes, searched on a Gram matrix.
 
-A first model of a real machine lacks a dozen things at once, and one at a time a search ends in absurd places. Here
-whole families, each member with a value of its own, are added and dropped, several after each other; then single
-effects are added, dropped and exchanged. Which are worth weighing is told by the gain of the likelihood that the
-quadratic approximation promises, so that few sets are weighed.
+Effects are added, dropped and exchanged one at a time, as long as that gains. Which are worth weighing is told by the
+gain of the likelihood that the quadratic approximation promises, so that few sets are weighed.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,28 +29,19 @@ class Weigher:
     ----------
     gram : Gram
     priors : Priors
-    always : sequence of int
-        Effects that are in every set.
     rivals : mapping from place to places
         Effects that are in no set with a given one: all of a family, and each of it.
     """
 
-    def __init__(
-        self,
-        gram: Gram,
-        priors: Priors,
-        always: Sequence[int] = (),
-        rivals: Mapping[int, Sequence[int]] | None = None,
-    ):
+    def __init__(self, gram: Gram, priors: Priors, rivals: Mapping[int, Sequence[int]] | None = None):
         self.gram, self.priors = gram, priors
         self.rivals = rivals or {}
-        self.always = tuple(always)
         self._last = np.zeros(len(priors.scales))
         self.seen: dict[tuple[int, ...], Weighed] = {}
 
     def __call__(self, members: Sequence[int]) -> Weighed:
         """Return what a set is worth."""
-        key = tuple(sorted({*members, *self.always}))
+        key = tuple(sorted(set(members)))
         if key not in self.seen:
             self.seen[key] = self._weighed(key)
         return self.seen[key]
@@ -95,10 +84,6 @@ class Weigher:
         evidence += float(np.sum(0.5 * (slope * unit) ** 2 + inside))
         return Weighed(members, values, evidence, likelihood, curvature)
 
-    def chosen(self, one: Weighed) -> tuple[int, ...]:
-        """Return the members that are not in every set."""
-        return tuple(place for place in one.members if place not in self.always)
-
     def promises(self, now: Weighed) -> Array:
         """Return by how much each further effect would raise the log posterior odds, about; -inf of members."""
         S, G = list(now.members), self.gram.products
@@ -112,7 +97,7 @@ class Weigher:
         gain = left * shift - 0.5 * spread * shift**2
         gain += self.priors.log_odds + 0.5 * np.log(2 * np.pi / spread)
         gain -= np.log(np.pi * self.priors.scales) + np.log1p((shift / self.priors.scales) ** 2)
-        gain[[*S, *(other for one in self.chosen(now) for other in self.rivals.get(one, ()))]] = -np.inf
+        gain[[*S, *(other for one in S for other in self.rivals.get(one, ()))]] = -np.inf
         return np.asarray(gain)
 
 
@@ -143,60 +128,25 @@ def _bounded(H: Array, b: Array, low: Array, high: Array, start: Array) -> Array
 def search_sets(
     gram: Gram,
     priors: Priors,
-    families: Mapping[str, Sequence[int]],
     *,
     start: Sequence[int] = (),
-    always: Sequence[int] = (),
     rivals: Mapping[int, Sequence[int]] | None = None,
 ) -> tuple[Weighed, Weigher]:
     """Return the set of causes that is worth most, and all that were weighed.
+
+    No single effect can be added, dropped or exchanged with a gain.
 
     Parameters
     ----------
     gram : Gram
     priors : Priors
-    families : mapping from name to places of effects
-        That may be added and dropped together.
     start : sequence of int
         A set to begin with.
-    always : sequence of int
-        Effects that are in every set: a nuisance.
     rivals : mapping from place to places, optional
         As `Weigher`'s.
     """
-    worth = Weigher(gram, priors, always, rivals)
+    worth = Weigher(gram, priors, rivals)
     now = worth(start)
-    while True:
-        found = _by_single_effects(worth, _by_families(worth, now, families))
-        if found.evidence <= now.evidence + 1e-9:
-            return now, worth
-        now = found
-
-
-def _evidence(one: Weighed) -> float:
-    return one.evidence
-
-
-def _by_families(worth: Weigher, now: Weighed, families: Mapping[str, Sequence[int]]) -> Weighed:
-    """Add and drop families as long as that gains."""
-    while True:
-        own = set(worth.chosen(now))
-        moves = [
-            (own - {other for one in places for other in worth.rivals.get(one, ())}) | set(places)
-            for places in families.values()
-            if not set(places) <= own
-        ]
-        moves += [own - set(places) for places in families.values() if set(places) <= own]
-        found = max(
-            (worth(tuple(move)) for move in moves if len(move) <= LARGEST_SET), key=_evidence, default=now
-        )
-        if found.evidence <= now.evidence + 1e-9:
-            return now
-        now = found
-
-
-def _by_single_effects(worth: Weigher, now: Weighed) -> Weighed:
-    """Add, drop and exchange single effects as long as that gains."""
     while True:
         tried = _best_drop(worth, now)
         if tried.evidence <= now.evidence + 1e-9:
@@ -204,12 +154,16 @@ def _by_single_effects(worth: Weigher, now: Weighed) -> Weighed:
         if tried.evidence <= now.evidence + 1e-9:
             tried = _best_exchange(worth, now)
         if tried.evidence <= now.evidence + 1e-9:
-            return now
+            return now, worth
         now = tried
 
 
+def _evidence(one: Weighed) -> float:
+    return one.evidence
+
+
 def _best_addition(worth: Weigher, now: Weighed) -> Weighed:
-    own = worth.chosen(now)
+    own = now.members
     if len(own) >= LARGEST_SET:
         return now
     promises = worth.promises(now)
@@ -218,17 +172,17 @@ def _best_addition(worth: Weigher, now: Weighed) -> Weighed:
 
 
 def _best_drop(worth: Weigher, now: Weighed) -> Weighed:
-    own = worth.chosen(now)
+    own = now.members
     if not own:
         return now
     losses = now.values**2 / np.maximum(np.diag(np.linalg.inv(now.curvature)), 1e-300)
-    order = [now.members[place] for place in np.argsort(losses) if now.members[place] in own][:WEIGHED]
+    order = [own[place] for place in np.argsort(losses)[:WEIGHED]]
     return max((worth([one for one in own if one != gone]) for gone in order), key=_evidence)
 
 
 def _best_exchange(worth: Weigher, now: Weighed) -> Weighed:
     """Return the first better set that has another effect in a member's place."""
-    own = worth.chosen(now)
+    own = now.members
     sizes = np.sqrt(np.diag(worth.gram.products)) + 1e-300
     spreads = np.diag(np.linalg.inv(now.curvature)) if now.members else np.zeros(0)
     losses = dict(zip(now.members, now.values**2 / np.maximum(spreads, 1e-300) / 2))
@@ -242,7 +196,7 @@ def _best_exchange(worth: Weigher, now: Weighed) -> Weighed:
         promises[gone] = -np.inf
         for one in np.argsort(-promises)[:2]:
             if promises[one] > -np.inf and rest.evidence + promises[one] > now.evidence - 3:
-                tried = worth((*worth.chosen(rest), int(one)))
+                tried = worth((*rest.members, int(one)))
                 if tried.evidence > now.evidence + 1e-9:
                     return tried
     return now
@@ -250,7 +204,7 @@ def _best_exchange(worth: Weigher, now: Weighed) -> Weighed:
 
 def without_weak(best: Weighed, worth: Weigher, needed: float) -> tuple[Weighed, dict[int, float]]:
     """Return the best set all of whose members are worth enough, and the nats that each is worth."""
-    while own := worth.chosen(best):
+    while own := best.members:
         nats = {one: best.evidence - worth([other for other in own if other != one]).evidence for one in own}
         weakest = min(nats, key=lambda one: nats[one])
         if nats[weakest] >= needed:
@@ -261,15 +215,14 @@ def without_weak(best: Weighed, worth: Weigher, needed: float) -> tuple[Weighed,
 
 def alternatives(best: Weighed, worth: Weigher, within: float) -> dict[int, list[tuple[int, float]]]:
     """Return for each member the effects that could stand in its place, and how many nats less such a set is worth."""
-    own = worth.chosen(best)
     found: dict[int, list[tuple[int, float]]] = {}
-    for one in own:
-        rest = worth([other for other in own if other != one])
+    for one in best.members:
+        rest = worth([other for other in best.members if other != one])
         likely = [
             int(other)
             for other in np.argsort(-worth.promises(rest))[: WEIGHED + 1]
             if other != one and other not in best.members
         ]
-        lost = [(other, best.evidence - worth((*worth.chosen(rest), other)).evidence) for other in likely]
+        lost = [(other, best.evidence - worth((*rest.members, other)).evidence) for other in likely]
         found[one] = sorted([pair for pair in lost if pair[1] <= within], key=lambda pair: pair[1])
     return found

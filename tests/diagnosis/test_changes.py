@@ -92,6 +92,17 @@ def test_a_mass_that_changed_is_told_though_motions_differ():
     assert change.value - 1 == pytest.approx(1.15 * 0.4, rel=0.07)
 
 
+@pytest.mark.parametrize("where", [(0, 1), (0,), (1,)])
+def test_a_change_is_told_where_the_speed_of_one_joint_alone_was_measured(where):
+    logs = log_of(5, **WRONG), log_of(4, **WRONG, gain=(1.0, 1.25))
+    for one in where:
+        X, y, _ = logs[one]
+        X[:, 3] = y[:, 3] = np.nan
+    found = asked(*logs)
+    assert [change.name for change in found.changes_] == ["gain[elbow]"]
+    assert found.changes_[0].value == pytest.approx(1.25, rel=0.07)
+
+
 def test_swapped_columns_are_told_and_nothing_is_named():
     X, y, groups = log_of(5, **WRONG)
     X[:, [4, 5]] = X[:, [5, 4]]

@@ -18,8 +18,16 @@ UNSEEN = ("force_limit", "lag", "timestep", "backlash", "lag_torque", "payload")
 MOTORS = ("gain", "kp")
 # Of factors: in units of the commands a motor that does nothing cannot be told.
 WEAKEST = 0.2
-# Places along each side of a body at which a weight is tried; those that act alike are one.
-PLACES, ALIKE = 3, 0.9995
+# By how much one over a gain may fall: by 2, a motor turns the other way; a value at the end of what is possible would
+# be taken for the sign of another cause.
+TURNED = 2.5
+# One over a gain at least, of what is told: beyond, all of a force is the motor's.
+LEAST_TOLD = 1e-3
+# Places along each side of a body at which a weight is tried; those that act alike are one: by the cosine between
+# what they exert, and by how much the larger may exert more.
+PLACES, ALIKE, AS_MUCH = 3, 0.9995, 0.1
+# Of what the largest candidate exerts, over the noise: below, there is rounding.
+FAINTEST = 1e-6
 # Rows by which commands may come later, or earlier, in the second log.
 LATER = (0.5, 1.0, 2.0, 3.0, 4.0)
 
@@ -69,7 +77,7 @@ class Candidate:
         """Return a difference, in the effect's unit, as it is told: of a factor, how many times what it was."""
         if self.effect.family in MOTORS or self.effect.name.startswith("scale[qpos."):
             share = 1 - value
-            return 1 / (share if abs(share) > 1e-3 else 1e-3)
+            return 1 / (share if abs(share) > LEAST_TOLD else LEAST_TOLD)
         return value + self.is_factor
 
     def moved(self, model: Model, value: float, dt: float) -> Model | None:
@@ -158,7 +166,7 @@ def distinct(offered: Sequence[Candidate], whitened: Array) -> tuple[list[Candid
     kept: list[int] = []
     odds = [one.odds for one in offered]
     for place, one in enumerate(offered):
-        if sizes[place] < 1e-6 * sizes.max():
+        if sizes[place] < FAINTEST * sizes.max():
             continue
         twins = [
             other
@@ -166,7 +174,7 @@ def distinct(offered: Sequence[Candidate], whitened: Array) -> tuple[list[Candid
             if offered[other].effect is one.effect
             and not one.late
             and whitened[:, other] @ whitened[:, place] > ALIKE * sizes[other] * sizes[place]
-            and abs(sizes[other] / sizes[place] - 1) < 0.1
+            and abs(sizes[other] / sizes[place] - 1) < AS_MUCH
         ]
         if twins:
             odds[twins[0]] += one.odds
@@ -215,9 +223,9 @@ def priors_of(candidates: Sequence[Candidate], scales: Array, dt: float) -> Prio
             for one, most in zip(candidates, high)
         ]
     )
-    # One over a gain is searched for: from 1 / WEAKEST to that of a motor that turns the other way.
+    # One over a gain is searched for: from 1 / WEAKEST to 1 - TURNED.
     motors = np.array([one.effect.family in MOTORS for one in candidates], dtype=bool)
-    low, high = np.where(motors, 1 - 1 / WEAKEST, low), np.where(motors, 2.5, high)
+    low, high = np.where(motors, 1 - 1 / WEAKEST, low), np.where(motors, TURNED, high)
     # A chord is a delay at its end alone: a mean of commands of two times is none.
     nearest = dt * np.array([_between(one.late) if one.late else (0, 0) for one in candidates])
     late = np.array([bool(one.late) for one in candidates])

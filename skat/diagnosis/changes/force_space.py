@@ -90,6 +90,7 @@ def smooth_motion(
     Parameters
     ----------
     simulator : MujocoSimulator
+        Of joints that turn or slide: each has one position and one speed.
     X, y : ndarray of shape (n_rows, n_inputs), (n_rows, n_outputs)
         NaN in states where nothing was measured.
     groups : ndarray of shape (n_rows,)
@@ -101,8 +102,6 @@ def smooth_motion(
     ends = np.flatnonzero(np.r_[groups[1:] != groups[:-1], True])
     instants = np.insert(X[:, :n_states], ends + 1, y[ends], axis=0)
     episodes = np.insert(np.asarray(groups), ends + 1, groups[ends])
-    if n_states != 2 * nv:
-        return None
     read = [(instants[:, joint], instants[:, nv + joint]) for joint in range(nv)]
     try:
         smooth = [smooth_coordinate(*one, episodes, dt) for one in read]
@@ -204,16 +203,16 @@ def _fewer(rows: NDArray[np.intp], stretch: NDArray[np.intp]) -> tuple[NDArray[n
 
 @dataclass(frozen=True)
 class Rows:
-    """Cosine coefficients of missing forces and of their columns.
+    """Cosine coefficients of missing forces, and of what measured speeds differ by, and of their columns.
 
     Attributes
     ----------
     target : ndarray of shape (n_rows,)
-        Of the missing force, N or N m.
+        Of the missing force, N or N m; of a speed, m/s or rad/s.
     columns : ndarray of shape (n_rows, k)
         By how much it falls with each effect.
     joint : ndarray of int of shape (n_rows,)
-        Degree of freedom of each row.
+        Degree of freedom of each row's force, 0 to nv - 1; nv and on are those of measured speeds.
     frequency : ndarray of shape (n_rows,)
         Hz.
     stretch : ndarray of int of shape (n_rows,)

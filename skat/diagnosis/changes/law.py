@@ -20,6 +20,8 @@ APART = 2.0
 NOISE_TURNS, WINDOW_TURNS = 4, 5
 # Of its typical size, by which an effect differs from window to window until the logs tell.
 BEGUN = 0.3
+# Of a row's square that is taken to be left at least: what a fit takes nearly all of tells no noise.
+LEFT_AT_LEAST = 0.1
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,7 @@ def settled_law(sides: Sequence[Rows]) -> Law:
                     seen = N - N @ apart
                     lever = np.sum((N @ inner) * N, axis=1) + np.sum((seen @ cover) * seen, axis=1)
                     left = rows.target[mine] - rows.columns[mine] @ (value + mean)
-                    squares[np.flatnonzero(own)[mine]] = left**2 / np.maximum(1 - lever, 0.1)
+                    squares[np.flatnonzero(own)[mine]] = left**2 / np.maximum(1 - lever, LEFT_AT_LEAST)
             # MacKay's fixed point: squares over how many of them the rows tell, and not the law itself.
             spread = (moments + PSEUDO * APART_AT_LEAST**2) / (np.maximum(told, 0) + PSEUDO)
             weights = 2 / (1 + solved**2)

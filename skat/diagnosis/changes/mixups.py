@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from skat.diagnosis.changes.candidates import WEAKEST
-from skat.diagnosis.changes.motions import Half, coefficients_of, lacking_forces
+from skat.diagnosis.changes.motions import Half, lacking_forces, whole_coefficients_of
 from skat.diagnosis.changes.question import Question
 from skat.diagnosis.filtering import Array, Mask
 from skat.effects import Effect
@@ -65,7 +65,8 @@ def mistake_of(
     def misfits(side: int) -> tuple[Array, Array]:
         """Return half the log of what is left over the noise, of all drawn windows, as columns are and in other orders.
 
-        Of two joints that change places, as far as both were fast: beyond, one of them has no rows.
+        Of rows that both orders have: of two joints that change places, as far as both were fast, and of speeds that
+        were measured of both.
         """
         own, rows, noise = question.halves[side], question.sides[side], question.law.noise[side]
         windows, window = np.unique(rows.stretch[kept[side]], return_inverse=True)
@@ -75,24 +76,27 @@ def mistake_of(
         def left(half: Half) -> Array:
             motion = replace(half.motion, cutoff=own.motion.cutoff)
             forces = lacking_forces(simulator, half, [model])
-            return coefficients_of(replace(half, motion=motion), forces)[0][:, 0]
+            return whole_coefficients_of(replace(half, motion=motion), forces)[0][:, 0]
 
         def misfit(squares: Array, seen: Mask) -> Array:
             shape = len(windows), len(joints)
             place = np.ravel_multi_index((window, joint), shape)
             sums, counts = (
                 np.bincount(place, some[kept[side]], minlength=shape[0] * shape[1]).reshape(shape)
-                for some in (squares * seen, seen.astype(float))
+                for some in (np.where(seen, squares, 0.0), seen.astype(float))
             )
             many = np.maximum(times @ counts, 1)
             return np.asarray(0.5 * np.sum(many * np.log1p(times @ sums / many), axis=1))
 
-        given = left(own) - (rows.columns[:, len(question.effects) :] @ differences if side else 0.0)
+        whole = left(own)
+        measured = np.isfinite(whole)
+        given = whole[measured] - (rows.columns[:, len(question.effects) :] @ differences if side else 0.0)
         as_is, otherwise = [], []
         for _, half in mixed[side]:
-            seen = rows.frequency <= np.tile(half.motion.cutoff, 2)[rows.joint]
+            other = left(half)[measured]
+            seen = np.isfinite(other) & (rows.frequency <= np.tile(half.motion.cutoff, 2)[rows.joint])
             as_is.append(misfit((given / noise) ** 2, seen))
-            otherwise.append(misfit((left(half) / noise) ** 2, seen))
+            otherwise.append(misfit((other / noise) ** 2, seen))
         return np.array(as_is), np.array(otherwise)
 
     first, second = misfits(0), misfits(1)

@@ -227,7 +227,14 @@ def coefficients_of(half: Half, forces: Array) -> tuple[Array, NDArray[np.intp],
 
     As `transformed` does: coefficients (n_rows, n); joint, frequency in Hz and stretch of each row.
     """
-    motion = replace(half.motion, cutoff=np.tile(half.motion.cutoff, 2))
-    whole, joint, frequency, stretch = transformed(motion, forces.transpose(1, 2, 0))
+    whole, joint, frequency, stretch = whole_coefficients_of(half, forces)
     seen = np.isfinite(whole[:, 0])
     return whole[seen], joint[seen], frequency[seen], stretch[seen]
+
+
+def whole_coefficients_of(
+    half: Half, forces: Array
+) -> tuple[Array, NDArray[np.intp], Array, NDArray[np.intp]]:
+    """Return what `coefficients_of` does, and NaN in rows where nothing was measured."""
+    motion = replace(half.motion, cutoff=np.tile(half.motion.cutoff, 2))
+    return transformed(motion, forces.transpose(1, 2, 0))

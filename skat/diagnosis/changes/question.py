@@ -24,6 +24,11 @@ from skat.simulators import MujocoSimulator
 
 # Rows by which commands may come late in the first log.
 LATE_IN_BOTH = tuple(0.5 * one for one in range(17))
+# Of the force on a joint, that a typical size of an effect exerts at least if logs show it: below, there is rounding.
+SHOWN = 1e-9
+# Variance by which scales of speeds differ between logs at least, in squares of typical sizes: drivers filter speeds,
+# which takes from a fast motion more than from a slow one, about as much as sensors are typically wrong.
+FILTERED = 1.0
 
 
 @dataclass(frozen=True)
@@ -95,7 +100,7 @@ def question_of(
     sizes = np.array([typical.get(effect.name, effect.typical) for effect in common])
     sides = [rows_about(simulator, half, Model({}), common, sizes) for half in halves]
     shares = _shares(joined(sides))
-    shown = np.flatnonzero(shares > 1e-9)
+    shown = np.flatnonzero(shares > SHOWN)
     common, sizes, shares = [common[place] for place in shown], sizes[shown], shares[shown]
     units = np.array(
         [
@@ -112,9 +117,8 @@ def question_of(
     sides = [rows_about(simulator, half, base, common, sizes) for half in halves]
     law = settled_law(sides)
     apart = variance_apart(simulator, halves, sides, law)
-    # Drivers filter speeds, which takes from a fast motion more than from a slow one.
     filtered = [effect.name.startswith("scale[qvel.") for effect in common]
-    law = replace(law, apart=np.where(filtered, np.maximum(apart, 1.0), apart))
+    law = replace(law, apart=np.where(filtered, np.maximum(apart, FILTERED), apart))
     offered, scales = offered_candidates(simulator, effects, common, sizes, typical)
     columns = columns_of(simulator, halves[1], base, offered, scales)
     columns = _of_motors(offered, columns, sides[1], law.value, scales)

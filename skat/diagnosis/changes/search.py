@@ -160,10 +160,10 @@ def _bagged(
 ) -> Bagged:
     """Return the worth of sets over drawn windows; the likely ones of both logs and the best of each pair are seen."""
     rivals = rivals_of(question.candidates)
-    best, whole = search_sets(gram, priors, {}, rivals=rivals)
+    best, whole = search_sets(gram, priors, rivals=rivals)
     pool = sorted(whole.seen, key=lambda members: -whole.seen[members].evidence)[:POOL]
     found = [
-        search_sets(_differences(question, sides, times)[0], priors, {}, start=best.members, rivals=rivals)
+        search_sets(_differences(question, sides, times)[0], priors, start=best.members, rivals=rivals)
         for times in drawn
     ]
     likely = list(dict.fromkeys([(), *pool, *(one.members for one, _ in found)]))

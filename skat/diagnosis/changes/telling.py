@@ -18,6 +18,8 @@ from skat.simulators import MujocoSimulator
 ALIAS_ODDS = 20.0
 WIDTH_95 = 1.96
 BOOTSTRAPS = 400
+# Windows held out without which the gain has no interval: fewer, drawn with replacement, are too often all the same.
+FEWEST_FOR_INTERVAL = 5
 
 
 @dataclass(frozen=True)
@@ -138,7 +140,9 @@ def gain_of(question: Question, value: Array, differences: Array) -> Gain | None
     drawn = rng.integers(len(windows), size=(BOOTSTRAPS, len(windows)))
     some = squares[drawn].sum(axis=1) / counts[drawn].sum(axis=1)[:, None]
     shares = (some[:, 0] - some[:, 1]) / np.maximum(some[:, 0] - 1, 1e-12)
-    low, high = np.percentile(shares, [2.5, 97.5]) if len(windows) >= 5 else (np.nan, np.nan)
+    low, high = (
+        np.percentile(shares, [2.5, 97.5]) if len(windows) >= FEWEST_FOR_INTERVAL else (np.nan, np.nan)
+    )
     excess = errors[0] - 1
     return Gain(
         nominal=float(errors[0]),

@@ -1,0 +1,164 @@
+"""The forces that models lack for a motion, by plain inverse dynamics, and the slopes of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from skat.diagnosis.changes.candidates import WEAKEST, Candidate, Model
+from skat.diagnosis.changes.motions import coefficients_of, columns_of, half_of, lacking_forces, rows_about
+from skat.simulators import MujocoSimulator
+from tests.diagnosis.changes.arm import arm, effect_of
+from tests.diagnosis.test_force_space import ARM, log_of
+
+DT = 0.01
+
+
+@pytest.fixture(scope="module")
+def simulator():
+    return arm()
+
+
+@pytest.fixture(scope="module")
+def half(simulator):
+    return half_of(simulator, log_of(4), "before")
+
+
+def missing(simulator, half, values, *, commands=None, scale=(1.0, 1.0)):
+    """Return by inverse dynamics what a model lacks of a motion that is so many times as large as it seems."""
+    motion = half.motion
+    sent = (motion.commands if commands is None else commands)[motion.rows].mean(axis=1)
+    states, pulls = motion.states / np.tile(scale, 2), motion.accelerations / scale
+    return simulator.missing_forces(states, pulls, sent[None], [values], slip=motion.slip)[0]
+
+
+def test_a_motion_is_that_of_positions_alone(simulator):
+    X, y, groups = log_of(4)
+    whole = half_of(simulator, (X, y, groups), "before")
+    X[:, 2:4] = y[:, 2:4] = np.nan
+    alone = half_of(simulator, (X, y, groups), "before")
+    np.testing.assert_array_equal(alone.motion.states, whole.motion.states)
+    assert np.isnan(alone.speeds).all()
+    assert np.isfinite(whole.speeds).all()
+
+
+def test_speeds_of_a_block_are_the_mean_of_its_rows_and_what_followed_them(simulator):
+    X, y, groups = log_of(4)
+    rows = np.arange(len(X))
+    X[:, 2:4], y[:, 2:4] = rows[:, None] * [1.0, 10.0], (rows[:, None] + 1.0) * [1.0, 10.0]
+    half = half_of(simulator, (X, y, groups), "before")
+    middle = half.motion.rows.mean(axis=1) + 0.5
+    np.testing.assert_allclose(half.speeds, middle[:, None] * [1.0, 10.0])
+
+
+@pytest.mark.parametrize(("rows", "windows"), [(1200, 8), (2400, 12)])
+def test_a_log_has_eight_windows_or_more_of_two_seconds(simulator, rows, windows):
+    half = half_of(simulator, log_of(4, rows=rows), "before")
+    assert len(np.unique(half.motion.stretches)) == windows
+
+
+def test_the_model_as_it_is_lacks_what_inverse_dynamics_says(simulator, half):
+    found = lacking_forces(simulator, half, [Model({}), Model({"damping[elbow]": 0.3, "mass[lower]": 1.2})])
+    for place, values in enumerate(({}, {"damping[elbow]": 0.3, "mass[lower]": 1.2})):
+        np.testing.assert_allclose(found[place, :, :2], missing(simulator, half, values), atol=1e-9)
+        np.testing.assert_allclose(found[place, :, 2:], half.speeds - half.motion.states[:, 2:])
+
+
+@pytest.mark.parametrize("late", [1.0, 0.5, -2.0])
+def test_late_commands_are_those_of_rows_before(simulator, half, late):
+    rows = np.arange(len(half.motion.commands))
+    sent = np.column_stack([np.interp(rows - late, rows, one) for one in half.motion.commands.T])
+    models = [Model({"mass[lower]": 1.2}), Model({"mass[lower]": 1.2}, late), Model({}, late)]
+    found = lacking_forces(simulator, half, models)[:, :, :2]
+    for place, values, commands in ((0, 1.2, None), (1, 1.2, sent), (2, 1.0, sent)):
+        expected = missing(simulator, half, {"mass[lower]": values}, commands=commands)
+        np.testing.assert_allclose(found[place], expected, atol=1e-9)
+
+
+def test_positions_that_a_sensor_scales_are_those_of_a_smaller_motion(simulator, half):
+    model = Model({"scale[qpos.elbow]": 1.25, "damping[elbow]": 0.3})
+    found = lacking_forces(simulator, half, [Model({}), model])[1]
+    expected = missing(simulator, half, {"damping[elbow]": 0.3}, scale=(1.0, 1.25))
+    np.testing.assert_allclose(found[:, :2], expected, atol=1e-9)
+    np.testing.assert_allclose(found[:, 2:], half.speeds - half.motion.states[:, 2:] / [1.0, 1.25])
+
+
+def test_speeds_that_a_sensor_scales_or_shifts_change_no_force(simulator, half):
+    model = Model({"scale[qvel.elbow]": 1.25, "bias[qvel.shoulder]": 0.5})
+    plain, found = lacking_forces(simulator, half, [Model({}), model])
+    np.testing.assert_array_equal(found[:, :2], plain[:, :2])
+    expected = half.speeds - half.motion.states[:, 2:] * [1.0, 1.25] - [0.5, 0.0]
+    np.testing.assert_allclose(found[:, 2:], expected)
+
+
+@pytest.mark.parametrize(("gain", "strength"), [(1.25, 1.25), (0.5, 0.5), (0.1, WEAKEST), (-1.5, 1.5)])
+def test_forces_are_in_units_of_what_a_motor_exerts(simulator, half, gain, strength):
+    values = {"gain[elbow]": gain, "damping[shoulder]": 0.1}
+    found = lacking_forces(simulator, half, [Model({}), Model(values)])[1, :, :2]
+    np.testing.assert_allclose(found, missing(simulator, half, values) / [1.0, strength], atol=1e-9)
+
+
+def test_a_joint_without_a_motor_has_forces_as_they_are(half):
+    passive = MujocoSimulator(ARM.replace('<motor name="shoulder" joint="shoulder"/>', ""), frame_skip=5)
+    half = replace(half, motion=replace(half.motion, commands=half.motion.commands[:, 1:]))
+    values = {"gain[elbow]": 2.0}
+    found = lacking_forces(passive, half, [Model(values)])[0, :, :2]
+    np.testing.assert_allclose(found, missing(passive, half, values) / [1.0, 2.0], atol=1e-9)
+
+
+def target(simulator, half, model):
+    return coefficients_of(half, lacking_forces(simulator, half, [model]))[0][:, 0]
+
+
+@pytest.mark.parametrize("name", ["damping[elbow]", "gain[elbow]", "scale[qpos.elbow]", "scale[qvel.elbow]"])
+def test_columns_are_by_how_much_what_is_lacking_falls(simulator, half, name):
+    effect, base = effect_of(simulator, name), Model({"damping[elbow]": 0.5})
+    neutral, size = base.values.get(name, effect.neutral), 0.02
+    column = columns_of(simulator, half, base, [Candidate(effect, 1.0, {})], np.array([size]))[:, 0]
+    more, less = (
+        target(simulator, half, Model({**base.values, name: neutral + step})) for step in (1e-4, -1e-4)
+    )
+    slope = size * (less - more) / 2e-4
+    assert np.linalg.norm(column - slope) < 0.01 * np.linalg.norm(slope)
+
+
+def test_a_column_of_an_effect_at_its_bound_is_that_of_less_of_it(simulator, half):
+    effect = effect_of(simulator, "damping[elbow]")
+    columns = [
+        columns_of(simulator, half, Model({effect.name: at}), [Candidate(effect, 1.0, {})], np.array([0.2]))
+        for at in (effect.bounds[1], 1.0)
+    ]
+    np.testing.assert_allclose(columns[0], columns[1], atol=1e-9)
+
+
+def test_a_chord_of_a_delay_ends_where_commands_come_so_late(simulator, half):
+    delay = Candidate(effect_of(simulator, "delay[action]"), 1.0, {}, 2.0)
+    column = columns_of(simulator, half, Model({}, 1.0), [delay], np.array([0.004]))[:, 0]
+    fall = target(simulator, half, Model({}, 1.0)) - target(simulator, half, Model({}, 3.0))
+    np.testing.assert_allclose(column * 2.0 * DT / 0.004, fall, atol=1e-9)
+
+
+def test_rows_are_what_a_model_lacks_and_the_columns_of_effects(simulator, half):
+    names, sizes, base = ["mass[lower]", "delay[action]"], np.array([0.2, 0.02]), Model({"mass[lower]": 1.5})
+    effects = [effect_of(simulator, name) for name in names]
+    rows = rows_about(simulator, half, base, effects, sizes)
+    np.testing.assert_allclose(rows.target, target(simulator, half, base), atol=1e-9)
+    np.testing.assert_allclose(rows.nominal, target(simulator, half, Model({})), atol=1e-9)
+    candidates = [Candidate(effects[0], 1.0, {}), Candidate(effects[1], 1.0, {}, 1.0)]
+    expected = columns_of(simulator, half, base, candidates, sizes)
+    np.testing.assert_allclose(rows.columns, expected, atol=1e-9)
+
+
+def test_rows_are_forces_then_speeds_as_far_as_their_joint_is_fast(simulator, half):
+    rows = rows_about(simulator, half, Model({}), [], np.zeros(0))
+    for joint in range(4):
+        own = rows.joint == joint
+        assert rows.frequency[own].max() <= half.motion.cutoff[joint % 2]
+        assert own.sum() == (rows.joint == joint % 2).sum()
+
+
+def test_speeds_that_were_not_measured_have_no_rows(simulator, half):
+    some = replace(half, speeds=np.where([True, False], half.speeds, np.nan))
+    rows = rows_about(simulator, some, Model({}), [], np.zeros(0))
+    assert np.unique(rows.joint).tolist() == [0, 1, 2]
+    assert np.isfinite(rows.target).all()

@@ -1,0 +1,93 @@
+"""The regression of two logs: what is common of motors and delays, units of columns, and windows held out."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from skat.diagnosis.changes.candidates import Candidate, Model
+from skat.diagnosis.changes.force_space import Rows
+from skat.diagnosis.changes.law import settled_law
+from skat.diagnosis.changes.motions import _later, columns_of, half_of, rows_about
+from skat.diagnosis.changes.question import _base, _held_out, _of_motors, _shares, question_of
+from tests.diagnosis.changes.arm import arm, effect_of
+from tests.diagnosis.test_force_space import log_of
+
+
+@pytest.fixture(scope="module")
+def simulator():
+    return arm()
+
+
+def rows_of(columns, joint, *, nominal=None):
+    zeros = np.zeros(len(joint))
+    nominal = zeros if nominal is None else np.array(nominal)
+    return Rows(zeros, np.array(columns, dtype=float), np.array(joint), zeros, zeros.astype(int), nominal)
+
+
+def test_an_effect_exerts_its_share_of_the_joint_that_feels_it_most():
+    rows = rows_of(
+        [[3.0, 0.0], [4.0, 1.0], [6.0, 1.0], [8.0, 0.0]], [0, 0, 1, 1], nominal=[5.0, 5.0, 50.0, 0.0]
+    )
+    np.testing.assert_allclose(_shares(rows), [0.5**0.5, 0.02**0.5])
+
+
+def test_motors_act_on_all_that_is_common_of_the_joints_that_feel_them(simulator):
+    rows = rows_of([[1.0], [2.0], [3.0], [4.0]], [0, 0, 1, 1])
+    offered = [Candidate(effect_of(simulator, name), 1.0, {}) for name in ("gain[elbow]", "mass[lower]")]
+    columns = np.array([[0.0, 1.0], [0.0, 1.0], [5.0, 1.0], [0.0, 1.0]])
+    found = _of_motors(offered, columns, rows, np.array([0.5]), np.array([0.1, 0.2]))
+    np.testing.assert_allclose(found[:, 0], [0.0, 0.0, 5.0 - 0.1 * 1.5, -0.1 * 2.0])
+    np.testing.assert_array_equal(found[:, 1], columns[:, 1])
+
+
+@pytest.mark.parametrize("late", [0.0, 1.5])
+def test_the_model_has_commands_as_late_as_they_come_in_the_first_log(simulator, late):
+    half, other = (half_of(simulator, log_of(seed, rows=600, damping=(0.1, 0.05)), "log") for seed in (4, 5))
+    motion = half.motion
+    half = replace(half, motion=replace(motion, commands=_later(motion.commands, motion.episodes, -late)))
+    effects = [effect_of(simulator, name) for name in ("damping[shoulder]", "damping[elbow]")]
+    sides = [rows_about(simulator, one, Model({}), effects, np.full(2, 0.3)) for one in (half, other)]
+    assert _base(simulator, half, sides[0], settled_law(sides)) == Model({}, late)
+
+
+def test_columns_are_in_units_of_what_typically_is_exerted(simulator):
+    names = ["damping[shoulder]", "damping[elbow]", "mass[lower]", "scale[qvel.shoulder]", "bias[qvel.elbow]"]
+    effects = [effect_of(simulator, name) for name in names]
+    logs = [log_of(seed, rows=600, damping=(0.1, 0.05)) for seed in (4, 5)]
+    for X, y, _ in logs:
+        X[:, 3] = y[:, 3] = np.nan
+    halves = [half_of(simulator, log, "log") for log in logs]
+    question = question_of(simulator, halves, effects, typical={"damping[elbow]": 0.05}, test_size=0.3)
+    # A bias of speeds that were not measured shows nowhere.
+    assert [effect.name for effect in question.effects] == names[:4]
+    np.testing.assert_allclose(question.sizes[1:], [0.05, 0.2, effects[3].typical])
+    first, second = question.sides
+    both = rows_of(
+        np.vstack([first.columns, second.columns[:, :4]]),
+        np.r_[first.joint, second.joint],
+        nominal=np.r_[first.nominal, second.nominal],
+    )
+    assert _shares(both)[0] == pytest.approx(effects[0].force_share, rel=1e-6)
+    assert question.law.apart[3] >= 1
+    assert (question.law.apart[:3] < 1).all()
+    assert second.columns.shape[1] == 4 + len(question.candidates) == 4 + len(question.scales)
+    place = [one.effect.name for one in question.candidates].index("mass[lower]")
+    candidates, scales = question.candidates[place : place + 1], question.scales[place : place + 1]
+    column = columns_of(simulator, halves[1], question.base, candidates, scales)
+    np.testing.assert_allclose(second.columns[:, 4 + place], column[:, 0], atol=1e-9)
+    assert len(np.unique(second.stretch[question.held_out])) == round(0.3 * len(np.unique(second.stretch)))
+    value, differences = np.array([0.3, -0.2, 0.1, 0.4]), np.linspace(-1, 1, len(question.candidates))
+    left = question.left(value, differences)
+    np.testing.assert_allclose(left[0], first.target - first.columns @ value)
+    expected = second.target - second.columns[:, :4] @ value - second.columns[:, 4:] @ differences
+    np.testing.assert_allclose(left[1], expected, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("n", "share", "held"),
+    [(8, 0.25, [2, 4]), (8, 0.0, []), (10, 0.3, [2, 4, 6]), (3, 0.9, [1]), (2, 0.5, []), (1, 0.5, [])],
+)
+def test_windows_that_are_held_out_are_spread_and_leave_two(n, share, held):
+    stretch = np.repeat(np.arange(n), 3)
+    assert np.unique(stretch[_held_out(stretch, share)]).tolist() == held
