@@ -1,6 +1,7 @@
 """What may have changed: effects, weights at places on bodies, later commands; how likely it is, and by how much."""
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -73,11 +74,14 @@ class Candidate:
         """Whether values are told as multiples."""
         return self.effect.neutral == 1
 
-    def told(self, value: float) -> float:
-        """Return a difference, in the effect's unit, as it is told: of a factor, how many times what it was."""
+    def told(self, value: float, about: float | None = None) -> float:
+        """Return a difference, in the effect's unit, as it is told: of a factor, how many times what it was.
+
+        Where it is an end of an interval `about` another, a factor does not pass through infinity to the other sign.
+        """
         if self.effect.family in MOTORS or self.effect.name.startswith("scale[qpos."):
-            share = 1 - value
-            return 1 / (share if abs(share) > LEAST_TOLD else LEAST_TOLD)
+            sign = math.copysign(1.0, 1 - (value if about is None else about))
+            return sign / max(sign * (1 - value), LEAST_TOLD)
         return value + self.is_factor
 
     def moved(self, model: Model, value: float, dt: float) -> Model | None:

@@ -77,18 +77,16 @@ def causes_of(
             if name != one.effect.name:
                 aliases[name] = aliases.get(name, 0.0) + float(np.exp(-lost))
         total = 1 + sum(aliases.values()) + float(np.exp(-nats[place]))
-        told = [
-            float(one.told(at * question.scales[place]))
-            for at in (value, *(value + WIDTH_95 * error * np.array([-1, 1])))
-        ]
-        centre = told[0]
+        unit, half_width = question.scales[place], WIDTH_95 * error
+        centre = float(one.told(value * unit))
+        low, high = (float(one.told((value + side * half_width) * unit, value * unit)) for side in (-1, 1))
         found.append(
             Cause(
                 name=one.effect.name,
                 family=one.effect.family,
                 target=one.effect.target,
                 value=centre,
-                interval=(told[1], told[2]),
+                interval=(low, high),
                 unit=one.effect.unit,
                 probability=1 / total,
                 evidence=float(nats[place]),

@@ -46,6 +46,14 @@ def test_factors_are_told_as_multiples_and_all_else_as_differences(simulator, na
     assert candidate(simulator, name).told(value) == pytest.approx(told, rel=1e-12)
 
 
+def test_the_interval_of_a_gain_does_not_pass_through_infinity(simulator):
+    gain = candidate(simulator, "gain[elbow]")
+    # One over it is 0.2 +- 0.3, or -0.2 +- 0.3.
+    assert [gain.told(value, 0.8) for value in (0.5, 1.1)] == pytest.approx([2.0, 1000.0])
+    assert [gain.told(value, 1.2) for value in (0.9, 1.5)] == pytest.approx([-1000.0, -2.0])
+    assert gain.told(1.0005) == pytest.approx(-1000.0)
+
+
 def test_a_model_has_more_of_what_moved(simulator):
     model = Model({"mass[lower]": 1.5, "gain[elbow]": 0.9}, 1.0)
     assert candidate(simulator, "mass[lower]").moved(model, 0.25, 0.01) == replace(
