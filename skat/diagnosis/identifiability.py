@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from skat.diagnosis.evidence import Gram, Priors, weigh
 from skat.diagnosis.filtering import Array, filter_columns, kalman_filter
+from skat.diagnosis.fitting import priors_of
 from skat.diagnosis.log import Log, check_log, check_matrix, without_channels
 from skat.diagnosis.statespace import StateSpace, derivatives, linearise, state_space
 from skat.effects import Effect
@@ -185,7 +186,7 @@ def preflight(
     deviations = (
         COMMON_NOISE * np.where(spread > 0, spread, 1.0) if noise is None else np.asarray(noise, float)
     )
-    priors = _priors(effects, typical or {})
+    priors = priors_of(effects, typical, logarithmic=False)
     space = state_space(simulator, log.X, log.y, log.episodes, consecutive=log.consecutive)
     space = replace(space, mask=space.mask & without_channels(simulator, log, hidden).measured)
     gram = Gram(*_expected(space, effects, priors, deviations), np.zeros(len(effects)))
@@ -218,18 +219,6 @@ def _planned(simulator: Simulator, X: ArrayLike, groups: ArrayLike | None) -> Lo
     if groups is None or not n_states:
         return check_log(simulator, rows, y, None)
     return Log(rows, y, episodes, consecutive, None, simulator)
-
-
-def _priors(effects: Sequence[Effect], typical: Mapping[str, float]) -> Priors:
-    """Return the priors of effects, values measured from neutral."""
-    odds = np.array([effect.odds for effect in effects])
-    return Priors(
-        tuple(effect.name for effect in effects),
-        np.array([typical.get(effect.name, effect.typical) for effect in effects]),
-        np.log(odds / (odds.sum() + 1)),
-        np.array([effect.bounds[0] - effect.neutral for effect in effects]),
-        np.array([effect.bounds[1] - effect.neutral for effect in effects]),
-    )
 
 
 def _steps(effects: Sequence[Effect], priors: Priors) -> dict[str, tuple[float, float]]:

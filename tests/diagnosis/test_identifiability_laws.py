@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from skat.diagnosis.evidence import Gram, Priors, weigh
+from skat.diagnosis.fitting import priors_of
 from skat.diagnosis.identifiability import (
     NO_INPUT_SEPARATES,
     NOTHING_SEPARATES,
     _planned,
-    _priors,
     _separating,
     _shares_left,
     _steps,
@@ -128,7 +128,8 @@ def test_one_percent_of_what_a_channel_spreads_is_noise_where_none_was_told():
 
 
 def test_a_user_s_own_typical_size_stands_before_the_effect_s():
-    priors = _priors([added("a", low=-1.0, neutral=1.0), added("b", typical=0.7)], {"a": 0.05})
+    effects = [added("a", low=-1.0, neutral=1.0), added("b", typical=0.7)]
+    priors = priors_of(effects, {"a": 0.05}, logarithmic=False)
     assert priors.scales.tolist() == [0.05, 0.7]
     assert (priors.low.tolist(), priors.high.tolist()) == ([-2.0, -5.0], [4.0, 5.0])
 
@@ -142,7 +143,7 @@ def test_slopes_are_taken_to_the_wider_side_and_within_bounds():
         added("narrow_down", low=-1e-3, high=0.0),
         added("factor", low=0.5, high=1.2, neutral=1.0),
     ]
-    steps = _steps(effects, _priors(effects, {}))
+    steps = _steps(effects, priors_of(effects, logarithmic=False))
     for effect in effects:
         low, high = steps[effect.name]
         assert effect.bounds[0] <= low < high <= effect.bounds[1]
