@@ -123,11 +123,14 @@ def test_two_hidden_effects_are_both_named_and_explain_other_episodes(worlds):
         pytest.param("puck", 6, ("magnet", "0.2", 0.4), marks=pytest.mark.long),
         pytest.param(
             *("hopper", 6, ("periodic_force", "x", 90.0)),
-            marks=pytest.mark.xfail(
-                strict=True,
-                reason="Nothing detected: a white random force of 66 N (rms) on rootx stands for it, the evidence of a "
-                "law is 1.6 nats, and a gain has it in its floor",
-            ),
+            marks=[
+                pytest.mark.long,
+                pytest.mark.xfail(
+                    strict=True,
+                    reason="Nothing detected: a white random force of 66 N (rms) on rootx stands for it, the evidence "
+                    "of a law is 1.6 nats, and a gain has it in its floor",
+                ),
+            ],
         ),
     ],
 )
