@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct
 
+from skat.diagnosis.changes.smoothing import Smooth, smooth_coordinate
 from skat.diagnosis.filtering import Array, Mask
-from skat.diagnosis.smoothing import Smooth, smooth_coordinate
 from skat.simulators import MujocoSimulator
 
 # Of a motion, that the smoother must keep up to the highest frequency that is compared.

@@ -8,10 +8,10 @@ import numpy as np
 from skat.diagnosis.changes.candidates import Candidate
 from skat.diagnosis.changes.force_space import joined
 from skat.diagnosis.changes.question import Question
+from skat.diagnosis.changes.set_search import Weigher, alternatives
 from skat.diagnosis.evidence import Weighed
 from skat.diagnosis.filtering import Array, Mask
 from skat.diagnosis.findings import Alias, Cause, Gain
-from skat.diagnosis.set_search import Weigher, alternatives
 from skat.simulators import MujocoSimulator
 
 # Sets that are less likely by at most this factor cannot be told apart.

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from skat.diagnosis.changes.force_space import Rows
+from skat.diagnosis.changes.set_search import Weigher
 from skat.diagnosis.evidence import Weighed
 from skat.diagnosis.filtering import Array
-from skat.diagnosis.set_search import Weigher
 
 # Pairs of logs of drawn windows.
 BAGS = 50

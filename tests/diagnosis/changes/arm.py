@@ -9,7 +9,7 @@ from skat.diagnosis.changes.law import settled_law
 from skat.diagnosis.changes.motions import columns_of, half_of, rows_about
 from skat.diagnosis.changes.question import Question
 from skat.simulators import MujocoSimulator
-from tests.diagnosis.test_force_space import ARM
+from tests.diagnosis.changes.test_force_space import ARM
 
 
 def arm():

@@ -10,7 +10,7 @@ from skat.diagnosis.changes.force_space import Motion, Rows, joined, smooth_squa
 from skat.diagnosis.changes.law import APART, Law, _of_sensors, _unlike, settled_law, variance_apart
 from skat.diagnosis.changes.motions import Half, coefficients_of, half_of, lacking_forces, rows_about
 from tests.diagnosis.changes.arm import arm, effect_of
-from tests.diagnosis.test_force_space import log_of
+from tests.diagnosis.changes.test_force_space import log_of
 
 VALUE, SPREAD, NOISE = np.array([2.0, -0.5, 0.1]), np.array([0.8, 0.4, 0.0]) ** 2, np.array([0.5, 2.0])
 

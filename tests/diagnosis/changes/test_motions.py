@@ -9,7 +9,7 @@ from skat.diagnosis.changes.candidates import WEAKEST, Candidate, Model
 from skat.diagnosis.changes.motions import coefficients_of, columns_of, half_of, lacking_forces, rows_about
 from skat.simulators import MujocoSimulator
 from tests.diagnosis.changes.arm import arm, effect_of
-from tests.diagnosis.test_force_space import ARM, log_of
+from tests.diagnosis.changes.test_force_space import ARM, log_of
 
 DT = 0.01
 

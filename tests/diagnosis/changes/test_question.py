@@ -11,7 +11,7 @@ from skat.diagnosis.changes.law import settled_law
 from skat.diagnosis.changes.motions import _later, columns_of, half_of, rows_about
 from skat.diagnosis.changes.question import _base, _held_out, _of_motors, _shares, question_of
 from tests.diagnosis.changes.arm import arm, effect_of
-from tests.diagnosis.test_force_space import log_of
+from tests.diagnosis.changes.test_force_space import log_of
 
 
 @pytest.fixture(scope="module")

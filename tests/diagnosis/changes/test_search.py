@@ -14,7 +14,7 @@ from skat.diagnosis.changes.search import _at_bounds, _bagged, _differences, _in
 from skat.diagnosis.changes.windows import drawn_windows
 from skat.diagnosis.evidence import Priors, Weighed
 from tests.diagnosis.changes.arm import arm, effect_of
-from tests.diagnosis.test_force_space import log_of
+from tests.diagnosis.changes.test_force_space import log_of
 
 K, M = 2, 3
 SPREAD, WEIGHTS, APART = np.array([0.3, 0.1]), np.array([2.0, 0.5]), np.array([0.2, 0.7])

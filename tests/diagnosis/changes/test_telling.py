@@ -7,9 +7,9 @@ from skat.diagnosis.changes.candidates import Candidate, Model
 from skat.diagnosis.changes.force_space import Rows
 from skat.diagnosis.changes.law import Law
 from skat.diagnosis.changes.question import Question
+from skat.diagnosis.changes.set_search import Weigher
 from skat.diagnosis.changes.telling import causes_of, gain_of, sizes_of
 from skat.diagnosis.evidence import Gram, Priors
-from skat.diagnosis.set_search import Weigher
 from tests.diagnosis.changes.arm import arm, effect_of
 
 

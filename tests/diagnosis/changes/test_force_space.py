@@ -6,9 +6,9 @@ import pytest
 
 from skat.diagnosis.changes import find_changes
 from skat.diagnosis.changes.force_space import Rows, noise_of, smooth_motion, smooth_squares
+from skat.diagnosis.changes.set_search import Weigher, search_sets
+from skat.diagnosis.changes.smoothing import smooth_coordinate
 from skat.diagnosis.evidence import Gram, Priors, weigh
-from skat.diagnosis.set_search import Weigher, search_sets
-from skat.diagnosis.smoothing import smooth_coordinate
 from skat.simulators import MujocoSimulator
 
 ARM = """

@@ -8,11 +8,11 @@ from skat.diagnosis.changes.candidates import LATER, Model, _between
 from skat.diagnosis.changes.force_space import joined
 from skat.diagnosis.changes.law import _of_sensors
 from skat.diagnosis.changes.motions import _later, half_of, rows_about
+from skat.diagnosis.changes.set_search import Weigher
 from skat.diagnosis.changes.windows import Bagged, integrated
 from skat.diagnosis.evidence import Gram, Priors
-from skat.diagnosis.set_search import Weigher
 from skat.simulators import FunctionSimulator, MujocoSimulator
-from tests.diagnosis.test_force_space import ARM, log_of
+from tests.diagnosis.changes.test_force_space import ARM, log_of
 
 WRONG = {"friction": (0.12, 0.06), "damping": (0.1, 0.05), "mass": 1.15}
 
