@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from skat.diagnosis.evidence import Gram, Priors, Weighed, weigh
+from skat.diagnosis.evidence import Gram, Priors, Weighed, Weigher, weigh
 from skat.diagnosis.filtering import Array
 from skat.diagnosis.fits import Fit, Fits
 from skat.diagnosis.fitting import (
@@ -277,7 +277,7 @@ def find_causes(
             fits = replace(fits, space=shorter(length))
             first = fits.first(start or {})
         state = _begun(fits, first, length)
-    ask = partial(search, priors=priors, families=_families(effects), power=power, most=max_effects)
+    ask = partial(search, families=_families(effects), most=max_effects)
     rivals: list[Rival] = []
     stands = misled = False
     told = -1
@@ -292,12 +292,13 @@ def find_causes(
         columns = gram_of(fits.space, state.dense or now.fitted, state.slopes, effects)
         gram = _judged(columns, priors, now.members if state.dense is None else None)
         state = replace(state, first=state.first or gram)
-        ranked = ask(gram, start=now.members, banned=state.banned)
+        worth = Weigher(gram, priors, power=power)
+        ranked = ask(worth, now.members, banned=state.banned)
         if state.turn == turns:
             break
         seen, moved = state.seen, None
         misled = misled and state.dense is not None
-        for one in _proposals(ranked, gram, priors, now, needed, power):
+        for one in _proposals(ranked, worth, now, needed):
             wanted = now.evidence + needed * (len(one.members) - len(now.members))
             tried = fits.of(one.members, one.values, now, wanted)
             seen = seen.beside(tried)
@@ -317,7 +318,7 @@ def find_causes(
                 moved = fits.without(now, held)
                 seen = seen.beside(moved)
         if moved is None and not coarse:
-            seen, moved = _superfluous(fits, now, gram, seen, needed)
+            seen, moved = _superfluous(fits, now, worth, seen, needed)
         if moved is None and not coarse:
             seen, rivals, moved = _rivals(fits, now, (gram, state.first or gram), seen)
         state = replace(state, seen=seen)
@@ -328,13 +329,13 @@ def find_causes(
         slopes = state.slopes.copy()
         slopes[..., live] = _slopes(fits, moved, live)
         state = Search(state.turn + 1, length, moved, None, slopes, state.first, seen, tuple(sorted(banned)))
-    best = weigh(gram, priors, now.members, power=power)
+    best = worth(now.members)
     if misled:
         # What slopes say of other sets was seen to be wrong.
         inside = (one for one in ranked.sets if set(one.members) < set(now.members))
         ranked = Ranked(tuple(sorted((best, *inside), key=lambda one: -one.evidence)))
     also = {} if misled else _also(ask, gram, priors, effects, best, needed, state.banned)
-    return _found(fits, now, gram, ranked, best, rivals, state.seen, also, needed, stands, length)
+    return _found(fits, now, worth, ranked, rivals, state.seen, also, needed, stands, length)
 
 
 def _begun(fits: Fits, first: Sequence[Fit], length: int) -> Search:
@@ -350,19 +351,17 @@ def _begun(fits: Fits, first: Sequence[Fit], length: int) -> Search:
     return Search(0, length, now, dense, slopes, None, Seen.of(first), ())
 
 
-def _proposals(
-    ranked: Ranked, gram: Gram, priors: Priors, now: Fit, needed: float, power: float
-) -> Iterator[Weighed]:
+def _proposals(ranked: Ranked, worth: Weigher, now: Fit, needed: float) -> Iterator[Weighed]:
     """Yield sets that slopes put before the present one: the best, and the best of half its size, and so on.
 
     Each without what is worth less than a name needs.
     """
-    here = weigh(gram, priors, now.members, power=power)
+    here = worth(now.members)
     asked = {now.members}
-    most = len(priors.names)
+    most = len(worth.priors.names)
     while most:
         top = next((one for one in ranked.sets if len(one.members) <= most), here)
-        top, _ = without_weak(top, gram, priors, needed, power=power)
+        top, _ = without_weak(top, worth, needed)
         most = len(top.members) // 2
         gain = top.evidence - here.evidence
         if top.members not in asked and gain > needed * (len(top.members) - len(here.members)) + TOLERANCE:
@@ -370,18 +369,13 @@ def _proposals(
         asked.add(top.members)
 
 
-def _superfluous(fits: Fits, now: Fit, gram: Gram, seen: Seen, needed: float) -> tuple[Seen, Fit | None]:
+def _superfluous(fits: Fits, now: Fit, worth: Weigher, seen: Seen, needed: float) -> tuple[Seen, Fit | None]:
     """Return the set without the member that, at fits of their own, the others hardly need, if there is one.
 
     Where paths near by differ by as much as a member is worth, the set is fitted once more about that of the others.
     """
-    whole = weigh(gram, fits.priors, now.members, power=fits.power).evidence
-
-    def worth(one: int) -> float:
-        rest = [other for other in now.members if other != one]
-        return whole - weigh(gram, fits.priors, rest, power=fits.power).evidence
-
-    for one in sorted(now.members, key=worth)[:REFITTED]:
+    losses = worth.losses(worth(now.members))
+    for one in sorted(losses, key=lambda one: losses[one])[:REFITTED]:
         rest = fits.without(now, {one}, now.evidence - needed)
         seen = seen.beside(rest)
         error = max(now.error, rest.error)
@@ -404,7 +398,7 @@ def _rivals(fits: Fits, now: Fit, grams: Sequence[Gram], seen: Seen) -> tuple[Se
     found: list[Rival] = []
     better = now
     for cause in now.members[:REFITTED]:
-        looks = np.stack([_cosines(gram, cause) for gram in grams])
+        looks = np.stack([gram.cosines(cause) for gram in grams])
         alike = looks.max(axis=0)
         alike[list(now.members)] = 0.0
         for other in np.argsort(-alike, kind="stable")[:RIVALS]:
@@ -424,9 +418,8 @@ def _rivals(fits: Fits, now: Fit, grams: Sequence[Gram], seen: Seen) -> tuple[Se
 def _found(
     fits: Fits,
     now: Fit,
-    gram: Gram,
+    worth: Weigher,
     ranked: Ranked,
-    best: Weighed,
     rivals: Sequence[Rival],
     seen: Seen,
     also: dict[str, float],
@@ -434,8 +427,8 @@ def _found(
     stands: bool,
     length: int,
 ) -> Found:
-    effects, priors = fits.effects, fits.priors
-    names = priors.names
+    effects, priors, gram = fits.effects, fits.priors, worth.gram
+    names, best = priors.names, worth(now.members)
     probabilities = {name: ranked.probability(place) for place, name in enumerate(names)}
     shares = _shares(rivals, seen.least(now.members))
     for one, others in shares.items():
@@ -444,20 +437,19 @@ def _found(
         names[one]: tuple((names[other], share) for other, share in others) for one, others in shares.items()
     }
     # A search that was stopped may end at a bound; what fits find worth a name, their slopes must, too.
-    strong, _ = without_weak(best, gram, priors, needed, power=fits.power)
+    strong, _ = without_weak(best, worth, needed)
     kept = [one for one in strong.members if not is_held(effects[one], now.values[names[one]])]
-    intervals, worth = {}, {}
-    for one, deviation in zip(best.members, _deviations(gram, priors, best.members)):
+    intervals, losses = {}, worth.losses(best)
+    # Intervals are of the whole likelihood.
+    for one, deviation in zip(best.members, weigh(gram, priors, best.members).deviations):
         place = coordinate(effects[one], now.values[names[one]])
         low, high = (value_at(effects[one], place + side * WIDTH_95 * deviation) for side in (-1, 1))
         intervals[names[one]] = low, high
-        rest = [other for other in best.members if other != one]
-        worth[names[one]] = best.evidence - weigh(gram, priors, rest, power=fits.power).evidence
     return Found(
         effects,
         {names[one]: now.values[names[one]] for one in kept},
         intervals,
-        {names[one]: worth[names[one]] for one in kept},
+        {names[one]: losses[one] for one in kept},
         _with_refitted(_aliases(ranked, gram, priors, best), refitted),
         probabilities,
         also,
@@ -480,13 +472,6 @@ def _shares(rivals: Sequence[Rival], evidence: float) -> dict[int, tuple[tuple[i
         odds = np.exp(np.minimum([rival.evidence - evidence for rival in own], 0.0))
         shares[cause] = tuple((rival.other, float(one / (1 + odds.sum()))) for rival, one in zip(own, odds))
     return shares
-
-
-def _cosines(gram: Gram, one: int) -> Array:
-    """Return the cosines of the angles between an effect's response and those of all."""
-    sizes = np.sqrt(np.maximum(np.diag(gram.products), 1e-300))
-    cosines: Array = np.abs(gram.products[one]) / (sizes[one] * sizes)
-    return cosines
 
 
 def _with_refitted(
@@ -599,13 +584,6 @@ def _ends_of_chords(simulator: Simulator, effect: Effect, typical: float, dead: 
     return far
 
 
-def _deviations(gram: Gram, priors: Priors, members: Sequence[int]) -> Array:
-    """Return standard errors, of the whole likelihood."""
-    if not members:
-        return np.zeros(0)
-    return np.sqrt(np.diag(np.linalg.inv(weigh(gram, priors, members).curvature)))
-
-
 def is_held(effect: Effect, value: float) -> bool:
     """Whether an estimate lies at a bound that is not neutral."""
     low, high = (coordinate(effect, bound) for bound in effect.bounds)
@@ -628,7 +606,6 @@ def _aliases(
     ranked: Ranked, gram: Gram, priors: Priors, best: Weighed
 ) -> dict[str, tuple[tuple[str, float], ...]]:
     """Return for each cause the effects that stand in its place in sets nearly as likely."""
-    sizes = np.sqrt(np.maximum(np.diag(gram.products), 1e-300))
     found: dict[int, dict[int, float]] = {one: defaultdict(float) for one in best.members}
     for share, one in zip(ranked.probabilities, ranked.sets):
         if one.evidence < best.evidence - np.log(ALIAS_FACTOR):
@@ -636,7 +613,7 @@ def _aliases(
         others = [other for other in one.members if other not in best.members]
         for cause in set(best.members) - set(one.members):
             if others:
-                alike = np.abs(gram.products[cause, others]) / (sizes[cause] * sizes[others])
+                alike = gram.cosines(cause)[others]
                 found[cause][others[int(np.argmax(alike))]] += float(share)
     return {
         priors.names[cause]: tuple(
@@ -657,8 +634,8 @@ def _also(
     banned: Sequence[int],
 ) -> dict[str, float]:
     """Return what the log shows beside the causes if the model is taken for exact."""
-    ranked = ask(gram, start=best.members, banned=banned, power=1.0)
-    exact, _ = without_weak(ranked.sets[0], gram, priors, needed)
+    worth = Weigher(gram, priors)
+    exact, _ = without_weak(ask(worth, best.members, banned=banned).sets[0], worth, needed)
     return {
         priors.names[one]: value_at(effects[one], at)
         for one, at in zip(exact.members, exact.values)

@@ -13,7 +13,7 @@ Laplace's approximation at the posterior mode, :math:`G = N'N, b = N'z`, D the c
 cause at all.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +24,8 @@ from skat.diagnosis.filtering import Array
 
 # Of the largest eigenvalue of a scaled Gram matrix: below it there is rounding.
 RANK = 1e-12
+# Steps of a posterior mode, each with a normal law in the place of each prior; so many from the values of a set alike.
+STEPS, FEW_STEPS = 30, 12
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,12 @@ class Gram:
         """B of innovations extrapolated to where every value is neutral."""
         return self.projections + self.products @ self.origin
 
+    def cosines(self, one: int) -> Array:
+        """Return the cosines of the angles between an effect's response and those of all, without signs, (k,)."""
+        sizes = np.sqrt(np.maximum(np.diag(self.products), 1e-300))
+        cosines: Array = np.abs(self.products[one]) / (sizes[one] * sizes)
+        return cosines
+
     def scattered(self, excess: Array) -> "Gram":
         r"""Return this Gram where scores scatter more than the model says.
 
@@ -130,6 +138,16 @@ class Weighed:
     likelihood: float
     curvature: Array
 
+    @property
+    def covariance(self) -> Array:
+        """Of the normal law of the values about the mode."""
+        return np.asarray(np.linalg.inv(self.curvature), dtype=np.float64)
+
+    @property
+    def deviations(self) -> Array:
+        """Standard errors of the values, (len(members),)."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
 
 def weigh(gram: Gram, priors: Priors, members: Sequence[int], *, power: float = 1.0) -> Weighed:
     """Return what a set is worth.
@@ -165,18 +183,22 @@ def posterior_mode(G: Array, b: Array, scales: Array, low: Array, high: Array) -
     """
     values = np.zeros(len(b))
     weights = 1.0 / scales**2  # 2 / (s^2 + theta^2) at theta = s
-    for _ in range(30):
+    for _ in range(STEPS):
         new = _bounded_solution(G + np.diag(weights), b, low, high, values)
         moved = np.max(np.abs(new - values) * np.sqrt(np.diag(G) + weights), initial=0.0)
         values = new
         weights = 2.0 / (scales**2 + values**2)
         if moved < 1e-3:
             break
-    bent = 2 * (scales**2 - values**2) / (scales**2 + values**2) ** 2
-    curvature = G + np.diag(bent)
+    curvature = G + np.diag(_bent(scales, values))
     if np.linalg.eigvalsh(curvature)[0] <= 0:
         curvature = G + np.diag(weights)
     return values, curvature
+
+
+def _bent(scales: Array, values: Array) -> Array:
+    """Return the curvature of the log density of Cauchy laws, with its sign turned."""
+    return 2 * (scales**2 - values**2) / (scales**2 + values**2) ** 2
 
 
 def _bounded_solution(H: Array, b: Array, low: Array, high: Array, start: Array) -> Array:
@@ -213,9 +235,168 @@ def _inside(values: Array, gradient: Array, curvature: Array, low: Array, high: 
         # Where the slope does not vanish, as on a bound, the law is normal about where it would.
         centre = value + slope / root**2
         upper, lower = (high[index] - centre) * root, (low[index] - centre) * root
-        shift = 0.5 * (slope / root) ** 2
-        if lower > 0:  # both ends are above the centre, where the difference of two shares of 1 is lost
-            upper, lower = -lower, -upper
-        log_share = log_ndtr(upper) + np.log1p(-np.exp(min(log_ndtr(lower) - log_ndtr(upper), -1e-12)))
-        total += float(shift + log_share)
+        total += float(0.5 * (slope / root) ** 2 + _log_share(lower, upper))
     return total
+
+
+def _log_share(lower: Array, upper: Array) -> Array:
+    """Return the log of the share of the standard normal law that lies between two ends."""
+    # Where both ends are above the centre, the difference of two shares of 1 would be lost.
+    above = lower > 0
+    upper, lower = np.where(above, -lower, upper), np.where(above, -upper, lower)
+    return np.asarray(
+        log_ndtr(upper) + np.log1p(-np.exp(np.minimum(log_ndtr(lower) - log_ndtr(upper), -1e-12)))
+    )
+
+
+class Weigher:
+    """Weighs sets, each once.
+
+    Parameters
+    ----------
+    gram : Gram
+    priors : Priors
+    power : float, default=1.0
+        As `weigh`'s.
+
+    Attributes
+    ----------
+    seen : dict of tuple of int to Weighed
+        All that were weighed.
+    """
+
+    def __init__(self, gram: Gram, priors: Priors, *, power: float = 1.0):
+        self.gram, self.priors, self.power = gram, priors, power
+        self.seen: dict[tuple[int, ...], Weighed] = {}
+
+    def __call__(self, members: Sequence[int]) -> Weighed:
+        """Return what a set is worth."""
+        key = tuple(sorted(set(members)))
+        if key not in self.seen:
+            self.seen[key] = self._weighed(key)
+        return self.seen[key]
+
+    def without(self, whole: Weighed, gone: int) -> Weighed:
+        """Return what a set is worth without one of its members."""
+        return self([one for one in whole.members if one != gone])
+
+    def losses(self, whole: Weighed) -> dict[int, float]:
+        """Return what each member of a set is worth: what the evidence loses when it is dropped, nats."""
+        return {one: whole.evidence - self.without(whole, one).evidence for one in whole.members}
+
+    def promises(self, now: Weighed) -> Array:
+        """Return about by how much each further effect would raise the log posterior odds; -inf of members.
+
+        But for what is the same for all.
+        """
+        priors = self.priors
+        G, b = self.gram.products * self.power, self.gram.at_neutral * self.power
+        left, information = b.copy(), np.diag(G).copy()
+        if now.members:
+            members = np.array(now.members)
+            left -= G[:, members] @ now.values
+            solved = np.linalg.solve(now.curvature, G[members])
+            information -= np.sum(G[:, members] * solved.T, axis=1)
+        information = np.maximum(information, 1e-9 * np.maximum(np.diag(G), 1e-300))
+        whole = information + 1 / priors.scales**2
+        values = np.clip(left / whole, priors.low, priors.high)
+        gain = left * values - 0.5 * information * values**2 + priors.log_odds
+        gain += -np.log1p((values / priors.scales) ** 2) - np.log(priors.scales) - 0.5 * np.log(whole)
+        gain[list(now.members)] = -np.inf
+        return np.asarray(gain)
+
+    def _weighed(self, members: tuple[int, ...]) -> Weighed:
+        return weigh(self.gram, self.priors, members, power=self.power)
+
+
+class SwiftWeigher(Weigher):
+    """Weighs many sets that are much alike: each from the values of those before, and no finer than a search needs.
+
+    Parameters
+    ----------
+    gram : Gram
+    priors : Priors
+    rivals : mapping from place to places
+        Effects that are in no set with a given one: all of a family, and each of it.
+    """
+
+    def __init__(self, gram: Gram, priors: Priors, rivals: Mapping[int, Sequence[int]] | None = None):
+        super().__init__(gram, priors)
+        self.rivals = rivals or {}
+        self._last = np.zeros(len(priors.scales))
+
+    def _weighed(self, members: tuple[int, ...]) -> Weighed:
+        if not members:
+            return weigh(self.gram, self.priors, ())
+        chosen = np.array(members)
+        G, b = self.gram.products[np.ix_(chosen, chosen)], self.gram.at_neutral[chosen]
+        scales, low, high = self.priors.scales[chosen], self.priors.low[chosen], self.priors.high[chosen]
+        values = self._last[chosen]
+        for _ in range(FEW_STEPS):
+            weights = 2 / (scales**2 + values**2)
+            new = _bounded_at_once(G + np.diag(weights), b, low, high, values)
+            moved = float(np.max(np.abs(new - values) * np.sqrt(np.diag(G) + weights)))
+            values = new
+            if moved < 1e-2:
+                break
+        self._last[chosen] = values
+        curvature = G + np.diag(_bent(scales, values))
+        unit = 1 / np.sqrt(np.maximum(np.diag(curvature), 1e-300))
+        sign, log_determinant = np.linalg.slogdet(curvature * unit * unit[:, None])
+        if sign <= 0 or not (np.diag(curvature) > 0).all():
+            curvature = G + np.diag(2 / (scales**2 + values**2))
+            unit = 1 / np.sqrt(np.diag(curvature))
+            _, log_determinant = np.linalg.slogdet(curvature * unit * unit[:, None])
+        log_determinant -= 2 * float(np.log(unit).sum())
+        likelihood = float(b @ values - 0.5 * values @ G @ values)
+        prior = self.priors.log_density(members, values).sum() + self.priors.log_odds[chosen].sum()
+        evidence = likelihood + float(prior) + 0.5 * len(members) * np.log(2 * np.pi) - 0.5 * log_determinant
+        slope = b - G @ values - 2 * values / (scales**2 + values**2)
+        roots = 1 / unit
+        centres = values + slope * unit**2
+        inside = _log_share((low - centres) * roots, (high - centres) * roots)
+        evidence += float(np.sum(0.5 * (slope * unit) ** 2 + inside))
+        return Weighed(members, values, evidence, likelihood, curvature)
+
+    def promises(self, now: Weighed) -> Array:
+        """Return about by how much each further effect would raise the log posterior odds; -inf of members and rivals.
+
+        With the values of the others moved, which what an exchange is worth depends on.
+        """
+        S, G = list(now.members), self.gram.products
+        left, spread = self.gram.at_neutral.copy(), np.diag(G) + 1 / self.priors.scales**2
+        if S:
+            solved = np.linalg.solve(now.curvature, G[S])
+            left = left - G[:, S] @ now.values
+            spread = spread - np.sum(G[S] * solved, axis=0)
+        spread = np.maximum(spread, 1 / self.priors.scales**2)
+        shift = np.clip(left / spread, self.priors.low, self.priors.high)
+        gain = left * shift - 0.5 * spread * shift**2
+        gain += self.priors.log_odds + 0.5 * np.log(2 * np.pi / spread)
+        gain -= np.log(np.pi * self.priors.scales) + np.log1p((shift / self.priors.scales) ** 2)
+        gain[[*S, *(other for one in S for other in self.rivals.get(one, ()))]] = -np.inf
+        return np.asarray(gain)
+
+
+def _bounded_at_once(H: Array, b: Array, low: Array, high: Array, start: Array) -> Array:
+    """Return the same minimum: all bounds that a solution breaks are held at once, which many sets ask for."""
+    unit = 1 / np.sqrt(np.diag(H))
+    H, b, low, high = H * unit * unit[:, None], b * unit, low / unit, high / unit
+    held = np.zeros(len(b), dtype=bool)
+    x = np.clip(start / unit, low, high)
+    for _ in range(2 * len(b) + 2):
+        free = ~held
+        if free.any():
+            right = b[free] - H[np.ix_(free, held)] @ x[held]
+            x[free] = np.linalg.solve(H[np.ix_(free, free)], right)
+        beyond = free & ((x < low - 1e-12) | (x > high + 1e-12))
+        if beyond.any():
+            x = np.clip(x, low, high)
+            held |= beyond
+            continue
+        slope = b - H @ x
+        inward = held & (((x <= low) & (slope > 1e-9)) | ((x >= high) & (slope < -1e-9)))
+        if not inward.any():
+            break
+        held[int(np.argmax(np.where(inward, np.abs(slope), -1.0)))] = False
+    return np.clip(x, low, high) * unit

@@ -74,7 +74,7 @@ class Posterior:
                     shares[members] / total,
                     dict(zip(names, places)),
                     mean,
-                    np.asarray(np.linalg.inv(weighed.curvature), dtype=np.float64),
+                    weighed.covariance,
                 )
             )
         return cls(tuple(sets), found.effects)

@@ -1,17 +1,28 @@
-"""Sets of causes, searched on Gram matrices of whitened innovations."""
+"""Sets of causes, searched on Gram matrices of whitened innovations.
 
-from collections.abc import Callable, Mapping, Sequence
+Of one log `search` weighs every move, and so many sets that their probabilities are known; of many Gram matrices that
+are much alike `search_sets` weighs the few moves that promise most, and looks for the best set alone.
+"""
+
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
-from skat.diagnosis.evidence import Gram, Priors, Weighed, weigh
+from skat.diagnosis.evidence import Gram, Priors, SwiftWeigher, Weighed, Weigher
 from skat.diagnosis.filtering import Array
 
-LARGEST_SET = 60
+# Causes at a time, of a search of one log and of one of many Gram matrices.
+LARGEST_SET, LARGEST_OF_MANY = 60, 80
+# A move that gains no more than this, nats, is rounding.
+ROUNDING = 1e-9
 # Effects that are weighed exactly in a move, of those that promise most; pairs are made of fewer.
 PROMISING, PAIRED, ALIKE = 12, 8, 6
+# Of the sets that a step could lead to, the most promising are weighed.
+FEW = 4
+# A member that is worth more nats than this is exchanged for none but its twin: the cosine between both responses.
+EXCHANGED, TWIN = 100.0, 0.95
 
 
 @dataclass(frozen=True)
@@ -41,12 +52,10 @@ class Ranked:
 
 
 def search(
-    gram: Gram,
-    priors: Priors,
+    worth: Weigher,
     start: Sequence[int] = (),
     *,
     families: Mapping[str, Sequence[int]] | None = None,
-    power: float = 1.0,
     banned: Sequence[int] = (),
     most: int | None = None,
 ) -> Ranked:
@@ -57,84 +66,67 @@ def search(
 
     Parameters
     ----------
-    gram : Gram
-    priors : Priors
+    worth : Weigher
+        That has weighed nothing yet.
     start : sequence of int
         Places of the effects of a set that may be near.
     families : mapping from name to places, optional
         Effects that may come together.
-    power : float, default=1.0
-        To which the likelihood is taken.
     banned : sequence of int
         Effects that are no causes.
     most : int, optional
         Causes at a time.
     """
-    seen: dict[tuple[int, ...], Weighed] = {}
     families = families or {}
     most = LARGEST_SET if most is None else most
-
-    def worth(members: Sequence[int]) -> Weighed:
-        key = tuple(sorted(set(members)))
-        if key not in seen:
-            seen[key] = weigh(gram, priors, key, power=power)
-        return seen[key]
-
     worth(())
     for first in dict.fromkeys([(), tuple(sorted(set(start) - set(banned)))[:most]]):
         now = worth(first)
         while True:
-            promising = _promising(gram, priors, now, power, banned)
+            promising = _promising(worth, now, banned)
             moves = [(*now.members, one) for one in promising[:PROMISING]]
             moves += [tuple(set(now.members) - {one}) for one in now.members]
             moves += [
                 (*(set(now.members) - {one}), other)
                 for one in now.members
-                for other in _alike(gram, one)
+                for other in _alike(worth.gram, one)
                 if other not in now.members and other not in banned
             ]
             moves += _family_moves(now.members, families, banned)
-            top = _best(worth, moves, most)
-            if top is None or top.evidence <= now.evidence + 1e-9:
+            top = _best(worth, now, moves, most)
+            if not _gains(top, now):
                 pairs = combinations(promising[:PAIRED], 2)
-                top = _best(worth, [(*now.members, *pair) for pair in pairs], most)
-                if top is None or top.evidence <= now.evidence + 1e-9:
-                    break
+                top = _best(worth, now, [(*now.members, *pair) for pair in pairs], most)
+            if not _gains(top, now):
+                break
             now = top
-    return Ranked(tuple(sorted(seen.values(), key=lambda one: -one.evidence)))
+    return Ranked(tuple(sorted(worth.seen.values(), key=lambda one: -one.evidence)))
 
 
-def _best(
-    worth: Callable[[Sequence[int]], Weighed], moves: Sequence[Sequence[int]], most: int
-) -> Weighed | None:
-    candidates = [worth(move) for move in moves if len(set(move)) <= most]
-    return max(candidates, key=lambda one: one.evidence, default=None)
+def _gains(one: Weighed, now: Weighed) -> bool:
+    return one.evidence > now.evidence + ROUNDING
 
 
-def _promising(gram: Gram, priors: Priors, now: Weighed, power: float, banned: Sequence[int]) -> list[int]:
+def _evidence(one: Weighed) -> float:
+    return one.evidence
+
+
+def _best(worth: Weigher, now: Weighed, moves: Sequence[Sequence[int]], most: int) -> Weighed:
+    return max((worth(move) for move in moves if len(set(move)) <= most), key=_evidence, default=now)
+
+
+def _promising(worth: Weigher, now: Weighed, banned: Sequence[int]) -> list[int]:
     """Return the effects that are not in a set, by about what each one would add."""
-    G, b = gram.products * power, gram.at_neutral * power
-    left, information = b.copy(), np.diag(G).copy()
-    if now.members:
-        members = np.array(now.members)
-        left -= G[:, members] @ now.values
-        solved = np.linalg.solve(now.curvature, G[members])
-        information -= np.sum(G[:, members] * solved.T, axis=1)
-    information = np.maximum(information, 1e-9 * np.maximum(np.diag(G), 1e-300))
-    whole = information + 1 / priors.scales**2
-    values = np.clip(left / whole, priors.low, priors.high)
-    gain = left * values - 0.5 * information * values**2 + priors.log_odds
-    gain += -np.log1p((values / priors.scales) ** 2) - np.log(priors.scales) - 0.5 * np.log(whole)
-    gain[[*now.members, *banned]] = -np.inf
+    gain = worth.promises(now)
+    gain[list(banned)] = -np.inf
     order = np.argsort(-gain, kind="stable")
     return [int(one) for one in order if np.isfinite(gain[one])]
 
 
 def _alike(gram: Gram, one: int) -> list[int]:
     """Return the effects whose response is most like that of one."""
-    sizes = np.sqrt(np.maximum(np.diag(gram.products), 1e-300))
-    cosines = np.abs(gram.products[one]) / (sizes * sizes[one])
-    return [int(other) for other in np.argsort(-cosines, kind="stable")[: ALIKE + 1] if other != one]
+    order = np.argsort(-gram.cosines(one), kind="stable")
+    return [int(other) for other in order[: ALIKE + 1] if other != one]
 
 
 def _family_moves(
@@ -151,29 +143,105 @@ def _family_moves(
     return moves
 
 
-def without_weak(
-    best: Weighed, gram: Gram, priors: Priors, needed: float, *, power: float = 1.0
-) -> tuple[Weighed, dict[int, float]]:
-    """Return what is left of a set when all of its members are worth what a name needs, and what each is worth.
+def search_sets(
+    gram: Gram,
+    priors: Priors,
+    *,
+    start: Sequence[int] = (),
+    rivals: Mapping[int, Sequence[int]] | None = None,
+) -> tuple[Weighed, SwiftWeigher]:
+    """Return the set of causes that is worth most, and all that were weighed.
 
-    A member is worth what the evidence of the set loses when it is dropped.
+    No single effect can be added, dropped or exchanged with a gain, of those that promise most.
+
+    Parameters
+    ----------
+    gram : Gram
+    priors : Priors
+    start : sequence of int
+        A set to begin with.
+    rivals : mapping from place to places, optional
+        As `SwiftWeigher`'s.
+    """
+    worth = SwiftWeigher(gram, priors, rivals)
+    now = worth(start)
+    while True:
+        for step in (_best_drop, _best_addition, _best_exchange):
+            tried = step(worth, now)
+            if _gains(tried, now):
+                break
+        else:
+            return now, worth
+        now = tried
+
+
+def _best_addition(worth: SwiftWeigher, now: Weighed) -> Weighed:
+    if len(now.members) >= LARGEST_OF_MANY:
+        return now
+    promises = worth.promises(now)
+    likely = [int(one) for one in np.argsort(-promises)[:FEW] if promises[one] > -np.inf]
+    return max((worth((*now.members, one)) for one in likely), key=_evidence, default=now)
+
+
+def _best_drop(worth: SwiftWeigher, now: Weighed) -> Weighed:
+    order = [now.members[place] for place in np.argsort(_likely_losses(now))[:FEW]]
+    return max((worth.without(now, gone) for gone in order), key=_evidence, default=now)
+
+
+def _best_exchange(worth: SwiftWeigher, now: Weighed) -> Weighed:
+    """Return the first better set that has another effect in a member's place."""
+    losses = dict(zip(now.members, _likely_losses(now)))
+    for gone in sorted(now.members, key=lambda one: losses[one]):
+        twins = worth.gram.cosines(gone)
+        twins[gone] = 0
+        if losses[gone] > EXCHANGED and twins.max() < TWIN:
+            continue
+        rest = worth.without(now, gone)
+        promises = worth.promises(rest)
+        promises[gone] = -np.inf
+        for one in np.argsort(-promises)[:2]:
+            if promises[one] > -np.inf and rest.evidence + promises[one] > now.evidence - 3:
+                tried = worth((*rest.members, int(one)))
+                if _gains(tried, now):
+                    return tried
+    return now
+
+
+def _likely_losses(now: Weighed) -> Array:
+    """Return about how many nats of likelihood each member of a set is worth."""
+    losses: Array = now.values**2 / np.maximum(np.diag(now.covariance), 1e-300) / 2
+    return losses
+
+
+def without_weak(best: Weighed, worth: Weigher, needed: float) -> tuple[Weighed, dict[int, float]]:
+    """Return what is left of a set when all of its members are worth what a name needs, and what each is worth.
 
     Parameters
     ----------
     best : Weighed
-    gram, priors
+    worth : Weigher
     needed : float
-        Nats.
-    power : float, default=1.0
-        To which the likelihood is taken.
+        Nats; see `Weigher.losses`.
     """
     while best.members:
-        worth = {}
-        for one in best.members:
-            rest = [other for other in best.members if other != one]
-            worth[one] = best.evidence - weigh(gram, priors, rest, power=power).evidence
-        weakest = min(worth, key=lambda one: worth[one])
-        if worth[weakest] >= needed:
-            return best, worth
-        best = weigh(gram, priors, [other for other in best.members if other != weakest], power=power)
+        losses = worth.losses(best)
+        weakest = min(losses, key=lambda one: losses[one])
+        if losses[weakest] >= needed:
+            return best, losses
+        best = worth.without(best, weakest)
     return best, {}
+
+
+def alternatives(best: Weighed, worth: SwiftWeigher, within: float) -> dict[int, list[tuple[int, float]]]:
+    """Return for each member the effects that could stand in its place, and how many nats less such a set is worth."""
+    found: dict[int, list[tuple[int, float]]] = {}
+    for one in best.members:
+        rest = worth.without(best, one)
+        likely = [
+            int(other)
+            for other in np.argsort(-worth.promises(rest))[: FEW + 1]
+            if other != one and other not in best.members
+        ]
+        lost = [(other, best.evidence - worth((*rest.members, other)).evidence) for other in likely]
+        found[one] = sorted([pair for pair in lost if pair[1] <= within], key=lambda pair: pair[1])
+    return found

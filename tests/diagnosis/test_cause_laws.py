@@ -10,8 +10,6 @@ from skat.diagnosis.causes import (
     Rival,
     Seen,
     _aliases,
-    _cosines,
-    _deviations,
     _ends_of_chords,
     _families,
     _live,
@@ -286,15 +284,15 @@ def a_set(members, evidence):
 def test_cosines_are_those_of_the_angles_between_responses():
     N = np.random.default_rng(0).normal(size=(30, 3)) * [1.0, -5.0, 100.0]
     expected = np.abs(np.corrcoef(np.r_[N, -N].T)[1])
-    np.testing.assert_allclose(_cosines(Gram(N.T @ N, np.zeros(3), np.zeros(3)), 1), expected, rtol=1e-9)
+    np.testing.assert_allclose(Gram(N.T @ N, np.zeros(3), np.zeros(3)).cosines(1), expected, rtol=1e-9)
 
 
 def test_deviations_are_those_of_the_curvature():
     gram = gram_with(0.9)
     curvature = weigh(gram, PRIORS, (0, 1)).curvature
     expected = np.sqrt(np.linalg.solve(curvature, np.eye(2)).diagonal())
-    np.testing.assert_allclose(_deviations(gram, PRIORS, (0, 1)), expected, rtol=1e-9)
-    assert len(_deviations(gram, PRIORS, ())) == 0
+    np.testing.assert_allclose(weigh(gram, PRIORS, (0, 1)).deviations, expected, rtol=1e-9)
+    assert len(weigh(gram, PRIORS, ()).deviations) == 0
 
 
 def test_what_stands_in_a_cause_s_place_in_likely_sets_is_its_alias():

@@ -11,8 +11,8 @@ each with values of its own. :math:`\Delta` says that logs that move otherwise d
 do, and by what no effect explains, which may look like any. All three are integrated out, and sparse :math:`\delta`, by
 how much the logs differ more than that, are searched for by evidence. The theory page derives it.
 
-Modules import only those before them: `smoothing` makes a motion of readings, `force_space` rows of a log, `set_search`
-looks for sets, `windows` are sums of rows; `candidates` are what may have changed, `motions` say by what force, `law`
+Modules import only those before them: `smoothing` makes a motion of readings, `force_space` rows of a log, `windows`
+are sums of rows; `candidates` are what may have changed, `motions` say by what force, `law`
 what else differs; `question` is the regression of two logs, which `mixups` doubts, `telling` words, and `search`
 answers.
 """

@@ -9,11 +9,11 @@ from skat.diagnosis.changes.candidates import Candidate, priors_of, rivals_of
 from skat.diagnosis.changes.mixups import mistake_of
 from skat.diagnosis.changes.motions import Log, half_of
 from skat.diagnosis.changes.question import Question, question_of
-from skat.diagnosis.changes.set_search import search_sets, without_weak
 from skat.diagnosis.changes.telling import Changes, causes_of, gain_of, sizes_of
 from skat.diagnosis.changes.windows import Bagged, Windows, drawn_windows, integrated
 from skat.diagnosis.evidence import Gram, Priors, Weighed
 from skat.diagnosis.filtering import Array
+from skat.diagnosis.search import search_sets, without_weak
 from skat.effects import Effect
 from skat.simulators import MujocoSimulator, Simulator
 

@@ -8,10 +8,10 @@ import numpy as np
 from skat.diagnosis.changes.candidates import Candidate
 from skat.diagnosis.changes.force_space import joined
 from skat.diagnosis.changes.question import Question
-from skat.diagnosis.changes.set_search import Weigher, alternatives
-from skat.diagnosis.evidence import Weighed
+from skat.diagnosis.evidence import SwiftWeigher, Weighed
 from skat.diagnosis.filtering import Array, Mask
 from skat.diagnosis.findings import Alias, Cause, Gain
+from skat.diagnosis.search import alternatives
 from skat.simulators import MujocoSimulator
 
 # Sets that are less likely by at most this factor cannot be told apart.
@@ -50,7 +50,7 @@ class Changes:
 
 
 def causes_of(
-    question: Question, best: Weighed, worth: Weigher, nats: Mapping[int, float]
+    question: Question, best: Weighed, worth: SwiftWeigher, nats: Mapping[int, float]
 ) -> tuple[Cause, ...]:
     """Return the members of a set as they are told, most telling first.
 
@@ -59,17 +59,16 @@ def causes_of(
     question : Question
     best : Weighed
         The set that is named; its values are in units of scales.
-    worth : Weigher
+    worth : SwiftWeigher
         By which others are about as likely: the aliases.
     nats : mapping from place to float
         What each member is worth, in log odds.
     """
     if not best.members:
         return ()
-    errors = np.sqrt(np.maximum(np.diag(np.linalg.inv(best.curvature)), 0.0))
     others = alternatives(worth(best.members), worth, np.log(ALIAS_ODDS))
     found = []
-    for place, value, error in zip(best.members, best.values, errors):
+    for place, value, error in zip(best.members, best.values, best.deviations):
         one = question.candidates[place]
         aliases: dict[str, float] = {}
         for other, lost in others[place]:

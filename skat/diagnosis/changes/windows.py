@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from skat.diagnosis.changes.force_space import Rows
-from skat.diagnosis.changes.set_search import Weigher
-from skat.diagnosis.evidence import Weighed
+from skat.diagnosis.evidence import SwiftWeigher, Weighed
 from skat.diagnosis.filtering import Array
 
 # Pairs of logs of drawn windows.
@@ -101,20 +100,20 @@ def drawn_windows(sides: Sequence[Windows]) -> list[tuple[Array, ...]]:
     return [tuple(rng.multinomial(n, np.full(n, 1 / n)).astype(float) for n in counts) for _ in range(BAGS)]
 
 
-class Bagged(Weigher):
+class Bagged(SwiftWeigher):
     """Weighs sets by the mean of their probabilities over logs of drawn windows.
 
     Parameters
     ----------
-    whole : Weigher
+    whole : SwiftWeigher
         Of both logs as they are.
-    bags : sequence of Weigher
+    bags : sequence of SwiftWeigher
         Of drawn windows.
     pool : sequence of tuple of int
         The sets that probabilities are shared out between.
     """
 
-    def __init__(self, whole: Weigher, bags: Sequence[Weigher], pool: Sequence[tuple[int, ...]]):
+    def __init__(self, whole: SwiftWeigher, bags: Sequence[SwiftWeigher], pool: Sequence[tuple[int, ...]]):
         super().__init__(whole.gram, whole.priors, rivals=whole.rivals)
         self.whole, self.bags = whole, bags
         self.totals = [float(logsumexp([worth(members).evidence for members in pool])) for worth in bags]
@@ -125,5 +124,5 @@ class Bagged(Weigher):
         curvature = ours.curvature
         if members:
             off = np.array([one.values for one in theirs]) - ours.values
-            curvature = np.asarray(np.linalg.inv(np.linalg.inv(curvature) + off.T @ off / len(off)))
+            curvature = np.asarray(np.linalg.inv(ours.covariance + off.T @ off / len(off)))
         return replace(ours, evidence=float(logsumexp(shares) - np.log(len(shares))), curvature=curvature)

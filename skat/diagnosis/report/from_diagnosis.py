@@ -320,7 +320,7 @@ def _also_seen(diagnosis: Any) -> tuple[ShownCause, ...]:
         return ()
     places = {name: place for place, name in enumerate(found.priors.names)}
     weighed = weigh(found.gram, found.priors, [places[name] for name in {**found.values, **also}])
-    deviations = dict(zip(weighed.members, np.sqrt(np.diag(np.linalg.inv(weighed.curvature)))))
+    deviations = dict(zip(weighed.members, weighed.deviations))
     shown = []
     for name, value in also.items():
         effect, half = found.effects[places[name]], WIDTH_95 * float(deviations[places[name]])

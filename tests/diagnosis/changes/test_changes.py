@@ -8,9 +8,8 @@ from skat.diagnosis.changes.candidates import LATER, Model, _between
 from skat.diagnosis.changes.force_space import joined
 from skat.diagnosis.changes.law import _of_sensors
 from skat.diagnosis.changes.motions import _later, half_of, rows_about
-from skat.diagnosis.changes.set_search import Weigher
 from skat.diagnosis.changes.windows import Bagged, integrated
-from skat.diagnosis.evidence import Gram, Priors
+from skat.diagnosis.evidence import Gram, Priors, SwiftWeigher
 from skat.simulators import FunctionSimulator, MujocoSimulator
 from tests.diagnosis.changes.test_force_space import ARM, log_of
 
@@ -37,8 +36,8 @@ def test_a_set_has_the_mean_of_its_probabilities_over_drawn_windows():
     priors = Priors(("a", "b"), np.ones(2), np.log([0.1, 0.1]), np.full(2, -50.0), np.full(2, 50.0))
     grams = [Gram(np.diag([40.0, 30.0]), np.array(b), np.zeros(2)) for b in ([90.0, 8.0], [70.0, 9.0])]
     pool = [(), (0,), (1,), (0, 1)]
-    bags = [Weigher(gram, priors) for gram in grams]
-    bagged = Bagged(Weigher(grams[0], priors), bags, pool)
+    bags = [SwiftWeigher(gram, priors) for gram in grams]
+    bagged = Bagged(SwiftWeigher(grams[0], priors), bags, pool)
     evidences = np.array([[worth(members).evidence for members in pool] for worth in bags])
     shares = np.exp(evidences - evidences.max(axis=1, keepdims=True))
     expected = (shares / shares.sum(axis=1, keepdims=True)).mean(axis=0)

@@ -6,9 +6,9 @@ import pytest
 
 from skat.diagnosis.changes import find_changes
 from skat.diagnosis.changes.force_space import Rows, noise_of, smooth_motion, smooth_squares
-from skat.diagnosis.changes.set_search import Weigher, search_sets
 from skat.diagnosis.changes.smoothing import smooth_coordinate
-from skat.diagnosis.evidence import Gram, Priors, weigh
+from skat.diagnosis.evidence import Gram, Priors, SwiftWeigher, weigh
+from skat.diagnosis.search import search_sets
 from skat.simulators import MujocoSimulator
 
 ARM = """
@@ -174,7 +174,7 @@ def test_sets_come_back_when_data_are_simulated_from_them(seed):
 
 def test_quick_weighing_is_that_of_the_evidence():
     gram, priors = random_problem(5)
-    worth = Weigher(gram, priors)
+    worth = SwiftWeigher(gram, priors)
     for members in ((1,), (1, 2, 3), (0, 4, 8, 11)):
         assert worth(members).evidence == pytest.approx(weigh(gram, priors, members).evidence, abs=0.02)
 
@@ -189,7 +189,9 @@ def test_a_value_held_at_its_bound_is_worth_what_the_integral_says(sign):
     at_bound = pull * bound - stiffness * bound**2 / 2
     prior = priors.log_density((0,), np.full(1, sign * bound))[0]
     slope = pull - stiffness * bound
-    assert Weigher(gram, priors)((0,)).evidence == pytest.approx(at_bound + prior - np.log(slope), abs=0.01)
+    assert SwiftWeigher(gram, priors)((0,)).evidence == pytest.approx(
+        at_bound + prior - np.log(slope), abs=0.01
+    )
 
 
 def test_only_what_changed_is_named_of_a_model_that_is_wrong_in_both_logs():
