@@ -14,6 +14,7 @@ from skat.diagnosis.fitting import (
     STILL,
     Columns,
     Fitted,
+    around,
     coordinate,
     gram_of,
     noise_without,
@@ -22,7 +23,7 @@ from skat.diagnosis.fitting import (
     value_at,
 )
 from skat.diagnosis.noise import TOLERANCE
-from skat.diagnosis.search import Ranked, search, without_weak
+from skat.diagnosis.search import ALIAS_FACTOR, Ranked, search, without_weak
 from skat.diagnosis.statespace import CHAIN_LENGTH, StateSpace, derivatives
 from skat.effects import EVERY, Effect
 from skat.simulators.base import Simulator
@@ -40,10 +41,6 @@ SHORT_CHAIN = 4
 DENSE_TURNS = 2
 # No model is exact: a log of so many rows counts half [Miller, Dunson 2019].
 COARSE_ROWS = 10_000
-# Of a normal law within its 95 % interval.
-WIDTH_95 = 1.96
-# Sets less likely than the best by more than this factor are told from it.
-ALIAS_FACTOR = 20.0
 # Effects whose slopes are taken anew with the causes in, of those that promise most.
 LIVE = 24
 # The weakest causes, so many, must be missed by a fit of their own of the others.
@@ -441,10 +438,8 @@ def _found(
     kept = [one for one in strong.members if not is_held(effects[one], now.values[names[one]])]
     intervals, losses = {}, worth.losses(best)
     # Intervals are of the whole likelihood.
-    for one, deviation in zip(best.members, weigh(gram, priors, best.members).deviations):
-        place = coordinate(effects[one], now.values[names[one]])
-        low, high = (value_at(effects[one], place + side * WIDTH_95 * deviation) for side in (-1, 1))
-        intervals[names[one]] = low, high
+    for one, half in zip(best.members, weigh(gram, priors, best.members).half_widths):
+        intervals[names[one]] = around(effects[one], now.values[names[one]], half)
     return Found(
         effects,
         {names[one]: now.values[names[one]] for one in kept},

@@ -14,6 +14,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from skat.diagnosis.filtering import Array, Mask
 from skat.diagnosis.log import Log, check_log, without_channels
+from skat.diagnosis.prediction import FEWEST_PIECES, N_BOOTSTRAP, PIECES
 from skat.diagnosis.statespace import Places, tangent_mask
 from skat.simulators import Simulator
 from skat.transport import (
@@ -34,9 +35,8 @@ TRANSPORTS = (
 )
 # Exact transport takes time and memory with the square of the number of rows.
 MOST_EXACT_ROWS = 2_000
-N_BOOTSTRAP = 999
-# Pieces of time that count as independent: at most so many rows, at least so many of them; fewer give no interval.
-ROWS_OF_PIECE, ENOUGH_PIECES, FEWEST_PIECES = 12, 20, 5
+# Rows of a piece of time that counts as independent, at most.
+ROWS_OF_PIECE = 12
 # An initial state is fitted to the first rows of its episode, then to more of them by this factor, until it is whole.
 GROWTH = 1.6
 FIT_STEPS = 8
@@ -313,7 +313,7 @@ def _pieces(log: Log) -> Places:
     """Return the piece of each row: short against an episode, long against contacts' echoes."""
     if not log.consecutive:
         return log.episodes
-    length = int(np.clip(len(log) // ENOUGH_PIECES, 1, ROWS_OF_PIECE))
+    length = int(np.clip(len(log) // PIECES, 1, ROWS_OF_PIECE))
     return np.cumsum(np.r_[True, (np.diff(log.episodes) > 0) | (log.steps[1:] % length == 0)]) - 1
 
 

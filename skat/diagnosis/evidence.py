@@ -24,6 +24,8 @@ from skat.diagnosis.filtering import Array
 
 # Of the largest eigenvalue of a scaled Gram matrix: below it there is rounding.
 RANK = 1e-12
+# Of a normal law within its 95 % interval, in standard deviations.
+WIDTH_95 = 1.96
 # Steps of a posterior mode, each with a normal law in the place of each prior; so many from the values of a set alike.
 STEPS, FEW_STEPS = 30, 12
 
@@ -148,6 +150,14 @@ class Weighed:
         """Standard errors of the values, (len(members),)."""
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
+    @property
+    def half_widths(self) -> Array:
+        """Half of the width of each value's 95 % interval, (len(members),)."""
+        return WIDTH_95 * self.deviations
+
+
+NO_CAUSE = Weighed((), np.zeros(0), 0.0, 0.0, np.zeros((0, 0)))
+
 
 def weigh(gram: Gram, priors: Priors, members: Sequence[int], *, power: float = 1.0) -> Weighed:
     """Return what a set is worth.
@@ -162,7 +172,7 @@ def weigh(gram: Gram, priors: Priors, members: Sequence[int], *, power: float = 
     """
     members = tuple(sorted(members))
     if not members:
-        return Weighed((), np.zeros(0), 0.0, 0.0, np.zeros((0, 0)))
+        return NO_CAUSE
     chosen = np.array(members)
     G = gram.products[np.ix_(chosen, chosen)] * power
     b = gram.at_neutral[chosen] * power
@@ -327,7 +337,7 @@ class SwiftWeigher(Weigher):
 
     def _weighed(self, members: tuple[int, ...]) -> Weighed:
         if not members:
-            return weigh(self.gram, self.priors, ())
+            return NO_CAUSE
         chosen = np.array(members)
         G, b = self.gram.products[np.ix_(chosen, chosen)], self.gram.at_neutral[chosen]
         scales, low, high = self.priors.scales[chosen], self.priors.low[chosen], self.priors.high[chosen]

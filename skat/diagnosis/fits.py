@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skat.diagnosis.evidence import Gram, Priors, weigh
+from skat.diagnosis.evidence import NO_CAUSE, Gram, Priors, Weighed, weigh
 from skat.diagnosis.filtering import Array
 from skat.diagnosis.fitting import STILL, Fitted, coordinate, gram_of, settled, slopes_of, value_at
 from skat.diagnosis.noise import TOLERANCE
@@ -111,14 +111,14 @@ class Fits:
         for _ in range(FIT_TURNS):
             values = {effect.name: value_at(effect, at) for effect, at in zip(chosen, places)}
             fitted = self._settled(values, start)
-            fit, moved, curvature = self._weighed(members, fitted, widths)
-            deviations = np.sqrt(np.diag(np.linalg.inv(curvature)))
+            fit, one = self._weighed(members, fitted, widths)
+            moved, deviations = one.values, one.deviations
             # Within its standard errors no step goes too far: what it loses is another path's.
             too_far = fitted.bound < reached and bool(np.any(np.abs(places - origin) > deviations))
             gained = fit.evidence - (-np.inf if best is None else best.evidence)
             step = moved - np.asarray(places)
             # Slopes promise too little where a better fit leaves less noise, too.
-            promised = max(gained, float(step @ curvature @ step) / 2) + fit.error
+            promised = max(gained, float(step @ one.curvature @ step) / 2) + fit.error
             if best is not None and fit.evidence + promised < wanted:
                 break
             if best is None or gained > 0 or fitted.bound >= reached:
@@ -155,16 +155,16 @@ class Fits:
         effect = self.effects[member]
         return coordinate(effect, values.get(effect.name, effect.neutral))
 
-    def _weighed(self, members: tuple[int, ...], fitted: Fitted, widths: Array) -> tuple[Fit, Array, Array]:
-        """Return a fit, where slopes would move its values, and the curvature there."""
+    def _weighed(self, members: tuple[int, ...], fitted: Fitted, widths: Array) -> tuple[Fit, Weighed]:
+        """Return a fit, and the set as slopes have it: where they would move its values."""
         values = dict(fitted.values)
         if not members:
             evidence = self.power * fitted.bound
-            return Fit((), values, fitted, evidence, widths), np.zeros(0), np.zeros((0, 0))
+            return Fit((), values, fitted, evidence, widths), NO_CAUSE
         gram, priors = self.gram(fitted, members, widths), self.priors.part(members)
         one = weigh(gram, priors, range(len(members)), power=self.power)
         evidence = self.power * (fitted.bound - one.likelihood) + one.evidence
-        return Fit(members, values, fitted, evidence, widths), one.values, one.curvature
+        return Fit(members, values, fitted, evidence, widths), one
 
 
 def _lowest(fitted: Fitted) -> float:

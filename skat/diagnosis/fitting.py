@@ -512,6 +512,12 @@ def value_at(effect: Effect, place: float) -> float:
     return float(np.clip(value, *effect.bounds))
 
 
+def around(effect: Effect, value: float, width: float) -> tuple[float, float]:
+    """Return the values so far to both sides of one, by their coordinates, within bounds."""
+    place = coordinate(effect, value)
+    return value_at(effect, place - width), value_at(effect, place + width)
+
+
 def _steps(
     values: Mapping[str, float], effects: Sequence[Effect], widths: Array
 ) -> dict[str, tuple[float, float]]:
@@ -519,7 +525,7 @@ def _steps(
     steps = {}
     for effect, width in zip(effects, widths):
         now = values.get(effect.name, effect.neutral)
-        low, high = (value_at(effect, coordinate(effect, now) + side * width) for side in (-1, 1))
+        low, high = around(effect, now, width)
         one_side = (low, now) if high <= now else (now, high)
         steps[effect.name] = (low, high) if effect.name in values else one_side
     return steps

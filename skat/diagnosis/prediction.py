@@ -45,10 +45,10 @@ LARGEST_SQUARE = 9.0
 MEDIAN_OF_SQUARES = 0.4549
 # In an output's own unit, no error counts for more than so many standard deviations of what was measured.
 FARTHEST = 10.0
+# Draws of pieces of time that count as independent. Fewer pieces, drawn with replacement, are too often all the same,
+# and do not say how much a gain varies from one to the next; few episodes are cut, into about so many.
 N_BOOTSTRAP = 999
-# Fewer pieces do not say how much a gain varies from one to the next; of few episodes each is cut into pieces of time.
-FEWEST_PIECES = 5
-PIECES = 20
+FEWEST_PIECES, PIECES = 5, 20
 N_OVERLAYS = 3
 # Of an episode's residuals, what fitted initial states leave is never taken for a smaller share than this.
 LEAST_LEFT = 0.1

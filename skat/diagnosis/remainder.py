@@ -26,6 +26,7 @@ import numpy as np
 from scipy import signal
 from scipy.special import logsumexp
 
+from skat.diagnosis.evidence import WIDTH_95
 from skat.diagnosis.filtering import Array, Mask, filter_columns, kalman_filter, smooth
 from skat.diagnosis.findings import Gain
 from skat.diagnosis.fitting import Fitted
@@ -51,7 +52,6 @@ SPECTRUM_ROWS, LEAST_SPECTRUM_ROWS, DRAWS = 128, 32, 4
 # Of the square: what a word stands for holds more than half of it. An impact's rows are one in fifty; a vibration is
 # within 15 % of its frequency; a drift has the lowest tenth of all frequencies.
 MAJORITY, FEW_ROWS, WIDTH, SLOW = 0.5, 0.02, 0.15, 0.1
-WIDTH_95 = 1.96
 
 
 @dataclass(frozen=True)

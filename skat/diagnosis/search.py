@@ -13,6 +13,8 @@ import numpy as np
 from skat.diagnosis.evidence import Gram, Priors, SwiftWeigher, Weighed, Weigher
 from skat.diagnosis.filtering import Array
 
+# Sets less likely than the best by more than this factor are told from it.
+ALIAS_FACTOR = 20.0
 # Causes at a time, of a search of one log and of one of many Gram matrices.
 LARGEST_SET, LARGEST_OF_MANY = 60, 80
 # A move that gains no more than this, nats, is rounding.

@@ -127,7 +127,7 @@ def test_every_constant_of_the_engine_is_tried():
     import ablation
 
     found = ablation.constants()
-    assert found["causes", "ALIAS_FACTOR"] == 20.0
+    assert found["search", "ALIAS_FACTOR"] == 20.0
     assert ("causes", "SENSORS") not in found  # names are no numbers
     assert ("causes", "REFITTED") in found  # of two in one line
     tried = ablation.changes(

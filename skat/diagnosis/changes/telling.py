@@ -11,15 +11,11 @@ from skat.diagnosis.changes.question import Question
 from skat.diagnosis.evidence import SwiftWeigher, Weighed
 from skat.diagnosis.filtering import Array, Mask
 from skat.diagnosis.findings import Alias, Cause, Gain
-from skat.diagnosis.search import alternatives
+from skat.diagnosis.prediction import FEWEST_PIECES
+from skat.diagnosis.search import ALIAS_FACTOR, alternatives
 from skat.simulators import MujocoSimulator
 
-# Sets that are less likely by at most this factor cannot be told apart.
-ALIAS_ODDS = 20.0
-WIDTH_95 = 1.96
 BOOTSTRAPS = 400
-# Windows held out without which the gain has no interval: fewer, drawn with replacement, are too often all the same.
-FEWEST_FOR_INTERVAL = 5
 
 
 @dataclass(frozen=True)
@@ -66,9 +62,9 @@ def causes_of(
     """
     if not best.members:
         return ()
-    others = alternatives(worth(best.members), worth, np.log(ALIAS_ODDS))
+    others = alternatives(worth(best.members), worth, np.log(ALIAS_FACTOR))
     found = []
-    for place, value, error in zip(best.members, best.values, best.deviations):
+    for place, value, half in zip(best.members, best.values, best.half_widths):
         one = question.candidates[place]
         aliases: dict[str, float] = {}
         for other, lost in others[place]:
@@ -76,9 +72,9 @@ def causes_of(
             if name != one.effect.name:
                 aliases[name] = aliases.get(name, 0.0) + float(np.exp(-lost))
         total = 1 + sum(aliases.values()) + float(np.exp(-nats[place]))
-        unit, half_width = question.scales[place], WIDTH_95 * error
+        unit = question.scales[place]
         centre = float(one.told(value * unit))
-        low, high = (float(one.told((value + side * half_width) * unit, value * unit)) for side in (-1, 1))
+        low, high = (float(one.told((value + side * half) * unit, value * unit)) for side in (-1, 1))
         found.append(
             Cause(
                 name=one.effect.name,
@@ -137,9 +133,7 @@ def gain_of(question: Question, value: Array, differences: Array) -> Gain | None
     drawn = rng.integers(len(windows), size=(BOOTSTRAPS, len(windows)))
     some = squares[drawn].sum(axis=1) / counts[drawn].sum(axis=1)[:, None]
     shares = (some[:, 0] - some[:, 1]) / np.maximum(some[:, 0] - 1, 1e-12)
-    low, high = (
-        np.percentile(shares, [2.5, 97.5]) if len(windows) >= FEWEST_FOR_INTERVAL else (np.nan, np.nan)
-    )
+    low, high = np.percentile(shares, [2.5, 97.5]) if len(windows) >= FEWEST_PIECES else (np.nan, np.nan)
     excess = errors[0] - 1
     return Gain(
         nominal=float(errors[0]),

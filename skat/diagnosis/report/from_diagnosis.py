@@ -11,7 +11,7 @@ import numpy as np
 
 from skat.diagnosis.comparison import EXTENDED, NOMINAL, ceiling_sentence, compare_transports
 from skat.diagnosis.evidence import weigh
-from skat.diagnosis.fitting import coordinate, value_at
+from skat.diagnosis.fitting import around
 from skat.diagnosis.log import Log, check_log, without_channels
 from skat.diagnosis.report.changes import model_changes
 from skat.diagnosis.report.content import (
@@ -71,7 +71,6 @@ MOST_NATS = 1000
 MOST_SETS, LEAST_PROBABILITY = 3, 0.01
 # Where a model has no force at all, a remainder's scale is no larger than this.
 NO_FORCE = 1e-9
-WIDTH_95 = 1.96
 
 
 @dataclass(frozen=True)
@@ -320,12 +319,11 @@ def _also_seen(diagnosis: Any) -> tuple[ShownCause, ...]:
         return ()
     places = {name: place for place, name in enumerate(found.priors.names)}
     weighed = weigh(found.gram, found.priors, [places[name] for name in {**found.values, **also}])
-    deviations = dict(zip(weighed.members, weighed.deviations))
+    halves = dict(zip(weighed.members, weighed.half_widths))
     shown = []
     for name, value in also.items():
-        effect, half = found.effects[places[name]], WIDTH_95 * float(deviations[places[name]])
-        at = coordinate(effect, value)
-        interval = value_at(effect, at - half), value_at(effect, at + half)
+        effect, half = found.effects[places[name]], float(halves[places[name]])
+        interval = around(effect, value, half)
         sentence = capital(effect.describe(value))
         shown.append(
             ShownCause(
