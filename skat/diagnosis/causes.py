@@ -208,7 +208,6 @@ def find_causes(
     floor: Array | None = None,
     given: Array | None = None,
     max_effects: int | None = None,
-    start: Mapping[str, float] | None = None,
     turns: int = TURNS,
     coarse: bool = False,
     shorter: Callable[[int], StateSpace] | None = None,
@@ -236,8 +235,6 @@ def find_causes(
         Standard deviation of each channel's noise, where it is known.
     max_effects : int, optional
         Most causes at a time.
-    start : mapping from name to value, optional
-        Where to begin.
     turns : int, default=16
         Moves from a set to another at most; the search that makes them all has not come to rest.
     coarse : bool, default=False
@@ -267,12 +264,12 @@ def find_causes(
     fits = Fits(space, tuple(effects), priors, floor, given, power, STILL if coarse else TOLERANCE)
     state = resumed
     if state is None:
-        first = fits.first(start or {})
+        first = fits.first()
         if Seen.of(first).spread > needed and shorter is not None:
             # Where something hits there is more than one path: the shorter a chain, the fewer.
             length = SHORT_CHAIN
             fits = replace(fits, space=shorter(length))
-            first = fits.first(start or {})
+            first = fits.first()
         state = _begun(fits, first, length)
     ask = partial(search, families=_families(effects), most=max_effects)
     rivals: list[Rival] = []

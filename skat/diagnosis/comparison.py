@@ -15,7 +15,7 @@ from sklearn.utils.validation import check_is_fitted
 from skat.diagnosis.filtering import Array, Mask
 from skat.diagnosis.log import Log, check_log, without_channels
 from skat.diagnosis.prediction import FEWEST_PIECES, N_BOOTSTRAP, PIECES
-from skat.diagnosis.statespace import Places, tangent_mask
+from skat.diagnosis.statespace import Places, tangent_mask, tangents
 from skat.simulators import Simulator
 from skat.transport import (
     CORAL,
@@ -294,7 +294,7 @@ def _one_step_rows(diagnosis: Any, log: Log, what: str) -> _Rows:
         def difference(prediction: Array) -> Array:
             return simulator.residual(measured, simulator.displace(states, prediction))
 
-    spread = _spread(simulator.residual(log.y[there], np.broadcast_to(log.y[there][:1], log.y[there].shape)))
+    spread = _spread(tangents(simulator, log.y[there]))
     lost = int((log.complete & ~there).sum())
     return _Rows(
         X,
@@ -324,9 +324,7 @@ def _trajectory_rows(diagnosis: Any, log: Log, what: str) -> _Rows:
     nominal, extended = (
         _open_loop(one, log)[:, channels] for one in (simulator, diagnosis.extended_simulator_)
     )
-    filled = log.filled
-    reference = np.broadcast_to(filled.y[:1], filled.y.shape)
-    measured = simulator.residual(filled.y, reference)[:, channels]
+    measured = tangents(simulator, log.filled.y)[:, channels]
     seen = np.asarray(tangent_mask(simulator, np.isfinite(log.y))[:, channels].all(axis=1))
     there = _there(nominal, extended, seen, what)
     measured = measured[there]
@@ -356,7 +354,7 @@ def _open_loop(simulator: Simulator, log: Log) -> Array:
     n_steps, n = int(lengths.max()), len(lengths)
     inputs = np.zeros((n, n_steps, log.X.shape[1] - n_states))
     inputs[log.episodes, log.steps] = log.X[:, n_states:]
-    spread = _spread(simulator.residual(filled.y, np.broadcast_to(filled.y[:1], filled.y.shape)))
+    spread = _spread(tangents(simulator, filled.y))
     first = np.flatnonzero(log.steps == 0)
     # What is known of a first state: the reading itself, and of what was not measured, about the spread.
     known = tangent_mask(simulator, np.isfinite(log.X[first, :n_states]))

@@ -15,7 +15,7 @@ import numpy as np
 
 from skat.diagnosis.filtering import Array
 from skat.diagnosis.log import QUATERNION, Log
-from skat.diagnosis.statespace import tangent_mask
+from skat.diagnosis.statespace import tangent_mask, tangents
 from skat.diagnosis.velocities import motions, noise_variance
 from skat.simulators import MujocoSimulator, Simulator
 from skat.simulators.base import HALF_TURNS
@@ -184,7 +184,7 @@ class Look:
 
     def spread(self, y: Array) -> Array:
         """Return the standard deviation of each channel of a residual, 1 where it does not change."""
-        spread = self.simulator.residual(y, np.broadcast_to(y[:1], y.shape)).std(axis=0)
+        spread = tangents(self.simulator, y).std(axis=0)
         return np.where(spread > 0, spread, 1.0)
 
     def shares_of_spread(self, y: Array, predicted: Array) -> Array:
@@ -514,9 +514,7 @@ def _noise(look: Look) -> Array:
     """Return the standard deviation of the noise of each channel of a residual, as neighbouring rows show it."""
     simulator, log = look.simulator, look.log
     seen = tangent_mask(simulator, np.isfinite(log.y))
-    filled = log.filled.y
-    series = simulator.residual(filled, np.broadcast_to(filled[:1], filled.shape))
-    series = np.where(seen, series, np.nan)
+    series = np.where(seen, tangents(simulator, log.filled.y), np.nan)
     return np.array([np.sqrt(noise_variance(one, log.episodes)) for one in series.T])
 
 

@@ -73,17 +73,18 @@ class Fits:
     power: float
     tolerance: float = TOLERANCE
 
-    def first(self, values: Mapping[str, float]) -> list[Fit]:
-        """Return fits at values, from the log alone, each about the path of the one before, until they gain nothing."""
-        names = self.priors.names
-        members = tuple(sorted(names.index(name) for name in values if name in names))
+    def first(self) -> list[Fit]:
+        """Return fits of no cause, each about the path of the one before, the first one's from the log alone.
+
+        Until they gain nothing.
+        """
         # From what was measured the way is long, and all that is compared with it begins where it ends.
-        fitted = self._settled(values, None)
-        widths = np.zeros(len(members))
-        found = [self._weighed(members, fitted, widths)[0]]
+        none = np.zeros(0)
+        fitted = self._settled({}, None)
+        found = [self._weighed((), fitted, none)[0]]
         for _ in range(FIT_TURNS):
-            last, fitted = fitted, self._settled(values, fitted)
-            found.append(self._weighed(members, fitted, widths)[0])
+            last, fitted = fitted, self._settled({}, fitted)
+            found.append(self._weighed((), fitted, none)[0])
             if fitted.bound < last.bound + STILL:
                 break
         return found

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skat.diagnosis.evidence import Gram, Priors
-from skat.diagnosis.filtering import Array, Chains, Mask, filter_columns, kalman_filter
+from skat.diagnosis.filtering import Array, Chains, Filtered, Mask, filter_columns, kalman_filter
 from skat.diagnosis.noise import TOLERANCE, Estimate, Noise, estimate_noise, normal_noise, passed
 from skat.diagnosis.statespace import (
     Linear,
@@ -396,9 +396,7 @@ def gram_of(space: StateSpace, fitted: Fitted, slopes: Array, effects: Sequence[
     effects : sequence of Effect
     """
     chains, filtered = fitted.chains, fitted.estimate.filtered
-    hidden = chains.drive.shape[-1] - space.d
-    padded = space.padded(np.pad(slopes, [(0, 0), (0, hidden), (0, 0)]))
-    columns = filter_columns(chains, filtered, padded)[chains.mask]
+    columns = response(space, chains, filtered, slopes)[chains.mask]
     whitened = filtered.whitened[chains.mask]
     origin = np.array(
         [coordinate(effect, fitted.values.get(effect.name, effect.neutral)) for effect in effects]
@@ -406,6 +404,15 @@ def gram_of(space: StateSpace, fitted: Fitted, slopes: Array, effects: Sequence[
     gram = Gram(columns.T @ columns, columns.T @ whitened, origin)
     blocks = np.broadcast_to(_blocks(space)[..., None], chains.mask.shape)[chains.mask]
     return Columns(gram, whitened, columns, np.unique(blocks, return_inverse=True)[1])
+
+
+def response(space: StateSpace, chains: Chains, filtered: Filtered, slopes: Array) -> Array:
+    """Return by how much whitened innovations change with what a step adds, (n_chains, n_steps + 1, d_all, k).
+
+    ``slopes`` (n_rows, d, k) are by how much the outcome of each row does.
+    """
+    hidden = chains.drive.shape[-1] - space.d
+    return filter_columns(chains, filtered, space.padded(np.pad(slopes, [(0, 0), (0, hidden), (0, 0)])))
 
 
 @dataclass(frozen=True)

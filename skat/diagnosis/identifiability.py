@@ -8,10 +8,10 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from skat.diagnosis.evidence import Gram, Priors, weigh
-from skat.diagnosis.filtering import Array, filter_columns, kalman_filter
-from skat.diagnosis.fitting import priors_of
+from skat.diagnosis.filtering import Array, kalman_filter
+from skat.diagnosis.fitting import priors_of, response
 from skat.diagnosis.log import Log, check_log, check_matrix, without_channels
-from skat.diagnosis.statespace import StateSpace, derivatives, linearise, state_space
+from skat.diagnosis.statespace import StateSpace, derivatives, linearise, state_space, tangents
 from skat.effects import Effect
 from skat.simulators import Simulator
 
@@ -106,13 +106,7 @@ def identifiability(
 
 def _smallest(information: float, priors: Priors, k: int, needed: float, reach: float) -> float:
     """Return the coordinate on the side of a bound whose expected evidence is what a name needs; inf beyond it."""
-    own = Priors(
-        (priors.names[k],),
-        priors.scales[k : k + 1],
-        priors.log_odds[k : k + 1],
-        priors.low[k : k + 1],
-        priors.high[k : k + 1],
-    )
+    own = priors.part([k])
 
     def evidence(place: float) -> float:
         gram = Gram(np.array([[information]]), np.array([information * place]), np.zeros(1))
@@ -182,7 +176,7 @@ def preflight(
     """
     log = _planned(simulator, X, groups)
     filled = log.filled.y
-    spread = simulator.residual(filled, np.broadcast_to(filled[:1], filled.shape)).std(axis=0)
+    spread = tangents(simulator, filled).std(axis=0)
     deviations = (
         COMMON_NOISE * np.where(spread > 0, spread, 1.0) if noise is None else np.asarray(noise, float)
     )
@@ -241,7 +235,7 @@ def _expected(
     force = np.zeros((*space.real.shape, chains.carrier.shape[-1]))
     error = np.broadcast_to(deviations**2, chains.mask.shape)
     filtered = kalman_filter(chains, force, error)
-    columns = filter_columns(chains, filtered, space.padded(slopes))[chains.mask]
+    columns = response(space, chains, filtered, slopes)[chains.mask]
     return columns.T @ columns, np.zeros(len(effects))
 
 
@@ -282,7 +276,7 @@ def _excitations(
 
 def _one_step(simulator: Simulator, rows: Array, log: Log, pair: Sequence[Effect], priors: Priors) -> Array:
     """Return the derivative of each row's outcome by two effects, (n_rows, d, 2)."""
-    ends = _steps(pair, _of(priors, pair))
+    ends = _steps(pair, priors.part([priors.names.index(effect.name) for effect in pair]))
     candidates = [{name: end} for name, both in ends.items() for end in both]
     outputs = np.nan_to_num(simulator.predict_many(rows, candidates, groups=log.groups))
     columns = [
@@ -290,17 +284,6 @@ def _one_step(simulator: Simulator, rows: Array, log: Log, pair: Sequence[Effect
         for low, high, both in zip(outputs[::2], outputs[1::2], ends.values())
     ]
     return np.stack(columns, axis=-1)
-
-
-def _of(priors: Priors, effects: Sequence[Effect]) -> Priors:
-    places = [priors.names.index(effect.name) for effect in effects]
-    return Priors(
-        tuple(effect.name for effect in effects),
-        priors.scales[places],
-        priors.log_odds[places],
-        priors.low[places],
-        priors.high[places],
-    )
 
 
 def _cosine(one: Array, other: Array) -> float:

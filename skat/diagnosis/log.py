@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.utils import check_array
 
 from skat.diagnosis.filtering import Array, Mask
-from skat.diagnosis.statespace import Places, guessed, in_chains, tangent_mask
+from skat.diagnosis.statespace import Places, guessed, in_chains, steps_of, tangent_mask, tangents
 from skat.episodes import drawn_episodes
 from skat.simulators import Simulator
 from skat.simulators.tables import refuse_text
@@ -76,8 +76,7 @@ class Log:
     @property
     def steps(self) -> Places:
         """Place of each row in its episode, from 0."""
-        starts = np.flatnonzero(np.r_[True, np.diff(self.episodes) > 0])
-        return np.arange(len(self)) - starts[self.episodes]
+        return steps_of(self.episodes)
 
     @property
     def groups(self) -> Places:
@@ -488,7 +487,7 @@ def _check_continuity(simulator: Simulator, log: Log, follows: Places, both: Mas
         return
     filled = log.filled
     gap = np.abs(simulator.residual(filled.X[follows + 1, : both.shape[1]], filled.y[follows]))
-    spread = simulator.residual(filled.y, np.broadcast_to(filled.y[:1], filled.y.shape)).std(axis=0)
+    spread = tangents(simulator, filled.y).std(axis=0)
     wrong = np.argwhere((gap > ROUNDING * spread + SMALLEST) & tangent_mask(simulator, both))
     if len(wrong):
         row, channel = int(follows[wrong[0, 0]]), int(wrong[0, 1])

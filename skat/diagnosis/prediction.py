@@ -28,7 +28,7 @@ from skat.diagnosis.filtering import Array, Chains, Mask, kalman_filter, smooth
 from skat.diagnosis.findings import Gain
 from skat.diagnosis.fitting import Fitted
 from skat.diagnosis.noise import Estimate, Noise, normal_noise, passed
-from skat.diagnosis.statespace import Linear, Places, StateSpace, linearise, moved_path
+from skat.diagnosis.statespace import Linear, Places, StateSpace, linearise, moved_path, steps_of
 from skat.simulators import Simulator
 
 # By default the horizon is so long, and has at least so many rows.
@@ -138,18 +138,6 @@ def horizon_rows(simulator: Simulator, horizon: float | None = None) -> int:
     if horizon is None:
         return max(FEWEST_ROWS, int(np.ceil(HORIZON_S / dt - 1e-9)) if dt else 0)
     return max(1, round(horizon / dt if dt else horizon))
-
-
-def predicted_gain(
-    space: StateSpace,
-    fitted: Fitted,
-    values: Mapping[str, float],
-    *,
-    horizon: int | None = None,
-    random_state: np.random.RandomState,
-) -> Gain:
-    """Return the Gain at a horizon; see `predicted`."""
-    return predicted(space, fitted, values, horizon=horizon, random_state=random_state).gain
 
 
 def predicted(
@@ -282,7 +270,7 @@ def windows(space: StateSpace, horizon: int, *, n_lags: int = 0) -> tuple[Places
     """
     step = space.places[1]
     unknown = not space.mask[:, 0].all()
-    first = np.flatnonzero(np.r_[True, np.diff(space.groups) != 0])
+    first = np.flatnonzero(steps_of(space.groups) == 0)
     length = np.diff(np.r_[first, len(space.groups)])
     late = min(SETTLED_ROWS, int(length.max()) - 1) if unknown else 0
     n_lags = min(n_lags, int(length.max()) - 1)
@@ -492,11 +480,9 @@ def _runs(
     n_lags = max(simulator.n_lags(values) for values in candidates)
     if n_lags or any(simulator.extended(values).hidden_state_names for values in candidates):
         # Of an episode's first row, the commands have held before.
-        first = np.maximum.accumulate(
-            np.where(np.r_[True, np.diff(space.groups) != 0], np.arange(len(space.X)), 0)
-        )
+        first = starts - steps_of(space.groups)[starts]
         earlier = starts[:, None] - np.arange(max(n_lags, SETTLED_ROWS), 0, -1)
-        before = space.rows(seen.linear.path)[np.maximum(earlier, first[starts][:, None])]
+        before = space.rows(seen.linear.path)[np.maximum(earlier, first[:, None])]
     initial = filtered(space, seen)[0][starts]
     paths = simulator.rollout_many(
         initial, space.X[rows][..., n_states:], candidates, n_steps=horizon, before=before
@@ -622,8 +608,8 @@ def _whole_episodes(space: StateSpace) -> StateSpace:
     episode: NDArray[np.intp] = np.unique(space.groups, return_inverse=True)[1]
     if len(space.real) == int(episode[-1]) + 1:
         return space
-    first = np.flatnonzero(np.r_[True, np.diff(episode) != 0])
-    step = np.arange(len(episode)) - first[episode]
+    step = steps_of(episode)
+    first = np.flatnonzero(step == 0)
     shape = int(episode[-1]) + 1, int(step.max()) + 1
     real = np.zeros(shape, dtype=bool)
     real[episode, step] = True

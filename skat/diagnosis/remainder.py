@@ -27,12 +27,12 @@ from scipy import signal
 from scipy.special import logsumexp
 
 from skat.diagnosis.evidence import WIDTH_95
-from skat.diagnosis.filtering import Array, Mask, filter_columns, kalman_filter, smooth
+from skat.diagnosis.filtering import Array, Mask, kalman_filter, smooth
 from skat.diagnosis.findings import Gain
-from skat.diagnosis.fitting import Fitted
+from skat.diagnosis.fitting import Fitted, response
 from skat.diagnosis.noise import estimate_noise, normal_noise
 from skat.diagnosis.prediction import Seen, ends, filtered, horizon_rows, variances_ahead, windows
-from skat.diagnosis.statespace import Places, StateSpace
+from skat.diagnosis.statespace import Places, StateSpace, steps_of
 
 # Bins of a law of a joint's own coordinate, and of any other.
 OWN_BINS, OTHER_BINS = 12, 5
@@ -240,7 +240,7 @@ def _left(
     for look in looks:
         for one in regressors:
             N = _response(space, look, directions.columns[..., index], one.columns)
-            nats, size = _worth(*_gram(space, look, N), scale)
+            nats, size = _worth(*_gram(look, N), scale)
             weight = (0.5 if n_other else 1.0) / n_own if one.is_own else 0.5 / n_other
             tried.append((nats, nats + np.log(weight / len(looks)), size, one, look))
     evidence = float(logsumexp([weighted for _, weighted, *_ in tried]))
@@ -248,12 +248,12 @@ def _left(
     _, _, size, chosen, _ = ranked[0]
     # How large it is, is a matter of mean squares: heavy tails would take a law's largest forces for outliers.
     seen = looks[-1]
-    response = _response(space, seen, directions.columns[..., index], chosen.columns)
+    own = _response(space, seen, directions.columns[..., index], chosen.columns)
     half = _halves(space)
     ridge = np.eye(chosen.columns.shape[1]) / size**2
     betas = []
     for which in (False, True):
-        G, b = _gram(space, seen, response, half == which)
+        G, b = _gram(seen, own, half == which)
         betas.append(np.linalg.solve(G + ridge, b))
     predicted = [chosen.columns @ beta for beta in betas]
     predictable = float(np.sqrt(max(np.mean(predicted[0] * predicted[1]), 0.0)))
@@ -422,10 +422,9 @@ def _regressors(space: StateSpace, directions: _Directions, index: int, rows: Ar
                 for one in _single(f"{other} {name}", f"{other} {name}", rows[:, places[other]] * values)
             ]
     if simulator.state_names:
-        groups = np.unique(space.groups, return_inverse=True)[1]
-        begins = np.flatnonzero(np.r_[True, np.diff(groups) != 0])
-        time = np.asarray((np.arange(len(rows)) - begins[groups]) * (simulator.dt or 1.0), dtype=np.float64)
-        if len(begins) >= EPISODES_FOR_TIME:
+        steps = steps_of(space.groups)
+        if np.count_nonzero(steps == 0) >= EPISODES_FOR_TIME:
+            time = np.asarray(steps * (simulator.dt or 1.0), dtype=np.float64)
             found += _binned("time", time, OWN_BINS, is_own=True)
     others = [name for name in simulator.input_names if name not in own]
     if len(others) * OTHER_BINS * len(directions.names) <= MOST_COLUMNS:
@@ -471,13 +470,12 @@ def _bins(values: Array, n_bins: int) -> tuple[Array, Array]:
 
 def _response(space: StateSpace, seen: Seen, direction: Array, columns: Array) -> Array:
     """Return by how much whitened innovations change with each column of force, (n_chains, n_steps + 1, d_all, k)."""
-    hidden = seen.chains.drive.shape[-1] - space.d
-    drive = np.pad(direction[:, :, None] * columns[:, None, :], [(0, 0), (0, hidden), (0, 0)])
+    drive = direction[:, :, None] * columns[:, None, :]
     drive[~seen.linear.valid] = 0.0
-    return filter_columns(seen.chains, seen.estimate.filtered, space.padded(drive))
+    return response(space, seen.chains, seen.estimate.filtered, drive)
 
 
-def _gram(space: StateSpace, seen: Seen, N: Array, chosen: Mask | None = None) -> tuple[Array, Array]:
+def _gram(seen: Seen, N: Array, chosen: Mask | None = None) -> tuple[Array, Array]:
     mask = seen.chains.mask if chosen is None else seen.chains.mask & chosen[..., None]
     columns, z = N[mask], seen.estimate.filtered.whitened[mask]
     return columns.T @ columns, columns.T @ z
@@ -523,7 +521,7 @@ def _ahead(space: StateSpace, seen: Seen, direction: Array, forces: Array, horiz
 
 def _law(space: StateSpace, seen: Seen, direction: Array, chosen: _Regressor, size: float) -> Law:
     edges, columns = _bins(chosen.values, OWN_BINS)
-    G, b = _gram(space, seen, _response(space, seen, direction, columns))
+    G, b = _gram(seen, _response(space, seen, direction, columns))
     curvature = G + np.eye(len(G)) / size**2
     mean = np.asarray(np.linalg.solve(curvature, b), dtype=np.float64)
     half = WIDTH_95 * np.sqrt(np.diag(np.linalg.inv(curvature)))

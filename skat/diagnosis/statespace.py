@@ -180,8 +180,7 @@ def state_space(
     if n_states:
         rows[:, :n_states] = guesses[:, :-1][chain, step]
     flat = guesses[np.concatenate([np.ones((shape[0], 1), bool), real], axis=1)]
-    middle = np.broadcast_to(flat[:1], flat.shape)
-    spread = simulator.residual(flat, middle).std(axis=0)
+    spread = tangents(simulator, flat).std(axis=0)
     spread = np.maximum(spread, 1e-6 * max(float(spread.max(initial=0.0)), 1e-6))
     carrier = _carrier(simulator, spread) if n_states else np.zeros((d, 0))
     return StateSpace(
@@ -206,9 +205,8 @@ def in_chains(
     n_rows = len(X)
     step = np.zeros(n_rows, dtype=int)
     if consecutive and n_states:
-        starts = np.flatnonzero(np.r_[True, np.diff(episodes) != 0])
-        step = np.arange(n_rows) - starts[np.cumsum(np.r_[True, np.diff(episodes) != 0]) - 1]
-        lengths = np.diff(np.r_[starts, n_rows])
+        step = steps_of(episodes)
+        lengths = np.diff(np.r_[np.flatnonzero(step == 0), n_rows])
         # Pieces of one episode are about as long as each other.
         longest = np.ceil(lengths / np.ceil(lengths / chain_length)).astype(int)
         longest = np.repeat(longest, lengths)
@@ -222,6 +220,13 @@ def in_chains(
     if n_states:
         states[np.arange(len(states)), 0] = X[np.flatnonzero(step == 0), :n_states]
     return (chain, step), states
+
+
+def steps_of(episodes: Places) -> Places:
+    """Return the place of each row in its episode, from 0; the rows of an episode follow each other."""
+    rows = np.arange(len(episodes))
+    begins = np.r_[True, episodes[1:] != episodes[:-1]][: len(episodes)]
+    return rows - np.maximum.accumulate(np.where(begins, rows, 0))
 
 
 def linearise(
@@ -458,6 +463,11 @@ def _identity_padded(space: StateSpace, transitions: Array, d: int) -> Array:
 def _finite(values: Array, otherwise: Array) -> Array:
     bad: Mask = np.asarray(~np.isfinite(values).all(axis=-1))
     return np.where(bad[..., None], otherwise, values) if bad.any() else values
+
+
+def tangents(simulator: Simulator, states: Array) -> Array:
+    """Return states (n, n_outputs) in the channels of a residual, from the first of them, (n, d)."""
+    return simulator.residual(states, np.broadcast_to(states[:1], states.shape))
 
 
 def tangent_mask(simulator: Simulator, seen: Mask) -> Mask:

@@ -76,7 +76,7 @@ def test_going_on_from_a_fit_that_rests_loses_nothing(space):
 
 
 def test_a_set_is_fitted_to_where_its_slopes_move_it_no_more(fits):
-    nothing = fits.first({})[-1]
+    nothing = fits.first()[-1]
     # Begun far away, on either side.
     low, high = (fits.of((0,), np.array([place]), nothing) for place in (0.02, 0.4))
     assert low.values["damping[hinge]"] == pytest.approx(high.values["damping[hinge]"], abs=1e-4)
@@ -89,7 +89,7 @@ def test_a_set_is_fitted_to_where_its_slopes_move_it_no_more(fits):
 
 
 def test_a_fit_that_cannot_be_what_is_wanted_ends_early(fits, monkeypatch):
-    nothing = fits.first({})[-1]
+    nothing = fits.first()[-1]
     turns = []
     monkeypatch.setattr("skat.diagnosis.fits.settled", lambda *a, **k: turns.append(a) or settled(*a, **k))
     whole = fits.of((1,), np.array([0.3]), nothing)

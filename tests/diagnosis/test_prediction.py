@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from skat.diagnosis.fitting import settled
-from skat.diagnosis.prediction import horizon_rows, open_loop_gain, predicted, predicted_gain
+from skat.diagnosis.prediction import horizon_rows, open_loop_gain, predicted
 from skat.diagnosis.statespace import state_space
 from skat.effects import Effect
 from skat.simulators import FunctionSimulator, MujocoSimulator
@@ -43,6 +43,10 @@ def logs(simulator, text, law, *, hidden=False, **options):
     return spaces
 
 
+def predicted_gain(*log, **options):
+    return predicted(*log, random_state=random_state(), **options).gain
+
+
 def random_state():
     return np.random.RandomState(0)
 
@@ -51,7 +55,7 @@ def random_state():
 @pytest.mark.parametrize("law", [None, push], ids=["no force", "a random force"])
 def test_a_right_model_is_at_the_floor_and_a_cause_explains_what_it_adds(simulator, law, hidden):
     train, test = logs(simulator, DAMPED, law, hidden=hidden)
-    gain = predicted_gain(test, known(train, CAUSE, 0.3 if law else 1e-6), CAUSE, random_state=random_state())
+    gain = predicted_gain(test, known(train, CAUSE, 0.3 if law else 1e-6), CAUSE)
     # Of some seventy windows whose channels go together: a mean of squares is right to a third.
     assert gain.extended == pytest.approx(1.0, abs=0.35)
     assert gain.floor == pytest.approx(1.0)
@@ -74,7 +78,7 @@ def test_a_random_force_and_one_with_memory_belong_to_the_floor(simulator):
 
     for law, share in ((push, None), (lasting, 0.9)):
         train, test = logs(simulator, NOMINAL, law)
-        gain = predicted_gain(test, known(train, {}, 0.3, share=share), {}, random_state=random_state())
+        gain = predicted_gain(test, known(train, {}, 0.3, share=share), {})
         assert gain.extended == gain.nominal == pytest.approx(1.0, abs=0.45)
         assert gain.explained == 0.0
 
@@ -87,7 +91,7 @@ def test_rows_that_were_not_measured_do_not_count(simulator):
     follows = np.r_[False, np.diff(groups) == 0]
     X[(groups == 1) & follows, :2] += 1.0
     y[groups == 1], X[(groups == 1) & follows, :2] = np.nan, np.nan
-    gain = predicted_gain(laid_out(simulator, X, y, groups), fitted, {}, random_state=random_state())
+    gain = predicted_gain(laid_out(simulator, X, y, groups), fitted, {})
     assert gain.extended == pytest.approx(1.0, abs=0.4)
 
 
@@ -97,7 +101,7 @@ def test_a_delay_is_known_at_the_start_of_each_window(simulator):
     cause = {"delay[action]": 0.03}
     space = laid_out(simulator, X, y, groups)
     fitted = known(space, cause, 1e-6)
-    gain = predicted_gain(space, fitted, cause, horizon=5, random_state=random_state())
+    gain = predicted_gain(space, fitted, cause, horizon=5)
     assert gain.extended == pytest.approx(1.0, abs=0.25)
     assert gain.nominal > 2
 
@@ -105,11 +109,11 @@ def test_a_delay_is_known_at_the_start_of_each_window(simulator):
 def test_one_wild_row_does_not_decide(simulator):
     train, test = logs(simulator, DAMPED, push)
     fitted = known(train, CAUSE, 0.3, nu=3)
-    quiet = predicted_gain(test, fitted, CAUSE, random_state=random_state())
+    quiet = predicted_gain(test, fitted, CAUSE)
     X, y, groups = measured(DAMPED, 1, law=push, episodes=8)
     y[1024, 1] += 10
     X[1025, 1] += 10
-    wild = predicted_gain(laid_out(simulator, X, y, groups), fitted, CAUSE, random_state=random_state())
+    wild = predicted_gain(laid_out(simulator, X, y, groups), fitted, CAUSE)
     assert wild.explained == pytest.approx(quiet.explained, abs=0.25)
 
 
@@ -192,9 +196,7 @@ def test_a_function_without_a_state_is_judged_row_by_row():
         y = 2 * X + 0.1 * rng.normal(size=(200, 1))
         spaces.append(state_space(simulator, X, y, np.arange(200), consecutive=False))
     wrong = {"scale[y]": 1.5}
-    gain = predicted_gain(
-        spaces[1], settled(spaces[0], {}, None, np.zeros(1)), wrong, random_state=random_state()
-    )
+    gain = predicted_gain(spaces[1], settled(spaces[0], {}, None, np.zeros(1)), wrong)
     assert gain.nominal == pytest.approx(1.0, abs=0.25)
     assert gain.extended > 5
     assert gain.horizon == 1
