@@ -223,20 +223,25 @@ def _step(
 def _scales(squares: Array, variance: Array, present: Mask) -> tuple[Array, Array]:
     """Return the best degrees of freedom of each column, and the expected precisions."""
     k = len(variance)
-    nus, weights = np.full(k, np.inf), np.ones(squares.shape)
+    nus = np.full(k, np.inf)
     there = present.sum(axis=(0, 1)) > 0
     if not there.any():
-        return nus, weights
+        return nus, np.ones(squares.shape)
     flat, seen = squares.reshape(-1, k), present.reshape(-1, k)
     bounds = []
     for nu in DEGREES_OF_FREEDOM:
         scale = _best_scales(flat, seen, variance, nu)
         bounds.append(np.sum(student_log_density(flat, scale, nu), axis=0, where=seen))
     nus[there] = np.array(DEGREES_OF_FREEDOM)[np.argmax(bounds, axis=0)][there]
-    heavy = np.isfinite(nus)
-    scaled = (nus[heavy] + 1) / (nus[heavy] + squares[..., heavy] / variance[heavy])
-    weights[..., heavy] = np.where(present[..., heavy], scaled, 1.0)
-    return nus, weights
+    return nus, precisions(squares, variance, nus, present)
+
+
+def precisions(squares: Array, scale: Array, nu: Array, present: Mask) -> Array:
+    """Return the expected precision of each sample, in units of 1 / scale; 1 where there is none."""
+    weights, heavy = np.ones(squares.shape), np.isfinite(nu)
+    expected = (nu[heavy] + 1) / (nu[heavy] + squares[..., heavy] / scale[heavy])
+    weights[..., heavy] = np.where(np.broadcast_to(present, squares.shape)[..., heavy], expected, 1.0)
+    return weights
 
 
 def _best_scales(squares: Array, seen: Mask, start: Array, nu: float) -> Array:

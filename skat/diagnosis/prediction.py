@@ -18,7 +18,7 @@ long before the horizon.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,9 +27,10 @@ from scipy import stats
 from skat.diagnosis.filtering import Array, Chains, Mask, kalman_filter, smooth
 from skat.diagnosis.findings import Gain
 from skat.diagnosis.fitting import Fitted
-from skat.diagnosis.noise import Estimate, Noise, normal_noise, passed
+from skat.diagnosis.noise import Estimate, Noise, normal_noise, passed, precisions
 from skat.diagnosis.statespace import Linear, Places, StateSpace, linearise, moved_path, steps_of
 from skat.simulators import Simulator
+from skat.simulators.tables import episode_starts
 
 # By default the horizon is so long, and has at least so many rows.
 HORIZON_S = 0.25
@@ -430,28 +431,23 @@ def open_loop_gain(
 
 def _with_even_weights(noise: Noise, space: StateSpace) -> Noise:
     n, steps = space.real.shape
-    return Noise(
-        noise.force,
-        noise.error,
-        noise.force_nu,
-        noise.error_nu,
-        np.ones((n, steps, len(noise.force))),
-        np.ones((n, steps + 1, len(noise.error))),
+    return replace(
+        noise,
+        force_weights=np.ones((n, steps, len(noise.force))),
+        error_weights=np.ones((n, steps + 1, len(noise.error))),
     )
 
 
 def _weighted(last: Estimate, real: Mask, mask: Mask) -> Noise:
     """Return a noise with the expected precision of each sample, its law held."""
     noise, smoothed = last.noise, last.smoothed
-    weights = []
-    for means, variances, scale, nu, present in (
-        (smoothed.forces, smoothed.force_variances, noise.force, noise.force_nu, real[..., None]),
-        (smoothed.errors, smoothed.error_variances, noise.error, noise.error_nu, mask),
-    ):
-        finite = np.where(np.isfinite(nu), nu, 1.0)
-        heavy = (finite + 1) / (finite + (means**2 + variances) / scale)
-        weights.append(np.where(np.isfinite(nu) & present, heavy, 1.0))
-    return Noise(noise.force, noise.error, noise.force_nu, noise.error_nu, weights[0], weights[1])
+    force_squares = smoothed.forces**2 + smoothed.force_variances
+    error_squares = smoothed.errors**2 + smoothed.error_variances
+    return replace(
+        noise,
+        force_weights=precisions(force_squares, noise.force, noise.force_nu, real[..., None]),
+        error_weights=precisions(error_squares, noise.error, noise.error_nu, mask),
+    )
 
 
 def variances_of(scale: Array, nu: Array) -> Array:
@@ -480,7 +476,7 @@ def _runs(
     n_lags = max(simulator.n_lags(values) for values in candidates)
     if n_lags or any(simulator.extended(values).hidden_state_names for values in candidates):
         # Of an episode's first row, the commands have held before.
-        first = starts - steps_of(space.groups)[starts]
+        first = episode_starts(space.groups, len(space.X))[starts]
         earlier = starts[:, None] - np.arange(max(n_lags, SETTLED_ROWS), 0, -1)
         before = space.rows(seen.linear.path)[np.maximum(earlier, first[:, None])]
     initial = filtered(space, seen)[0][starts]

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from skat.diagnosis.filtering import Array, Chains, Mask
 from skat.simulators import Simulator
+from skat.simulators.tables import episode_starts
 
 Places = NDArray[np.intp]
 
@@ -224,9 +225,7 @@ def in_chains(
 
 def steps_of(episodes: Places) -> Places:
     """Return the place of each row in its episode, from 0; the rows of an episode follow each other."""
-    rows = np.arange(len(episodes))
-    begins = np.r_[True, episodes[1:] != episodes[:-1]][: len(episodes)]
-    return rows - np.maximum.accumulate(np.where(begins, rows, 0))
+    return np.arange(len(episodes)) - episode_starts(episodes, len(episodes))
 
 
 def linearise(

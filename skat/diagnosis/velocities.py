@@ -76,13 +76,8 @@ def is_computed(
     if len(target) < ROWS_EACH * design.shape[1]:
         return False
     noise = min(noise_variance(positions, episodes), _unpredictable(positions, episodes, others))
-    design = np.column_stack([design - design.mean(axis=0), np.ones(len(design))])
-    sizes = np.sqrt(np.mean(design**2, axis=0))
-    sizes[sizes == 0] = 1.0
-    coefficients, *_ = np.linalg.lstsq(design / sizes, target, rcond=None)
-    left = target - design / sizes @ coefficients
-    own = (coefficients / sizes)[: 2 * POSITIONS + 1]
-    degrees = len(target) - design.shape[1]
+    coefficients, left, degrees = _regression(design, target)
+    own = coefficients[: 2 * POSITIONS + 1]
     return bool(np.sum(left**2) / degrees < SHARE * noise * np.sum(own**2))
 
 
@@ -107,12 +102,18 @@ def _unpredictable(positions: Array, episodes: NDArray[Any], others: Array | Non
     design = design[:, np.isfinite(design).all(axis=0)]
     if len(target) < ROWS_EACH * design.shape[1]:
         return np.inf
+    _, left, degrees = _regression(design, target)
+    return float(left @ left / degrees)
+
+
+def _regression(design: Array, target: Array) -> tuple[Array, Array, int]:
+    """Return coefficients of the columns and of a constant, what is left of the target, and its degrees of freedom."""
     design = np.column_stack([design - design.mean(axis=0), np.ones(len(design))])
     sizes = np.sqrt(np.mean(design**2, axis=0))
     sizes[sizes == 0] = 1.0
     coefficients, *_ = np.linalg.lstsq(design / sizes, target, rcond=None)
     left = target - design / sizes @ coefficients
-    return float(left @ left / (len(target) - design.shape[1]))
+    return coefficients / sizes, left, len(target) - design.shape[1]
 
 
 def noise_variance(series: Array, episodes: NDArray[Any]) -> float:

@@ -19,6 +19,7 @@ from skat.simulators import contacts, edits
 from skat.simulators.anatomy import (
     EULER,
     EXPLICIT_INTEGRATOR,
+    NO_DYNAMICS,
     TENDON_TRANSMISSION,
     Anatomy,
     actuator_name,
@@ -63,7 +64,6 @@ FRICTION_BOUNDS: dict[str, tuple[float, float] | None] = {
     "stribeck_exponent": (0.3, 10.0),
     **{family: (0.0, 2.0) for family in NEUTRAL if family.startswith("load_")},
 }
-NO_DYNAMICS = int(mujoco.mjtDyn.mjDYN_NONE)
 LONGEST_LAG = 0.3  # s
 LARGEST_SCALE = 100.0  # degrees for radians are 57
 LARGEST_CONTROL = 10.0

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from skat.effects import FAMILIES, Effect
 from skat.files import whole, writable
-from skat.simulators.anatomy import EXPLICIT_INTEGRATOR, Anatomy, actuator_name
+from skat.simulators.anatomy import EXPLICIT_INTEGRATOR, NO_DYNAMICS, Anatomy, actuator_name
 from skat.simulators.base import Acting, Simulator, sensor_lags
 from skat.simulators.catalogue import Listing, effect_listing
 from skat.simulators.channels import HINGE, StateLayout, joint_name, state_layout
@@ -40,7 +40,6 @@ from skat.simulators.tables import Array, episode_starts
 from skat.simulators.urdf import DERIVED, HELD, edited_urdf
 
 CACHED_MODELS = 256
-NO_DYNAMICS = int(mujoco.mjtDyn.mjDYN_NONE)
 # Families that need the stepping; with those of `friction.budget`. MJCF cannot express them.
 STEPPED = ("wind", "air_drag", "force", "dead_zone", "torque_speed", "lag_torque")
 

@@ -7,7 +7,7 @@ import pytest
 from scipy import integrate, stats
 
 from skat.diagnosis.fitting import Fitted
-from skat.diagnosis.noise import normal_noise, passed
+from skat.diagnosis.noise import Noise, normal_noise, passed
 from skat.diagnosis.prediction import (
     Seen,
     _channel_errors,
@@ -302,11 +302,13 @@ def test_weights_of_samples_are_the_expected_precisions_of_student_s_law():
     nu, scale = 4.0, 0.5
     errors = np.array([[[0.0, 0.3], [2.0, 0.4], [-1.0, 9.0]]])
     nothing = np.zeros((1, 2, 0))
-    noise = SimpleNamespace(
+    noise = Noise(
         force=np.zeros(0),
         force_nu=np.zeros(0),
         error=np.array([scale, 1.0]),
         error_nu=np.array([nu, np.inf]),
+        force_weights=nothing,
+        error_weights=np.ones_like(errors),
     )
     smoothed = SimpleNamespace(
         forces=nothing, force_variances=nothing, errors=errors, error_variances=np.zeros_like(errors)
