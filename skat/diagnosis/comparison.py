@@ -138,12 +138,12 @@ def compare_transports(
         make(diagnosis, without_channels(diagnosis.simulator, log, unread), what)
         for log, what in zip(logs, ("fit", "test"))
     )
-    lost = _lost_note(test)
-    rows = [_Row(NOMINAL, test.error(test.nominal), 0, lost)]
+    lost = f"{test.n_lost} rows left out, in which a simulation diverges" if test.n_lost else ""
+    rows = [_Row(NOMINAL, test.difference(test.nominal), 0, lost)]
     source, noise_note = _source_outputs(fitted, draws)
     for name, transport in transports.items():
         rows.append(_transported(name, transport, fitted, source, test, noise_note, draws))
-    rows.append(_Row(EXTENDED, test.error(test.extended), 0, lost))
+    rows.append(_Row(EXTENDED, test.difference(test.extended), 0, lost))
     return _table(rows, fitted.spread, test, draws)
 
 
@@ -218,9 +218,6 @@ class _Rows:
     channels: tuple[str, ...]
     blocks: Places
     n_lost: int
-
-    def error(self, prediction: Array) -> Array:
-        return self.difference(prediction)
 
 
 @dataclass(frozen=True)
@@ -422,10 +419,6 @@ def _there(nominal: Array, extended: Array, measured: Mask, what: str) -> Mask:
     return np.asarray(there)
 
 
-def _lost_note(rows: _Rows) -> str:
-    return f"{rows.n_lost} rows left out, in which a simulation diverges" if rows.n_lost else ""
-
-
 def _source_outputs(fitted: _Rows, random_state: np.random.RandomState) -> tuple[Array, str]:
     """Return simulated outputs to fit on, with noise where they vary in fewer directions than measured."""
     source = _rank(np.column_stack([fitted.inputs, fitted.nominal]))
@@ -486,7 +479,7 @@ def _transported(
         return _Row(name, None, len(source), "; ".join([*notes, f"no answer: {error}"]))
     notes += dict.fromkeys(str(one.message) for one in caught)
     prediction = carried[:, n_context:] * spread[n_context:] + mean[n_context:]
-    return _Row(name, test.error(prediction), len(source), "; ".join(notes))
+    return _Row(name, test.difference(prediction), len(source), "; ".join(notes))
 
 
 def _table(

@@ -428,7 +428,6 @@ def _assembled(
     outputs: Array,
     carrier: Array | None = None,
 ) -> Linear:
-    d = space.d
     finite = [np.isfinite(one).reshape(len(one), -1).all(axis=1) for one in (outputs, transitions, drive)]
     valid: Mask = np.logical_and.reduce(finite)
     wide = np.diag(space.spread**2)
@@ -441,8 +440,10 @@ def _assembled(
     else:
         # What is not simulated is not pushed either: it may be anywhere.
         carrier = np.where(space.padded(np.where(valid, 1.0, 0.0))[..., None, None] > 0, carrier, 0.0)
+    whole = np.tile(np.eye(space.d), (*space.real.shape, 1, 1))
+    whole[space.places] = transitions
     chains = Chains(
-        _identity_padded(space, transitions, d),
+        whole,
         space.padded(drive),
         space.padded(bends),
         carrier,
@@ -451,12 +452,6 @@ def _assembled(
         space.spread**2,
     )
     return Linear(path, chains, outputs, valid)
-
-
-def _identity_padded(space: StateSpace, transitions: Array, d: int) -> Array:
-    out = np.tile(np.eye(d), (*space.real.shape, 1, 1))
-    out[space.places] = transitions
-    return out
 
 
 def _finite(values: Array, otherwise: Array) -> Array:
