@@ -1,6 +1,7 @@
 """The diagnosis as a whole, on a cart with a pole: a simulation that costs next to nothing."""
 
 import copy
+import functools
 import pickle
 import warnings
 
@@ -33,6 +34,26 @@ def fitted(simulator, log, **parameters):
     return SimulationDiagnosis(simulator, **{"random_state": 0, **parameters}).fit(*log[:2], groups=log[2])
 
 
+@pytest.fixture(scope="module")
+def diagnosed():
+    """A function of a world that fits its diagnosis at the first call; tests that use it leave what they get alone."""
+    return functools.cache(lambda seed, **world: fitted(make_simulator(), measure(seed, **world)))
+
+
+@pytest.fixture(scope="module")
+def of_clean():
+    """Diagnoses of logs in which nothing is hidden, and the noise of each."""
+    logs = [measure(100 + seed, n_steps=20) for seed in range(30)]
+    return [(fitted(make_simulator(), log), log[3]) for log in logs]
+
+
+@pytest.fixture(scope="module")
+def of_heavier():
+    """Diagnoses of logs of a bob that is 10 % heavier, and the noise of each."""
+    logs = [measure(200 + seed, bob=1.1, n_steps=20) for seed in range(20)]
+    return [(fitted(make_simulator(), log, effects=["bob", "drag", "gain"]), log[3]) for log in logs]
+
+
 # -- the world and the simulation agree ------------------------------------------------------------------------------
 
 
@@ -63,14 +84,16 @@ def test_world_and_simulation_are_the_same_physics(simulator, hidden):
         ("scale[v]", 1.05),
     ],
 )
-def test_hidden_effect_is_named_with_its_size(simulator, name, value):
+def test_hidden_effect_is_named_with_its_size(simulator, diagnosed, name, value):
     family, _, channel = name.rstrip("]").partition("[")
-    X, y, groups, deviations = measure(3, **({} if channel else {name: value}))
     if channel:
+        X, y, groups, _ = measure(3)
         k = STATES.index(channel)
         for rows in (X, y):
             rows[:, k] = rows[:, k] + value if family == "bias" else rows[:, k] * value
-    diagnosis = fitted(simulator, (X, y, groups, deviations))
+        diagnosis = fitted(simulator, (X, y, groups))
+    else:
+        diagnosis = diagnosed(3, **{name: value})
     assert diagnosis.verdict_ in ("named", "ambiguous")
     assert [cause.name for cause in diagnosis.causes_] == [name]
     (cause,) = diagnosis.causes_
@@ -86,7 +109,7 @@ def test_hidden_effect_is_named_with_its_size(simulator, name, value):
 
 @pytest.mark.parametrize("hidden", [{"bob": 1.3}, {"pole": 0.9}, {"gain": 0.9}, {"drag": 0.2}])
 def test_most_of_an_excess_well_above_the_noise_is_explained(simulator, hidden):
-    gain = fitted(simulator, measure(3, noise=0.0005, **hidden)).gain_
+    gain = fitted(simulator, measure(3, noise=0.0005, n_steps=20, **hidden)).gain_
     assert gain.nominal > 10
     assert gain.explained > 0.9
     assert gain.interval[0] > 0.8
@@ -126,9 +149,12 @@ def test_rows_in_which_a_simulation_diverges_are_left_out_with_a_warning():
 
 
 def test_an_estimate_at_a_bound_is_not_named(simulator):
-    diagnosis = fitted(simulator, measure(6, drag=3.0))
-    assert "drag" not in [cause.name for cause in diagnosis.causes_]
-    assert "drag" in [cause.name for cause in fitted(simulator, measure(6, drag=1.9)).causes_]
+    beyond, within = (
+        fitted(simulator, measure(8, drag=drag, n_steps=20), effects=["drag", "bob", "gain"])
+        for drag in (3.0, 1.9)
+    )
+    assert "drag" not in [cause.name for cause in beyond.causes_]
+    assert "drag" in [cause.name for cause in within.causes_]
 
 
 def test_effect_with_narrow_bounds_is_named():
@@ -162,16 +188,15 @@ def test_errors_above_a_noise_that_is_known_are_unexplained(simulator):
     assert fitted(simulator, clean, noise=clean[3]).verdict_ == "nothing detected"
 
 
-def test_clean_logs_raise_no_more_alarms_than_alpha_allows(simulator):
-    verdicts = [fitted(simulator, measure(100 + seed)).verdict_ for seed in range(30)]
+def test_clean_logs_raise_no_more_alarms_than_alpha_allows(of_clean):
+    verdicts = [diagnosis.verdict_ for diagnosis, _ in of_clean]
     # With the chance of 1 % each, more than two alarms of 30 come in 0.3 % of runs.
     assert sum(verdict != "nothing detected" for verdict in verdicts) <= 2
 
 
-def test_intervals_cover_the_truth_as_often_as_they_say(simulator):
+def test_intervals_cover_the_truth_as_often_as_they_say(of_heavier):
     covered = []
-    for seed in range(20):
-        diagnosis = fitted(simulator, measure(200 + seed, bob=1.1), effects=["bob", "drag", "gain"])
+    for diagnosis, _ in of_heavier:
         intervals = {cause.name: cause.interval for cause in diagnosis.causes_}
         assert "bob" in intervals
         covered.append(intervals["bob"][0] <= 1.1 <= intervals["bob"][1])
@@ -179,11 +204,9 @@ def test_intervals_cover_the_truth_as_often_as_they_say(simulator):
     assert np.mean(covered) >= 0.85
 
 
-def test_estimated_noise_is_that_of_the_measurement(simulator):
-    ratios = []
-    for seed in range(6):
-        log = measure(300 + seed, bob=1.1)
-        ratios.append(fitted(simulator, log).noise_ / log[3])
+@pytest.mark.parametrize("logs", ["of_clean", "of_heavier"])
+def test_estimated_noise_is_that_of_the_measurement(logs, request):
+    ratios = [diagnosis.noise_ / deviations for diagnosis, deviations in request.getfixturevalue(logs)]
     np.testing.assert_allclose(np.mean(ratios, axis=0), 1, atol=0.12)
 
 
@@ -194,18 +217,18 @@ def findings(diagnosis):
     return diagnosis.verdict_, [(cause.name, cause.value, cause.interval) for cause in diagnosis.causes_]
 
 
-def test_same_random_state_gives_the_same_answer(simulator):
+def test_same_random_state_gives_the_same_answer(simulator, diagnosed):
     log = measure(3, bob=1.1)
-    first, second = fitted(simulator, log), fitted(simulator, log)
+    first, second = diagnosed(3, bob=1.1), fitted(simulator, log)
     assert findings(first) == findings(second)
     assert first.gain_ == second.gain_
     assert first.evaluate(*log[:3]) == second.evaluate(*log[:3])
     assert fitted(simulator, log, random_state=1).gain_ != first.gain_
 
 
-def test_clone_pickle_and_deepcopy_keep_what_they_should(simulator):
+def test_clone_pickle_and_deepcopy_keep_what_they_should(diagnosed):
     log = measure(3, bob=1.1)
-    diagnosis = fitted(simulator, log)
+    diagnosis = diagnosed(3, bob=1.1)
     blank = clone(diagnosis)
     assert not hasattr(blank, "verdict_")
     assert findings(blank.fit(*log[:2], groups=log[2])) == findings(diagnosis)
@@ -260,9 +283,9 @@ def test_single_episode_warns_and_is_diagnosed(simulator):
 # -- what a fitted diagnosis gives -----------------------------------------------------------------------------------
 
 
-def test_extended_simulation_predicts_and_scores_as_the_diagnosis_does(simulator):
-    X, y, groups, _ = measure(3, bob=1.3)
-    diagnosis = fitted(simulator, (X, y, groups))
+def test_extended_simulation_predicts_and_scores_as_the_diagnosis_does(simulator, diagnosed):
+    X, y, _, _ = measure(3, bob=1.1)
+    diagnosis = diagnosed(3, bob=1.1)
     np.testing.assert_array_equal(diagnosis.predict(X), diagnosis.extended_simulator_.predict(X))
     values = {cause.name: cause.value for cause in diagnosis.causes_}
     np.testing.assert_allclose(diagnosis.predict(X), simulator.predict(X, effects=values), rtol=1e-12)
@@ -271,8 +294,8 @@ def test_extended_simulation_predicts_and_scores_as_the_diagnosis_does(simulator
     assert 0.99 < diagnosis.score(X, y) <= 1
 
 
-def test_gain_on_another_log_one_step_and_open_loop(simulator):
-    diagnosis = fitted(simulator, measure(3, pole=1.6))
+def test_gain_on_another_log_one_step_and_open_loop(diagnosed):
+    diagnosis = diagnosed(3, pole=1.6)
     fresh = measure(7, pole=1.6)
     one_step = diagnosis.evaluate(*fresh[:3])
     assert (one_step.horizon, one_step.floor) == (10.0, 1.0)
@@ -291,8 +314,8 @@ def test_gain_on_another_log_one_step_and_open_loop(simulator):
     assert refined.extended < 1.5 * refined.floor
 
 
-def test_outputs_choose_the_channels_of_the_distance(simulator):
-    diagnosis = fitted(simulator, measure(3, pole=1.6))
+def test_outputs_choose_the_channels_of_the_distance(diagnosed):
+    diagnosis = diagnosed(3, pole=1.6)
     fresh = measure(7, pole=1.6)
     gain = diagnosis.evaluate(*fresh[:3], horizon="episode", outputs=["x"])
     assert set(gain.channels) == {"x"}
@@ -301,9 +324,9 @@ def test_outputs_choose_the_channels_of_the_distance(simulator):
         diagnosis.evaluate(*fresh[:3], horizon="episode", outputs=["z"])
 
 
-def test_evaluate_refuses_what_it_does_not_know(simulator):
-    diagnosis = fitted(simulator, measure(3, bob=1.3))
-    X, y, groups, _ = measure(7, bob=1.3)
+def test_evaluate_refuses_what_it_does_not_know(diagnosed):
+    diagnosis = diagnosed(3, bob=1.1)
+    X, y, groups, _ = measure(7, bob=1.1)
     with pytest.raises(ValueError, match="horizon must be seconds, None or 'episode'; it is 'whole'"):
         diagnosis.evaluate(X, y, groups, horizon="whole")
     with pytest.raises(ValueError, match="initial_state must be 'measured' or 'fitted'; it is 'guessed'"):
@@ -312,8 +335,8 @@ def test_evaluate_refuses_what_it_does_not_know(simulator):
         diagnosis.evaluate(X, y, horizon="episode")
 
 
-def test_effect_that_no_state_depends_on_has_no_detectable_size(simulator):
-    table = fitted(simulator, measure(3)).identifiability_
+def test_effect_that_no_state_depends_on_has_no_detectable_size(diagnosed):
+    table = diagnosed(3).identifiability_
     # The track looks the same everywhere: where its origin lies cannot be seen.
     assert table.loc["bias[x]", "smallest"] > 1e6
     assert np.isfinite(table.loc[["bob", "drag", "bias[angle]", "bias[v]"], "smallest"]).all()
@@ -357,19 +380,18 @@ def test_a_first_look_takes_few_rows_from_all_over_a_log_and_says_so(simulator, 
     assert (data["first_look"], data["rows_fitted"]) == (True, FEW)
 
 
-def test_a_search_that_has_not_come_to_rest_leaves_a_log_unexplained(simulator, monkeypatch):
-    log = measure(5, n_episodes=4, gain=0.8)
-    assert fitted(simulator, log).settled_
+def test_a_search_that_has_not_come_to_rest_leaves_a_log_unexplained(simulator, diagnosed, monkeypatch):
+    assert diagnosed(5, n_episodes=4, gain=0.8).settled_
     monkeypatch.setattr("skat.diagnosis.estimator.TURNS", 1)
-    diagnosis = fitted(simulator, log)
+    diagnosis = fitted(simulator, measure(5, n_episodes=4, gain=0.8))
     assert not diagnosis.settled_
     assert diagnosis.verdict_ == "unexplained"
     assert "still finding better ones" in diagnosis.report_.text()
 
 
-def test_a_first_look_at_a_short_log_is_a_whole_fit(simulator):
-    log = measure(5, n_episodes=4, gain=0.8)
-    quick, whole = (fitted(simulator, log, quick=quick) for quick in (True, False))
+def test_a_first_look_at_a_short_log_is_a_whole_fit(simulator, diagnosed):
+    whole = diagnosed(5, n_episodes=4, gain=0.8)
+    quick = fitted(simulator, measure(5, n_episodes=4, gain=0.8), quick=True)
     assert quick.causes_ == whole.causes_
     assert quick.n_rows_fitted_ == quick.n_rows_ == whole.n_rows_ <= FEW
     assert quick.report_.text() == whole.report_.text()
@@ -398,9 +420,9 @@ def test_a_floor_that_holds_no_variances_is_refused(simulator, floor):
 
 
 def test_progress_is_told(simulator):
-    log = measure(3)
+    log = measure(3, n_episodes=4)
     stages = []
-    SimulationDiagnosis(simulator, random_state=0).fit(
+    SimulationDiagnosis(simulator, effects=["drag"], random_state=0).fit(
         *log[:2], groups=log[2], progress=lambda stage, done, total: stages.append(stage)
     )
     assert stages[-1] == "done"

@@ -102,7 +102,7 @@ def test_single_hidden_effect_is_named_and_measured(worlds, cases, kind, hidden)
 
 
 def test_nothing_hidden_is_nothing_found(worlds):
-    diagnosis = diagnosed(worlds, worlds.measure("puck", seed=SEED, n_episodes=EPISODES["puck"]))
+    diagnosis = diagnosed(worlds, worlds.measure("puck", seed=SEED, n_episodes=EPISODES["puck"], n_steps=25))
     assert diagnosis.verdict_ == "nothing detected"
     assert diagnosis.causes_ == []
 
@@ -157,6 +157,7 @@ def gains_at_contacts(worlds):
     return [diagnosis.evaluate(log.X, log.y, log.groups) for log in fresh]
 
 
+@pytest.mark.long
 def test_gain_of_the_right_mass_at_contacts_may_be_all_of_the_excess(gains_at_contacts):
     for gain in gains_at_contacts:
         assert gain.extended < gain.nominal

@@ -45,7 +45,7 @@ def less_damped(model):
     model.actuator("bend").biasprm[2] *= 0.6
 
 
-def measured(text, edit, seed, n_episodes=8, n_rows=40):
+def measured(text, edit, seed, n_episodes=8, n_rows=20):
     """Return states with noise of 1 % of each channel's spread, 1e-5 at least, rounded to half of that, and actions."""
     rng = np.random.default_rng(seed)
     model = mujoco.MjModel.from_xml_string(text)

@@ -10,9 +10,9 @@ QUICK = ["normal", "inverted"]
 LONG = ["light", "some_off", "heavy", "long", "short", "some_inverted"]
 
 
-def diagnosed(worlds, cases, kind, condition, n_episodes):
+def diagnosed(worlds, cases, kind, condition, n_episodes, n_steps=50):
     hidden = cases.condition(kind, condition)
-    log = worlds.measure(kind, hidden, seed=17, n_episodes=n_episodes)
+    log = worlds.measure(kind, hidden, seed=17, n_episodes=n_episodes, n_steps=n_steps)
     simulator = MujocoSimulator(worlds.nominal_mjcf(kind), frame_skip=worlds.FRAME_SKIP[kind])
     diagnosis = SimulationDiagnosis(simulator, random_state=0).fit(log.X, log.y, groups=log.groups)
     return diagnosis, {cases.name(family, target): value for family, target, value in hidden}
@@ -29,7 +29,8 @@ def assert_diagnosed(diagnosis, truth):
     "condition", [*QUICK, *(pytest.param(name, marks=pytest.mark.long) for name in LONG)]
 )
 def test_condition_of_hopper_is_diagnosed(worlds, cases, condition):
-    assert_diagnosed(*diagnosed(worlds, cases, "hopper", condition, n_episodes=4))
+    n_steps = 25 if condition == "normal" else 50
+    assert_diagnosed(*diagnosed(worlds, cases, "hopper", condition, n_episodes=4, n_steps=n_steps))
 
 
 @pytest.mark.long

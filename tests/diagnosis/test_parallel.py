@@ -22,6 +22,8 @@ CART = """
 </mujoco>
 """
 
+EFFECTS = ["mass[cart]", "armature[rail]", "gain[motor]", "damping[hinge]"]
+
 
 @pytest.fixture(scope="module")
 def log():
@@ -35,7 +37,9 @@ def log():
 
 
 def findings(log, **parameters):
-    diagnosis = SimulationDiagnosis(MujocoSimulator(CART, frame_skip=2), random_state=0, **parameters)
+    diagnosis = SimulationDiagnosis(
+        MujocoSimulator(CART, frame_skip=2), effects=EFFECTS, random_state=0, **parameters
+    )
     X, y, groups = log
     diagnosis.fit(X, y, groups=groups)
     return diagnosis.verdict_, diagnosis.causes_, diagnosis.gain_

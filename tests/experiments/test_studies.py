@@ -25,11 +25,14 @@ NO_DATA = pytest.mark.skipif(not os.environ.get("SKAT_DATA_HOME"), reason="SKAT_
         pytest.param(
             "Tennis Ball",
             3,
-            marks=pytest.mark.xfail(
-                strict=True,
-                reason="Nothing detected: on one drop of 2 s a random force of .65 N, as large as the ball's weight, "
-                "explains what drag does; damping[z] has a probability of .25, air_drag[z] of .005",
-            ),
+            marks=[
+                pytest.mark.long,
+                pytest.mark.xfail(
+                    strict=True,
+                    reason="Nothing detected: on one drop of 2 s a random force of .65 N, as large as the ball's "
+                    "weight, explains what drag does; damping[z] has a probability of .25, air_drag[z] of .005",
+                ),
+            ],
         ),
     ],
 )
@@ -76,6 +79,7 @@ def test_friction_of_the_cube_is_named_and_tilt_is_not(options):
 
 
 @NO_DATA
+@pytest.mark.long
 @pytest.mark.xfail(
     strict=True,
     reason="Nothing detected: a random force of 1.4 N m on the motor explains what friction does; dry_friction[hinge] "
@@ -83,12 +87,7 @@ def test_friction_of_the_cube_is_named_and_tilt_is_not(options):
 )
 @pytest.mark.parametrize(
     "others",
-    [
-        [],
-        pytest.param(
-            ["gain[motor]", "mass[weight]", "delay[action]", "bias[qpos.hinge]"], marks=pytest.mark.long
-        ),
-    ],
+    [[], ["gain[motor]", "mass[weight]", "delay[action]", "bias[qpos.hinge]"]],
 )
 def test_dry_friction_of_the_pendulums_motor_is_named_and_gains_on_other_pieces(others):
     study = study_pendulum(effects=["dry_friction[hinge]", "damping[hinge]", *others])

@@ -54,6 +54,7 @@ def diagnosed(log):
     return result.stdout, json.loads(Path("found.json").read_text())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name",
     [
@@ -65,7 +66,8 @@ def diagnosed(log):
                 "the law of the other motor is worth 3.6 nats where 4.6 are asked",
             ),
         ),
-        *(pytest.param(name, marks=pytest.mark.long) for name in ("turned", "late")),
+        "turned",
+        "late",
     ],
 )
 def test_a_mistake_in_columns_is_told_with_the_error_it_would_leave_and_its_remedy_works(name, here):
