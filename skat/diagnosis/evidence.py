@@ -373,17 +373,22 @@ class SwiftWeigher(Weigher):
 
         With the values of the others moved, which what an exchange is worth depends on.
         """
-        S, G = list(now.members), self.gram.products
-        left, spread = self.gram.at_neutral.copy(), np.diag(G) + 1 / self.priors.scales**2
+        S, G, scales = list(now.members), self.gram.products, self.priors.scales
+        left, information = self.gram.at_neutral.copy(), np.diag(G).copy()
         if S:
             solved = np.linalg.solve(now.curvature, G[S])
             left = left - G[:, S] @ now.values
-            spread = spread - np.sum(G[S] * solved, axis=0)
-        spread = np.maximum(spread, 1 / self.priors.scales**2)
-        shift = np.clip(left / spread, self.priors.low, self.priors.high)
-        gain = left * shift - 0.5 * spread * shift**2
-        gain += self.priors.log_odds + 0.5 * np.log(2 * np.pi / spread)
-        gain -= np.log(np.pi * self.priors.scales) + np.log1p((shift / self.priors.scales) ** 2)
+            information = information - np.sum(G[S] * solved, axis=0)
+        information = np.maximum(information, 0.0)
+        whole = information + 1 / scales**2
+        # As near as a normal law of the typical size holds a value, and as far as the rows alone pull it.
+        shifts = [left / whole, left / np.maximum(information, 1e-9 * whole)]
+        gains = [
+            left * shift - 0.5 * information * shift**2 - np.log1p((shift / scales) ** 2)
+            for shift in (np.clip(one, self.priors.low, self.priors.high) for one in shifts)
+        ]
+        gain = np.max(gains, axis=0) + self.priors.log_odds + 0.5 * np.log(2 * np.pi / whole)
+        gain -= np.log(np.pi * scales)
         gain[[*S, *(other for one in S for other in self.rivals.get(one, ()))]] = -np.inf
         return np.asarray(gain)
 

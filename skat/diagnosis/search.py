@@ -10,7 +10,7 @@ from itertools import combinations
 
 import numpy as np
 
-from skat.diagnosis.evidence import Gram, Priors, SwiftWeigher, Weighed, Weigher
+from skat.diagnosis.evidence import Gram, SwiftWeigher, Weighed, Weigher
 from skat.diagnosis.filtering import Array
 
 # Sets less likely than the best by more than this factor are told from it.
@@ -23,6 +23,8 @@ ROUNDING = 1e-9
 PROMISING, PAIRED, ALIKE = 12, 8, 6
 # Of the sets that a step could lead to, the most promising are weighed.
 FEW = 4
+# By as much, in nats, what an effect promises may be wrong.
+UNSURE = 3.0
 # A member that is worth more nats than this is exchanged for none but its twin: the cosine between both responses.
 EXCHANGED, TWIN = 100.0, 0.95
 
@@ -145,27 +147,11 @@ def _family_moves(
     return moves
 
 
-def search_sets(
-    gram: Gram,
-    priors: Priors,
-    *,
-    start: Sequence[int] = (),
-    rivals: Mapping[int, Sequence[int]] | None = None,
-) -> tuple[Weighed, SwiftWeigher]:
-    """Return the set of causes that is worth most, and all that were weighed.
+def search_sets(worth: SwiftWeigher, start: Sequence[int] = ()) -> Weighed:
+    """Return the set of causes that is worth most, begun with one that may be near.
 
     No single effect can be added, dropped or exchanged with a gain, of those that promise most.
-
-    Parameters
-    ----------
-    gram : Gram
-    priors : Priors
-    start : sequence of int
-        A set to begin with.
-    rivals : mapping from place to places, optional
-        As `SwiftWeigher`'s.
     """
-    worth = SwiftWeigher(gram, priors, rivals)
     now = worth(start)
     while True:
         for step in (_best_drop, _best_addition, _best_exchange):
@@ -173,7 +159,7 @@ def search_sets(
             if _gains(tried, now):
                 break
         else:
-            return now, worth
+            return now
         now = tried
 
 
@@ -202,7 +188,7 @@ def _best_exchange(worth: SwiftWeigher, now: Weighed) -> Weighed:
         promises = worth.promises(rest)
         promises[gone] = -np.inf
         for one in np.argsort(-promises)[:2]:
-            if promises[one] > -np.inf and rest.evidence + promises[one] > now.evidence - 3:
+            if promises[one] > -np.inf and rest.evidence + promises[one] > now.evidence - UNSURE:
                 tried = worth((*rest.members, int(one)))
                 if _gains(tried, now):
                     return tried
@@ -239,11 +225,8 @@ def alternatives(best: Weighed, worth: SwiftWeigher, within: float) -> dict[int,
     found: dict[int, list[tuple[int, float]]] = {}
     for one in best.members:
         rest = worth.without(best, one)
-        likely = [
-            int(other)
-            for other in np.argsort(-worth.promises(rest))[: FEW + 1]
-            if other != one and other not in best.members
-        ]
+        least = best.evidence - rest.evidence - within - UNSURE
+        likely = [int(other) for other in np.flatnonzero(worth.promises(rest) > least) if other != one]
         lost = [(other, best.evidence - worth((*rest.members, other)).evidence) for other in likely]
         found[one] = sorted([pair for pair in lost if pair[1] <= within], key=lambda pair: pair[1])
     return found

@@ -240,7 +240,7 @@ def priors_of(candidates: Sequence[Candidate], scales: Array, dt: float) -> Prio
 
 def _between(late: float) -> tuple[float, float]:
     """Return between how many rows commands are late for which a grid has one value."""
-    ends = (LATER[0] / 2, *(0.5 * (one + other) for one, other in itertools.pairwise(LATER)), LATER[-1] + 0.5)
+    ends = (0.0, *(0.5 * (one + other) for one, other in itertools.pairwise(LATER)), LATER[-1] + 0.5)
     place = LATER.index(abs(late))
     low, high = sorted(np.sign(late) * np.array(ends[place : place + 2]))
     return float(low), float(high)

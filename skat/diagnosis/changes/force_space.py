@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct
 
-from skat.diagnosis.changes.smoothing import Smooth, smooth_coordinate
+from skat.diagnosis.changes.smoothing import smooth_coordinate
 from skat.diagnosis.filtering import Array, Mask
 from skat.simulators import MujocoSimulator
 
@@ -37,8 +37,6 @@ BLURRED = 2
 FEWEST_OF_WINDOW = 16
 # Blocks of a log that are compared at most.
 MOST_BLOCKS = 6000
-# How often a motion is read anew, with the noise of its sensors.
-READ_ANEW = 4
 # Rows of a joint without which its noise is white; and the share of the highest frequency below which drift is level.
 FEWEST_FOR_CURVES, DRIFT = 40, 0.02
 # Of the missing force: smoothed motions and commands that hold for a row tell none of it better.
@@ -66,8 +64,6 @@ class Motion:
         Standard deviation of speeds: slower, the direction of friction is not known.
     cutoff : ndarray of shape (nv,)
         Highest frequency that is compared, Hz.
-    anew : tuple of (states, accelerations)
-        The same had the motion been read, and smoothed, again: by how much they differ is what sensors make of noise.
     """
 
     states: Array
@@ -79,7 +75,6 @@ class Motion:
     duration: float
     slip: Array
     cutoff: Array
-    anew: tuple[tuple[Array, Array], ...]
 
 
 def smooth_motion(
@@ -141,8 +136,6 @@ def smooth_motion(
         means = np.einsum("bij,i->bj", q[middle], ends_count)
         return np.column_stack([means, (q[last] - q[first]) / duration]), (v[last] - v[first]) / duration
 
-    rng = np.random.default_rng(0)
-    again = [_read_anew(read, smooth, episodes, dt, rng) for _ in range(READ_ANEW)]
     return Motion(
         *in_blocks(q, v),
         X[:, n_states:],
@@ -152,30 +145,7 @@ def smooth_motion(
         duration,
         slip,
         np.minimum(cutoff, 0.5 / duration),
-        tuple(in_blocks(*one) for one in again),
     )
-
-
-def _read_anew(
-    read: Sequence[tuple[Array, Array]],
-    smooth: Sequence[Smooth],
-    episodes: Array,
-    dt: float,
-    rng: np.random.Generator,
-) -> tuple[Array, Array]:
-    """Return positions and speeds of a motion that was read again, with noise of its own, and smoothed as it was."""
-    found = []
-    for (positions, rates), one in zip(read, smooth):
-        noises = one.position_noise, one.position_noise * np.sqrt(one.velocity_noise) / dt
-        other = [
-            np.where(np.isfinite(seen), truth + noise * rng.normal(size=len(truth)), np.nan)
-            for seen, truth, noise in zip((positions, rates), (one.position, one.velocity), noises)
-        ]
-        found.append(smooth_coordinate(other[0], other[1], episodes, dt, like=one))
-    positions, speeds = (
-        np.column_stack([getattr(one, name) for one in found]) for name in ("position", "velocity")
-    )
-    return positions, speeds
 
 
 def _busy(speed: Array, episodes: Array, dt: float, share: float) -> float:

@@ -1,16 +1,17 @@
 """Columns of a log that were mixed up: two in each other's place, or one with its sign turned."""
 
 import itertools
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
-from skat.diagnosis.changes.candidates import WEAKEST
-from skat.diagnosis.changes.motions import Half, lacking_forces, whole_coefficients_of
+from skat.diagnosis.changes.candidates import WEAKEST, Model
+from skat.diagnosis.changes.force_space import Rows
+from skat.diagnosis.changes.motions import Half, lacking_forces, rows_about, whole_coefficients_of
 from skat.diagnosis.changes.question import Question
+from skat.diagnosis.changes.strengths import Logs
+from skat.diagnosis.changes.windows import Quadratic, Windows
 from skat.diagnosis.filtering import Array, Mask
 from skat.effects import Effect
 from skat.simulators import MujocoSimulator
@@ -19,18 +20,11 @@ from skat.simulators import MujocoSimulator
 MIXED_UP = 1e-3
 
 
-def mistake_of(
-    question: Question,
-    differences: Array,
-    alone: Array,
-    drawn: Sequence[tuple[Array, ...]],
-    *,
-    price: float,
-    needed: float,
-) -> str:
+def mistake_of(question: Question, differences: Array, alone: Array, *, price: float, needed: float) -> str:
     """Return how columns of the second log seem to be mixed up, if that explains it better than all changes.
 
-    As changes do, it has to hold in drawn windows.
+    The likeliest mix-up, by what it leaves of the second log about the first log's model, is weighed as changes are:
+    by the evidence of both logs, with all that is common and all misfit integrated out.
 
     Parameters
     ----------
@@ -39,8 +33,6 @@ def mistake_of(
         That were found, in units of scales.
     alone : ndarray of shape (n_effects,)
         What is wrong by the first log alone, in units of sizes.
-    drawn : sequence of tuple of ndarray of shape (n_windows,)
-        How often each window of either log is in each pair of logs of drawn windows.
     price : float
         Of the changes: by how much their evidence is less than what they explain, nats.
     needed : float
@@ -51,63 +43,77 @@ def mistake_of(
     str
         Empty if nothing is mixed up.
     """
-    simulator = question.simulator
-    known = {effect.name: (effect, size) for effect, size in zip(question.effects, question.sizes)}
-    values = dict(question.base.values)
-    for (name, (effect, size)), one in zip(known.items(), alone):
-        values[name] = _within(effect, values.get(name, effect.neutral) + size * one)
-    model = replace(question.base, values=values)
-    mixed = [_mixed_up(simulator, half) for half in question.halves]
-    if not mixed[0]:
+    simulator, own, rows, law = question.simulator, question.halves[1], question.sides[1], question.law
+    mixed = _mixed_up(simulator, own)
+    if not mixed:
         return ""
-    kept = np.ones(len(question.sides[0].target), dtype=bool), ~question.held_out
+    model = _model_of(question, alone)
 
-    def misfits(side: int) -> tuple[Array, Array]:
-        """Return half the log of what is left over the noise, of all drawn windows, as columns are and in other orders.
+    def left(half: Half) -> Array:
+        """Return what the first log's model leaves, NaN where nothing was measured or a joint was not fast."""
+        motion = replace(half.motion, cutoff=own.motion.cutoff)
+        whole, joint, frequency, _ = whole_coefficients_of(
+            replace(half, motion=motion), lacking_forces(simulator, half, [model])
+        )
+        return np.where(frequency <= np.tile(half.motion.cutoff, 2)[joint], whole[:, 0], np.nan)
 
-        Of rows that both orders have: of two joints that change places, as far as both were fast, and of speeds that
-        were measured of both.
-        """
-        own, rows, noise = question.halves[side], question.sides[side], question.law.noise[side]
-        windows, window = np.unique(rows.stretch[kept[side]], return_inverse=True)
-        joints, joint = np.unique(rows.joint[kept[side]], return_inverse=True)
-        times = np.array([one[side] for one in drawn])
+    as_is = left(own)
+    measured = np.isfinite(as_is)
+    kept = ~question.held_out
+    _, groups = np.unique(np.column_stack([rows.stretch, rows.joint])[kept], axis=0, return_inverse=True)
 
-        def left(half: Half) -> Array:
-            motion = replace(half.motion, cutoff=own.motion.cutoff)
-            forces = lacking_forces(simulator, half, [model])
-            return whole_coefficients_of(replace(half, motion=motion), forces)[0][:, 0]
+    def misfit(values: Array, seen: Mask) -> float:
+        """Return half the log of what is left over the noise, of each joint in each window."""
+        squares = np.where(seen, (values / law.noise[1]) ** 2, 0.0)[kept]
+        many = np.maximum(np.bincount(groups, seen[kept].astype(float)), 1)
+        return float(np.sum(0.5 * many * np.log1p(np.bincount(groups, squares) / many)))
 
-        def misfit(squares: Array, seen: Mask) -> Array:
-            shape = len(windows), len(joints)
-            place = np.ravel_multi_index((window, joint), shape)
-            sums, counts = (
-                np.bincount(place, some[kept[side]], minlength=shape[0] * shape[1]).reshape(shape)
-                for some in (np.where(seen, squares, 0.0), seen.astype(float))
-            )
-            many = np.maximum(times @ counts, 1)
-            return np.asarray(0.5 * np.sum(many * np.log1p(times @ sums / many), axis=1))
+    others = [left(half)[measured] for _, half in mixed]
+    mended = [misfit(as_is[measured], np.isfinite(one)) - misfit(one, np.isfinite(one)) for one in others]
+    best = int(np.argmax(mended))
+    name, half = mixed[best]
+    otherwise, seen = _in_another_order(question, 1, half)
+    explained = rows.columns[:, len(question.effects) :] @ differences
+    given = replace(rows, target=rows.target - explained, columns=rows.columns[:, : len(question.effects)])
 
-        whole = left(own)
-        measured = np.isfinite(whole)
-        given = whole[measured] - (rows.columns[:, len(question.effects) :] @ differences if side else 0.0)
-        as_is, otherwise = [], []
-        for _, half in mixed[side]:
-            other = left(half)[measured]
-            seen = np.isfinite(other) & (rows.frequency <= np.tile(half.motion.cutoff, 2)[rows.joint])
-            as_is.append(misfit((given / noise) ** 2, seen))
-            otherwise.append(misfit((other / noise) ** 2, seen))
-        return np.array(as_is), np.array(otherwise)
+    def whole(side: int, some: Rows, seen: Mask) -> Quadratic:
+        return Windows.of(some.part(seen), law.noise[side][seen]).without(law.spread).whole()
 
-    first, second = misfits(0), misfits(1)
+    first, mended_second = (
+        whole(0, question.sides[0], np.isfinite(question.sides[0].target)),
+        whole(1, otherwise, seen & kept),
+    )
+    odds = Logs(first, mended_second, law).level() - Logs(first, whole(1, given, seen & kept), law).level()
+    if odds + price + np.log(MIXED_UP / len(mixed)) <= needed:
+        return ""
     # What as well mends the first log is the model's matter.
-    share = kept[1].sum() / kept[0].sum()
-    mended = second[0] + price - second[1] - share * np.maximum(first[0] - first[1], 0)
-    # Probabilities of none of them, and of each, in each draw; their means, as of sets of changes.
-    logs = np.vstack([np.zeros(mended.shape[1]), mended + np.log(MIXED_UP / len(mended))])
-    means = logsumexp(logs - logsumexp(logs, axis=0), axis=1)
-    best = int(np.argmax(means[1:]))
-    return mixed[1][best][0] if means[1 + best] - means[0] > needed else ""
+    both, seen = _in_another_order(question, 0, _mixed_up(simulator, question.halves[0])[best][1])
+    first, mended_first = whole(0, question.sides[0], seen), whole(0, both, seen)
+    as_well = Logs(mended_first, mended_second, law).level() > Logs(first, mended_second, law).level()
+    return "" if as_well else name
+
+
+def _model_of(question: Question, alone: Array) -> Model:
+    """Return the model with what is wrong by the first log alone."""
+    values = dict(question.base.values)
+    for effect, size, one in zip(question.effects, question.sizes, alone):
+        values[effect.name] = _within(effect, values.get(effect.name, effect.neutral) + size * one)
+    return replace(question.base, values=values)
+
+
+def _in_another_order(question: Question, side: int, half: Half) -> tuple[Rows, Mask]:
+    """Return the rows of a log with columns in another order, and which of its rows there are in both."""
+    own, rows = question.halves[side], question.sides[side]
+    cutoff = half.motion.cutoff
+    half = replace(half, motion=replace(half.motion, cutoff=own.motion.cutoff))
+    found = rows_about(question.simulator, half, question.base, question.effects, question.sizes)
+    here, there = (
+        np.isfinite(whole_coefficients_of(one, lacking_forces(question.simulator, one, [Model({})]))[0][:, 0])
+        for one in (own, half)
+    )
+    place = np.maximum(np.cumsum(there) - 1, 0)[here]
+    seen = there[here] & (rows.frequency <= np.tile(cutoff, 2)[rows.joint])
+    return replace(rows, target=found.target[place], columns=found.columns[place]), seen
 
 
 def _within(effect: Effect, value: float) -> float:

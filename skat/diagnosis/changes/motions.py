@@ -108,20 +108,34 @@ def rows_about(
 
 
 def columns_of(
-    simulator: MujocoSimulator, half: Half, base: Model, candidates: Sequence[Candidate], scales: Array
+    simulator: MujocoSimulator,
+    half: Half,
+    base: Model,
+    candidates: Sequence[Candidate],
+    scales: Array,
+    *,
+    share: float = STEP,
 ) -> Array:
-    """Return the columns of candidates, in units of their scales, (n_rows, n_candidates): rows are `rows_about`'s."""
-    forces, steps = _steps(simulator, half, base, candidates, scales)
+    """Return the columns of candidates, in units of their scales, (n_rows, n_candidates): rows are `rows_about`'s.
+
+    ``share`` of a scale is the step over which slopes are taken.
+    """
+    forces, steps = _steps(simulator, half, base, candidates, scales, share)
     return coefficients_of(half, (forces[0] - forces[1:]) / steps[:, None, None])[0]
 
 
 def _steps(
-    simulator: MujocoSimulator, half: Half, base: Model, candidates: Sequence[Candidate], scales: Array
+    simulator: MujocoSimulator,
+    half: Half,
+    base: Model,
+    candidates: Sequence[Candidate],
+    scales: Array,
+    share: float = STEP,
 ) -> tuple[Array, Array]:
     """Return forces of a model, and with a step of each candidate; and the steps, in units of scales."""
     models, steps = [base], []
     for one, scale in zip(candidates, scales):
-        step = one.late * simulator.dt if one.late else STEP * scale
+        step = one.late * simulator.dt if one.late else share * scale
         model = one.moved(base, step, simulator.dt)
         if model is None:
             step = -step

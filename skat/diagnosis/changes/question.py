@@ -15,20 +15,17 @@ from skat.diagnosis.changes.candidates import (
     offered_candidates,
 )
 from skat.diagnosis.changes.force_space import Rows, joined
-from skat.diagnosis.changes.law import Law, settled_law, variance_apart
+from skat.diagnosis.changes.law import Law, settled_law, with_misfit
 from skat.diagnosis.changes.motions import Half, coefficients_of, columns_of, lacking_forces, rows_about
 from skat.diagnosis.changes.windows import Windows
 from skat.diagnosis.filtering import Array, Mask
 from skat.effects import Effect
 from skat.simulators import MujocoSimulator
 
-# Rows by which commands may come late in the first log.
-LATE_IN_BOTH = tuple(0.5 * one for one in range(17))
+# Rows by which commands may come late, or early: of a row that a smoothed motion and a time step blur.
+LATE_IN_BOTH = tuple(0.25 * one for one in range(-4, 33))
 # Of the force on a joint, that a typical size of an effect exerts at least if logs show it: below, there is rounding.
 SHOWN = 1e-9
-# Variance by which scales of speeds differ between logs at least, in squares of typical sizes: drivers filter speeds,
-# which takes from a fast motion more than from a slow one, about as much as sensors are typically wrong.
-FILTERED = 1.0
 
 
 @dataclass(frozen=True)
@@ -80,6 +77,7 @@ def question_of(
     *,
     typical: Mapping[str, float],
     test_size: float,
+    needed: float,
 ) -> Question:
     """Return the regression about what is common of motors and delays, with its noise.
 
@@ -94,6 +92,8 @@ def question_of(
         Scales of the priors of a user's own, each in its effect's unit.
     test_size : float
         Share of the second log that measures the gain.
+    needed : float
+        By how much logs have to be likelier where commands are later in one than in the other, nats.
     """
     seen = [effect for effect in effects if effect.family not in UNSEEN]
     common = [effect for effect in seen if effect.target != "all"]
@@ -110,15 +110,11 @@ def question_of(
     )
     sizes = sizes * units
     sides = [replace(side, columns=side.columns[:, shown] * units) for side in sides]
-    late = np.array([effect.family == "delay" for effect in common])
-    # What is late in the first log is told by a grid, not by a slope.
-    prompt = [replace(side, columns=side.columns * ~late) for side in sides]
-    base = _base(simulator, halves[0], prompt[0], settled_law(prompt))
+    sides = [_with_friction(simulator, *one, common, sizes) for one in zip(halves, sides)]
+    base, other = _bases(simulator, halves, sides, common, sizes, needed)
     sides = [rows_about(simulator, half, base, common, sizes) for half in halves]
-    law = settled_law(sides)
-    apart = variance_apart(simulator, halves, sides, law)
-    filtered = [effect.name.startswith("scale[qvel.") for effect in common]
-    law = replace(law, apart=np.where(filtered, np.maximum(apart, FILTERED), apart))
+    own = sides if other == base else [sides[0], rows_about(simulator, halves[1], other, common, sizes)]
+    law = with_misfit(own, settled_law(own))
     offered, scales = offered_candidates(simulator, effects, common, sizes, typical)
     columns = columns_of(simulator, halves[1], base, offered, scales)
     columns = _of_motors(offered, columns, sides[1], law.value, scales)
@@ -150,20 +146,80 @@ def _shares(rows: Rows) -> Array:
     return np.asarray(np.max(exerted / np.maximum(there, 1e-300)[:, None], axis=0))
 
 
-def _base(simulator: MujocoSimulator, half: Half, rows: Rows, law: Law) -> Model:
-    """Return the model with commands as late as they come in the first log."""
-    if not half.motion.commands.shape[1]:
-        return Model({})
-    models = [Model({}, late) for late in LATE_IN_BOTH]
+def _with_friction(
+    simulator: MujocoSimulator, half: Half, rows: Rows, effects: Sequence[Effect], sizes: Array
+) -> Rows:
+    """Return rows about no dry friction with columns of what a typical size of it exerts: a slope tells another law."""
+    dry = [place for place, effect in enumerate(effects) if effect.family == "dry_friction"]
+    if not dry:
+        return rows
+    columns = rows.columns.copy()
+    candidates = [Candidate(effects[place], 1.0, {}) for place in dry]
+    columns[:, dry] = columns_of(simulator, half, Model({}), candidates, sizes[dry], share=1.0)
+    return replace(rows, columns=columns)
+
+
+def _bases(
+    simulator: MujocoSimulator,
+    halves: Sequence[Half],
+    sides: Sequence[Rows],
+    effects: Sequence[Effect],
+    sizes: Array,
+    needed: float,
+) -> tuple[Model, Model]:
+    """Return the models about which forces are taken, for each log: with dry friction, and commands as late as there.
+
+    Rows are not linear in either: MuJoCo's dry friction is softer the larger it is, and of how late commands come a
+    slope tells little. Each log tells by its own rows, so that what differs between them is no noise. What makes them
+    likelier by less than a name needs is left out: a joint that creeps shows no dry friction, but damping.
+    """
+    prompt = np.array([effect.family != "delay" for effect in effects])
+    prompted = [replace(rows, columns=rows.columns * prompt) for rows in sides]
+    laws = [settled_law([rows, rows]) for rows in prompted]
+
+    def told(place: int, models: Sequence[Model]) -> tuple[Array, Array]:
+        return _told(simulator, halves[place], prompted[place], laws[place], models)
+
+    lates = [Model({}, late) for late in LATE_IN_BOTH]
+    (levels, values), (others, further) = told(0, lates), told(1, lates)
+    alike = int(np.argmax(levels + others))
+    own = int(np.argmax(levels)), int(np.argmax(others))
+    if levels[own[0]] + others[own[1]] - levels[alike] - others[alike] <= needed:
+        own = alike, alike
+    friction = {
+        effect.name: float(np.clip(size * value, *effect.bounds))
+        for effect, size, value in zip(effects, sizes, 0.5 * (values[own[0]] + further[own[1]]))
+        if effect.family == "dry_friction"
+    }
+    # Of each joint against none, its column left out.
+    dry = np.array([effect.family == "dry_friction" for effect in effects])
+    prompted = [replace(rows, columns=rows.columns * ~dry) for rows in prompted]
+    some = [friction, *({**friction, name: 0.0} for name in friction)]
+    gains = np.zeros(len(friction))
+    for place, late in enumerate(own):
+        every, *without = told(place, [Model(values, LATE_IN_BOTH[late]) for values in some])[0]
+        gains += every - np.array(without)
+    kept = {name: value for (name, value), gain in zip(friction.items(), gains) if gain > needed}
+    one, other = (Model(kept, LATE_IN_BOTH[late]) for late in own)
+    return one, other
+
+
+def _told(
+    simulator: MujocoSimulator, half: Half, rows: Rows, law: Law, models: Sequence[Model]
+) -> tuple[Array, Array]:
+    """Return the log density of a log about models, but for a constant, and all effects, in units of sizes, about each.
+
+    Of shapes (n_models,), nats, and (n_models, n_effects).
+    """
+    k, weights = rows.columns.shape[1], law.weights
     targets = coefficients_of(half, lacking_forces(simulator, half, models))[0]
-    deviation, worth = law.noise[0], []
-    for target in targets.T:
-        windows = Windows.of(replace(rows, target=target), deviation)
-        G, h = windows.without(law.spread).every()
-        square = float(np.sum((target / deviation) ** 2))
-        square -= windows.own_share(law.spread)
-        worth.append(float(h @ np.linalg.solve(G + np.diag(law.weights), h)) - square)
-    return Model({}, LATE_IN_BOTH[int(np.argmax(worth))])
+    # As columns behind those of effects all targets are integrated over at once.
+    columns = np.column_stack([rows.columns, targets])
+    stacked = replace(rows, target=np.zeros(len(rows.target)), columns=columns)
+    whole = Windows.of(stacked, law.noise[0]).without(law.spread).whole()
+    left = whole.integrated(weights).products
+    values = np.linalg.solve(whole.products[:k, :k] + np.diag(weights), whole.products[:k, k:])
+    return np.asarray(-0.5 * np.diag(left)[k:]), np.asarray(values.T)
 
 
 def _of_motors(

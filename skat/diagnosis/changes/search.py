@@ -1,4 +1,4 @@
-"""The search: sets of changes, weighed over drawn windows with all that is common to both logs integrated out."""
+"""The search: sets of changes, weighed with all that is common to both logs, and all misfit, integrated out."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,16 +9,15 @@ from skat.diagnosis.changes.candidates import Candidate, priors_of, rivals_of
 from skat.diagnosis.changes.mixups import mistake_of
 from skat.diagnosis.changes.motions import Log, half_of
 from skat.diagnosis.changes.question import Question, question_of
+from skat.diagnosis.changes.strengths import Logs, OverStrengths, Places
 from skat.diagnosis.changes.telling import Changes, causes_of, gain_of, sizes_of
-from skat.diagnosis.changes.windows import Bagged, Windows, drawn_windows, integrated
-from skat.diagnosis.evidence import Gram, Priors, Weighed
+from skat.diagnosis.changes.windows import Windows
+from skat.diagnosis.evidence import Priors, Weighed
 from skat.diagnosis.filtering import Array
-from skat.diagnosis.search import search_sets, without_weak
+from skat.diagnosis.search import without_weak
 from skat.effects import Effect
 from skat.simulators import MujocoSimulator, Simulator
 
-# Sets of the search of both logs that each pair of drawn ones is asked for.
-POOL = 32
 # Log odds of what is not named, and the share of its range from neutral that a value keeps to.
 NEVER, INSIDE = -1e6, 1 - 1e-6
 
@@ -65,27 +64,26 @@ def find_changes(
             "extended_simulator_."
         )
     halves = [half_of(simulator, log, name) for name, log in (("before", before), ("after", after))]
-    question = question_of(simulator, halves, effects, typical=typical or {}, test_size=test_size)
-    priors, needed = priors_of(question.candidates, question.scales, simulator.dt), -np.log(alpha)
-    sides = _integrated_sides(question)
-    gram, common = _differences(question, sides)
-    drawn = drawn_windows(sides)
+    needed = -np.log(alpha)
+    question = question_of(
+        simulator, halves, effects, typical=typical or {}, test_size=test_size, needed=needed
+    )
+    priors = priors_of(question.candidates, question.scales, simulator.dt)
+    logs = _logs(question)
     while True:
-        worth = _bagged(question, sides, drawn, gram, priors)
-        # Of any two sets, that with more names must be worth what they need.
-        best = max(worth.seen.values(), key=lambda one: one.evidence - needed * len(one.members))
-        best, nats = without_weak(best, worth, needed)
+        worth = OverStrengths(logs, priors, rivals_of(question.candidates))
+        best, nats = _named(worth, needed)
         absurd = _at_bounds(best, question.candidates, priors)
         if not absurd:
             break
         log_odds = priors.log_odds.copy()
         log_odds[absurd] = NEVER
         priors = replace(priors, log_odds=log_odds)
+    common = _common(logs, worth.best_places(best.members))
     differences = np.zeros(len(question.candidates))
     differences[list(best.members)] = best.values
-    ours = worth.whole(best.members)
-    price = ours.likelihood - ours.evidence
-    mistake = mistake_of(question, differences, common.alone, drawn, price=price, needed=needed)
+    price = worth.price(best.members)
+    mistake = mistake_of(question, differences, common.alone, price=price, needed=needed)
     if mistake:
         return Changes((), "unexplained", None, sizes_of(question, common.level), mistake)
     causes = causes_of(question, best, worth, nats)
@@ -115,62 +113,34 @@ class _Common:
     alone: Array
 
 
-def _integrated_sides(question: Question) -> tuple[Windows, Windows]:
-    """Return the windows of the first log, and those of the second that fit, without effects of their own."""
+def _logs(question: Question) -> Logs:
+    """Return both logs without the windows that are held out."""
     law, kept = question.law, ~question.held_out
-    rows = question.sides[0], question.sides[1].part(kept)
-    first, second = (
-        Windows.of(side, noise).without(law.spread)
-        for side, noise in zip(rows, (law.noise[0], law.noise[1][kept]))
-    )
-    return first, second
+    sides = (question.sides[0], law.noise[0]), (question.sides[1].part(kept), law.noise[1][kept])
+    first, second = (Windows.of(*side).without(law.spread) for side in sides)
+    return Logs(first.whole(), second.whole(), law, first.parts, second.parts)
 
 
-def _differences(
-    question: Question, sides: tuple[Windows, Windows], times: Sequence[Array] | None = None
-) -> tuple[Gram, _Common]:
-    """Return the Gram matrix of differences with all else integrated out, and what is common given them.
-
-    ``times`` says how often each window of either log counts; once, by default.
-    """
-    law, k = question.law, len(question.effects)
-    (G, h), second = (
-        (side.every() if times is None else side.drawn(times[place])) for place, side in enumerate(sides)
-    )
-    products, projections = integrated(*second, np.arange(k), 1 / law.apart)
-    H = products[:k, :k] + G + np.diag(law.weights)
-    right = np.column_stack([projections[:k] + h, products[:k, k:]])
-    solved = np.linalg.solve(H, right)
-    cross = products[k:, :k]
-    gram = Gram(
-        products[k:, k:] - cross @ solved[:, 1:],
-        projections[k:] - cross @ solved[:, 0],
-        np.zeros(len(question.candidates)),
-    )
-    alone = np.linalg.solve(G + np.diag(law.weights), h)
-    return gram, _Common(*(np.asarray(one, dtype=float) for one in (solved[:, 0], solved[:, 1:], alone)))
+def _common(logs: Logs, places: Places) -> _Common:
+    k, first, both = len(logs.law.weights), logs.first, logs.both(places)
+    H = both.products[:k, :k] + np.diag(logs.law.weights)
+    solved = np.linalg.solve(H, np.column_stack([both.projections[:k], both.products[:k, k:]]))
+    alone = np.linalg.solve(first.products + np.diag(logs.law.weights), first.projections)
+    return _Common(*(np.asarray(one, dtype=float) for one in (solved[:, 0], solved[:, 1:], alone)))
 
 
-def _bagged(
-    question: Question,
-    sides: tuple[Windows, Windows],
-    drawn: Sequence[tuple[Array, ...]],
-    gram: Gram,
-    priors: Priors,
-) -> Bagged:
-    """Return the worth of sets over drawn windows; the likely ones of both logs and the best of each pair are seen."""
-    rivals = rivals_of(question.candidates)
-    best, whole = search_sets(gram, priors, rivals=rivals)
-    pool = sorted(whole.seen, key=lambda members: -whole.seen[members].evidence)[:POOL]
-    found = [
-        search_sets(_differences(question, sides, times)[0], priors, start=best.members, rivals=rivals)
-        for times in drawn
-    ]
-    likely = list(dict.fromkeys([(), *pool, *(one.members for one, _ in found)]))
-    worth = Bagged(whole, [one for _, one in found], likely)
-    for members in likely:
-        worth(members)
-    return worth
+def _named(worth: OverStrengths, needed: float) -> tuple[Weighed, dict[int, float]]:
+    """Return the set that is named, and what each member is worth, nats."""
+    worth.settled(())
+    while True:
+        # Of any two sets, that with more names must be worth what they need.
+        best = max(map(worth, worth.pool()), key=lambda one: one.evidence - needed * len(one.members))
+        best, nats = without_weak(best, worth, needed)
+        asked = [best.members, *([one for one in best.members if one != gone] for gone in best.members)]
+        if all(worth.is_settled(members) for members in asked):
+            return best, nats
+        for members in asked:
+            worth.settled(members)
 
 
 def _at_bounds(best: Weighed, candidates: Sequence[Candidate], priors: Priors) -> list[int]:

@@ -73,9 +73,7 @@ class Smooth:
         return float(frequencies[lost[0] - 1] if lost.size else frequencies[-1])
 
 
-def smooth_coordinate(
-    positions: Array, velocities: Array, episodes: Array, dt: float, *, like: Smooth | None = None
-) -> Smooth:
+def smooth_coordinate(positions: Array, velocities: Array, episodes: Array, dt: float) -> Smooth:
     """Return a smoothed coordinate, its variances estimated.
 
     Parameters
@@ -86,8 +84,6 @@ def smooth_coordinate(
         Episode of each instant; those of one follow each other.
     dt : float
         s.
-    like : Smooth, optional
-        Take the ratios of variances of this one.
 
     Raises
     ------
@@ -106,12 +102,9 @@ def smooth_coordinate(
         # Of velocities alone only differences of positions matter.
         first = np.isin(np.arange(len(read)), starts)
         read[first, 0], seen[first, 0] = 0.0, True
-    if like is None:
-        part = slice(0, ROWS_FOR_VARIANCES)
-        log_jerk, log_velocity = _variances(read[part], seen[part], joined[: len(read[part]) - 1])
-        jerk, ratio = float(np.exp(log_jerk)), float(np.exp(log_velocity))
-    else:
-        jerk, ratio = like.jerk, like.velocity_noise
+    part = slice(0, ROWS_FOR_VARIANCES)
+    log_jerk, log_velocity = _variances(read[part], seen[part], joined[: len(read[part]) - 1])
+    jerk, ratio = float(np.exp(log_jerk)), float(np.exp(log_velocity))
     _, states, factor, scale = _posterior(read, seen, joined, jerk, ratio)
     longest = int(np.argmax(np.diff(np.r_[starts, len(read)])))
     middle = (starts[longest] + (np.r_[starts, len(read)][longest + 1])) // 2

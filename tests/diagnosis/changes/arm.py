@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from skat.diagnosis.changes.candidates import Model
-from skat.diagnosis.changes.law import settled_law
+from skat.diagnosis.changes.law import settled_law, with_misfit
 from skat.diagnosis.changes.motions import columns_of, half_of, rows_about
 from skat.diagnosis.changes.question import Question
 from skat.simulators import MujocoSimulator
@@ -28,7 +28,7 @@ def question_about(simulator, before, after, *, effects=(), candidates=(), base=
     sizes = np.array([effect.typical for effect in effects])
     scales = np.array([one.effect.typical for one in candidates])
     first, second = (rows_about(simulator, half, base, effects, sizes) for half in halves)
-    law = settled_law((first, second))
+    law = with_misfit((first, second), settled_law((first, second)))
     if candidates:
         columns = columns_of(simulator, halves[1], base, candidates, scales)
         second = replace(second, columns=np.column_stack([second.columns, columns]))

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from skat.diagnosis.changes import find_changes
-from skat.diagnosis.changes.force_space import Rows, noise_of, smooth_motion, smooth_squares
+from skat.diagnosis.changes.force_space import Rows, noise_of, smooth_squares
 from skat.diagnosis.changes.smoothing import smooth_coordinate
 from skat.diagnosis.evidence import Gram, Priors, SwiftWeigher, weigh
-from skat.diagnosis.search import search_sets
+from skat.diagnosis.search import alternatives, search_sets
 from skat.simulators import MujocoSimulator
 
 ARM = """
@@ -69,34 +69,6 @@ def test_smoother_leaves_a_parabola_as_it_is():
     smooth = smooth_coordinate(1 + 2 * time + 3 * time**2, np.full(60, np.nan), np.zeros(60), 0.01)
     np.testing.assert_allclose(smooth.velocity, 2 + 6 * time, atol=1e-6)
     np.testing.assert_allclose(smooth.acceleration, 6.0, atol=1e-4)
-
-
-def test_smoothing_with_variances_that_are_known_is_the_same():
-    rng = np.random.default_rng(3)
-    read = np.sin(0.05 * np.arange(300)) + 0.01 * rng.normal(size=300)
-    unread = np.full(300, np.nan)
-    first = smooth_coordinate(read, unread, np.zeros(300), 0.01)
-    again = smooth_coordinate(read, unread, np.zeros(300), 0.01, like=first)
-    np.testing.assert_array_equal(again.acceleration, first.acceleration)
-
-
-def test_a_motion_read_anew_errs_as_much_as_it_did_when_it_was_read():
-    simulator = MujocoSimulator(ARM, frame_skip=5)
-    (X, y, groups), (exact, exact_y, _) = (
-        log_of(4, friction=(0.1, 0.05)),
-        log_of(4, friction=(0.1, 0.05), noise=0.0),
-    )
-    for table in (X, y, exact, exact_y):
-        table[:, 2:4] = np.nan
-    motion = smooth_motion(simulator, X, y, groups, window=2.0)
-    instants = np.vstack([exact[:, :2], exact_y[-1:, :2]])
-    ends = motion.rows[:, [0, -1]] + [0, 1]
-    speed = (instants[ends[:, 1]] - instants[ends[:, 0]]) / motion.duration
-    error = np.std(motion.states[:, 2:] - speed, axis=0)
-    anew = np.mean(
-        [np.std(states[:, 2:] - motion.states[:, 2:], axis=0) for states, _ in motion.anew], axis=0
-    )
-    np.testing.assert_allclose(anew, error, rtol=0.15)
 
 
 @pytest.mark.parametrize("n", [30, 3000])
@@ -168,8 +140,7 @@ def random_problem(seed, n=300, k=12, members=(1, 2, 3, 4, 8)):
 @pytest.mark.parametrize("seed", range(3))
 def test_sets_come_back_when_data_are_simulated_from_them(seed):
     gram, priors = random_problem(seed)
-    best, _ = search_sets(gram, priors)
-    assert best.members == (1, 2, 3, 4, 8)
+    assert search_sets(SwiftWeigher(gram, priors)).members == (1, 2, 3, 4, 8)
 
 
 def test_quick_weighing_is_that_of_the_evidence():
@@ -177,6 +148,85 @@ def test_quick_weighing_is_that_of_the_evidence():
     worth = SwiftWeigher(gram, priors)
     for members in ((1,), (1, 2, 3), (0, 4, 8, 11)):
         assert worth(members).evidence == pytest.approx(weigh(gram, priors, members).evidence, abs=0.02)
+
+
+@pytest.mark.parametrize("size", [0.1, 1.0, 3.0, 10.0])
+def test_a_promise_is_what_a_further_effect_gains_where_the_others_hardly_move(size):
+    """The weigher takes the others' priors to be parabolas, which they are as far as about one typical size."""
+    compared = 0
+    for seed in range(20):
+        rng, k = np.random.default_rng(seed), 8
+        n = int(rng.choice([30, 300, 3000]))
+        N = rng.normal(size=(n, k)) @ (2 * np.eye(k) + rng.uniform(0, 1) * rng.normal(size=(k, k)))
+        truth = size * rng.uniform(-1.5, 1.5, k) * (np.arange(k) < 5)
+        z = N @ truth + rng.normal(size=n)
+        priors = Priors(("",) * k, np.ones(k), np.full(k, -2.0), np.full(k, -1e3), np.full(k, 1e3))
+        worth = SwiftWeigher(Gram(N.T @ N, N.T @ z, np.zeros(k)), priors)
+        for members in ((), (0,), (0, 1, 2), (1, 3, 6), (0, 1, 2, 3, 4)):
+            now, promises = worth(members), worth.promises(worth(members))
+            assert not np.isfinite(promises[list(members)]).any()
+            for one in set(range(k)) - set(members):
+                then = worth((*members, one))
+                others = np.array([value for place, value in zip(then.members, then.values) if place != one])
+                if np.max(np.abs(others - now.values), initial=0.0) < 1:
+                    assert promises[one] == pytest.approx(then.evidence - now.evidence, abs=1.0)
+                    compared += 1
+    assert compared > 200
+
+
+def test_a_promise_holds_where_a_value_ends_at_its_bound():
+    gram, priors = random_problem(5)
+    bounded = Priors(priors.names, priors.scales, priors.log_odds, np.full(12, -0.2), np.full(12, 0.2))
+    worth = SwiftWeigher(gram, bounded)
+    now = worth((1, 2))
+    promises = worth.promises(now)
+    for one in (3, 4, 8):
+        assert worth((1, 2, one)).values[-1 if one > 2 else 0] in (-0.2, 0.2)
+        # A bound takes a share of what is left of a value, which no promise knows.
+        assert promises[one] == pytest.approx(worth((1, 2, one)).evidence - now.evidence, abs=4.0)
+
+
+def test_rivals_of_members_promise_nothing():
+    gram, priors = random_problem(5)
+    worth = SwiftWeigher(gram, priors, {1: [4, 7]})
+    assert np.flatnonzero(np.isinf(worth.promises(worth((1, 2))))).tolist() == [1, 2, 4, 7]
+    assert np.flatnonzero(np.isinf(worth.promises(worth((2,))))).tolist() == [2]
+
+
+def test_effects_that_act_nearly_alike_are_all_found_however_many_promise_more():
+    k = 9
+    rng = np.random.default_rng(0)
+    common = rng.normal(size=2000)
+    # The further down, the less like the first; the last is something else.
+    N = common[:, None] + np.r_[0.0, 0.08, 0.09, 0.1, 0.11, 0.12, 0.13, 0.14, 9.0] * rng.normal(
+        size=(2000, k)
+    )
+    z = 0.2 * common + rng.normal(size=2000)
+    priors = Priors(("",) * k, np.ones(k), np.full(k, -np.log(10.0)), np.full(k, -50.0), np.full(k, 50.0))
+    worth = SwiftWeigher(Gram(N.T @ N, N.T @ z, np.zeros(k)), priors)
+    best = search_sets(worth)
+    (gone,) = best.members
+    lost = {one: best.evidence - worth((one,)).evidence for one in range(k) if one != gone}
+    within = np.log(20.0)
+    expected = {one: value for one, value in lost.items() if value <= within}
+    assert len(expected) > 5
+    found = alternatives(best, worth, within)[gone]
+    assert dict(found) == pytest.approx(expected)
+    assert [value for _, value in found] == sorted(expected.values())
+
+
+def test_an_effect_that_explains_less_than_asked_is_no_alternative():
+    gram, priors = random_problem(5)
+    worth = SwiftWeigher(gram, priors)
+    best = search_sets(worth)
+    assert alternatives(best, worth, np.log(20.0)) == {one: [] for one in best.members}
+
+
+@pytest.mark.parametrize("start", [(0,), (0, 5, 7), (1, 2)])
+def test_a_set_to_begin_with_changes_nothing_of_what_is_found(start):
+    gram, priors = random_problem(5)
+    found = search_sets(SwiftWeigher(gram, priors), start)
+    assert found.members == search_sets(SwiftWeigher(gram, priors)).members
 
 
 @pytest.mark.parametrize("sign", [-1, 1])

@@ -40,9 +40,8 @@ def unmeasured(log, columns):
 
 def told(before, after, **options):
     question = question_about(arm(), before, after, effects=DAMPING)
-    windows = [np.ones(len(np.unique(side.stretch))) for side in question.sides]
     options = {"price": 0.0, "needed": np.log(100.0), **options}
-    return mistake_of(question, np.zeros(0), np.zeros(2), [tuple(windows)] * 3, **options)
+    return mistake_of(question, np.zeros(0), np.zeros(2), **options)
 
 
 @pytest.mark.parametrize("name", MIXED)

@@ -7,9 +7,22 @@ import pytest
 
 from skat.diagnosis.changes.candidates import Candidate, Model
 from skat.diagnosis.changes.force_space import Rows
-from skat.diagnosis.changes.law import settled_law
-from skat.diagnosis.changes.motions import _later, columns_of, half_of, rows_about
-from skat.diagnosis.changes.question import _base, _held_out, _of_motors, _shares, question_of
+from skat.diagnosis.changes.motions import (
+    _later,
+    coefficients_of,
+    columns_of,
+    half_of,
+    lacking_forces,
+    rows_about,
+)
+from skat.diagnosis.changes.question import (
+    _bases,
+    _held_out,
+    _of_motors,
+    _shares,
+    _with_friction,
+    question_of,
+)
 from tests.diagnosis.changes.arm import arm, effect_of
 from tests.diagnosis.changes.test_force_space import log_of
 
@@ -41,14 +54,74 @@ def test_motors_act_on_all_that_is_common_of_the_joints_that_feel_them(simulator
     np.testing.assert_array_equal(found[:, 1], columns[:, 1])
 
 
-@pytest.mark.parametrize("late", [0.0, 1.5])
-def test_the_model_has_commands_as_late_as_they_come_in_the_first_log(simulator, late):
-    half, other = (half_of(simulator, log_of(seed, rows=600, damping=(0.1, 0.05)), "log") for seed in (4, 5))
-    motion = half.motion
-    half = replace(half, motion=replace(motion, commands=_later(motion.commands, motion.episodes, -late)))
-    effects = [effect_of(simulator, name) for name in ("damping[shoulder]", "damping[elbow]")]
-    sides = [rows_about(simulator, one, Model({}), effects, np.full(2, 0.3)) for one in (half, other)]
-    assert _base(simulator, half, sides[0], settled_law(sides)) == Model({}, late)
+def later_by(half, late):
+    """Return a log whose commands reached its machine so many rows later than it says."""
+    return replace(
+        half, motion=replace(half.motion, commands=_later(half.motion.commands, half.motion.episodes, -late))
+    )
+
+
+WHOLE = ("dry_friction[shoulder]", "dry_friction[elbow]", "damping[shoulder]", "damping[elbow]")
+
+
+def bases_of(simulator, lates, *, needed, names=WHOLE, **truth):
+    halves = [
+        later_by(half_of(simulator, log_of(seed, rows=600, **truth), "log"), late)
+        for seed, late in zip((4, 5), lates, strict=True)
+    ]
+    effects, sizes = [effect_of(simulator, name) for name in names], np.full(len(names), 0.3)
+    sides = [rows_about(simulator, half, Model({}), effects, sizes) for half in halves]
+    sides = [_with_friction(simulator, *one, effects, sizes) for one in zip(halves, sides, strict=True)]
+    return _bases(simulator, halves, sides, effects, sizes, needed)
+
+
+@pytest.mark.parametrize("lates", [(0.0, 0.0), (1.5, 1.5), (0.0, 2.0), (2.5, 0.5)])
+def test_each_log_has_commands_as_late_as_they_come_in_it(simulator, lates):
+    first, second = bases_of(simulator, lates, needed=np.log(100), damping=(0.1, 0.05))
+    # Between rows commands are interpolated, which blurs them.
+    assert (first.late, second.late) == pytest.approx(lates, abs=0.3)
+    assert (first == second) == (lates[0] == lates[1])
+
+
+def test_logs_that_hardly_tell_apart_how_late_commands_come_have_them_equally_late(simulator):
+    first, second = bases_of(simulator, (0.0, 2.0), needed=1e6, damping=(0.1, 0.05))
+    assert first == second
+    assert 0.0 <= first.late <= 2.0
+
+
+def test_the_model_has_the_dry_friction_that_logs_show(simulator):
+    truth = {"friction": (0.12, 0.06), "damping": (0.1, 0.05)}
+    first, second = bases_of(simulator, (0.0, 0.0), needed=np.log(100), **truth)
+    assert first == second
+    assert set(first.values) == {"dry_friction[shoulder]", "dry_friction[elbow]"}
+    assert first.values["dry_friction[shoulder]"] == pytest.approx(0.12, rel=0.15)
+    assert first.values["dry_friction[elbow]"] == pytest.approx(0.06, rel=0.15)
+
+
+def test_no_more_dry_friction_is_in_the_model_than_there_can_be(simulator):
+    names = ("dry_friction[shoulder]", "dry_friction[elbow]")
+    first, _ = bases_of(simulator, (0.0, 0.0), needed=np.log(100), names=names)
+    for name in names:
+        assert 0.0 <= first.values.get(name, 0.0) < 0.01
+
+
+def test_columns_of_dry_friction_are_all_that_a_typical_size_of_it_exerts(simulator):
+    half = half_of(simulator, log_of(4, rows=600), "log")
+    effects = [effect_of(simulator, name) for name in ("damping[elbow]", "dry_friction[elbow]")]
+    rows = rows_about(simulator, half, Model({}), effects, np.array([0.3, 0.2]))
+    found = _with_friction(simulator, half, rows, effects, np.array([0.3, 0.2])).columns
+    models = [Model({}), Model({"dry_friction[elbow]": 0.2})]
+    whole = coefficients_of(half, lacking_forces(simulator, half, models))[0]
+    np.testing.assert_allclose(found[:, 1], whole[:, 0] - whole[:, 1], atol=1e-9)
+    np.testing.assert_array_equal(found[:, 0], rows.columns[:, 0])
+
+
+def test_columns_are_as_they_are_where_no_dry_friction_is_asked_about(simulator):
+    half = half_of(simulator, log_of(4, rows=600), "log")
+    effects, sizes = [effect_of(simulator, "damping[elbow]")], np.array([0.3])
+    rows = rows_about(simulator, half, Model({}), effects, sizes)
+    found = _with_friction(simulator, half, rows, effects, sizes)
+    np.testing.assert_array_equal(found.columns, rows.columns)
 
 
 def test_columns_are_in_units_of_what_typically_is_exerted(simulator):
@@ -58,7 +131,9 @@ def test_columns_are_in_units_of_what_typically_is_exerted(simulator):
     for X, y, _ in logs:
         X[:, 3] = y[:, 3] = np.nan
     halves = [half_of(simulator, log, "log") for log in logs]
-    question = question_of(simulator, halves, effects, typical={"damping[elbow]": 0.05}, test_size=0.3)
+    question = question_of(
+        simulator, halves, effects, typical={"damping[elbow]": 0.05}, test_size=0.3, needed=np.log(100)
+    )
     # A bias of speeds that were not measured shows nowhere.
     assert [effect.name for effect in question.effects] == names[:4]
     np.testing.assert_allclose(question.sizes[1:], [0.05, 0.2, effects[3].typical])
@@ -69,8 +144,10 @@ def test_columns_are_in_units_of_what_typically_is_exerted(simulator):
         nominal=np.r_[first.nominal, second.nominal],
     )
     assert _shares(both)[0] == pytest.approx(effects[0].force_share, rel=1e-6)
-    assert question.law.apart[3] >= 1
-    assert (question.law.apart[:3] < 1).all()
+    # Forces on both joints, and the speed of the one that was measured: a scale of speeds shows there alone.
+    assert question.law.alike.shape == (3, 4)
+    np.testing.assert_array_equal(question.law.alike[2] > 0, [False, False, False, True])
+    np.testing.assert_array_equal(question.law.alike[:2, 3], 0.0)
     assert second.columns.shape[1] == 4 + len(question.candidates) == 4 + len(question.scales)
     place = [one.effect.name for one in question.candidates].index("mass[lower]")
     candidates, scales = question.candidates[place : place + 1], question.scales[place : place + 1]

@@ -22,7 +22,7 @@ def made_up(simulator, names, scales, *, sides=(None, None), noise=(None, None),
         Candidate(effect_of(simulator, name), 1.0, (beside or {}).get(name, {})) for name in names
     )
     k = 0 if sides[0] is None else sides[0].columns.shape[1]
-    law = Law(noise, np.zeros(k), np.ones(k), np.zeros(k), np.zeros(k))
+    law = Law(noise, np.zeros(k), np.ones(k), np.zeros(k), np.zeros((0, k)))
     effects = tuple(effect_of(simulator, "damping[elbow]") for _ in range(k))
     return Question(
         simulator, (), Model({}), effects, candidates, np.ones(k), np.array(scales), sides, law, held_out

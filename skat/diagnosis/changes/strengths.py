@@ -1,0 +1,214 @@
+r"""Sets of changes, weighed where logs may differ though nothing changed, by as much as makes both logs most likely.
+
+Of a model that is not right, two logs differ by more than noise: by what its misfit looks like in the one motion and in
+the other. A change is in one effect; where there is misfit on a joint, all effects on it differ a little. By how much,
+a strength for each joint, is told by all of them together, anew for each set of changes: variance components, as the
+heterogeneity of studies [1]_, that maximise the marginal likelihood.
+
+References
+----------
+.. [1] Higgins, Thompson, Spiegelhalter (2009). A re-evaluation of random-effects meta-analysis. J. R. Stat. Soc. A 172.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skat.diagnosis.changes.law import Law
+from skat.diagnosis.changes.windows import Quadratic
+from skat.diagnosis.evidence import RANK, Gram, Priors, SwiftWeigher, Weighed
+from skat.diagnosis.filtering import Array
+from skat.diagnosis.search import search_sets
+
+# Of the variance of an effect's difference, over that if all misfit looked like it: places on a grid.
+STRENGTHS = 8.0 ** np.arange(-10, 3)
+# Precision of an effect that no joint feels, in typical sizes.
+LEAST = 1e-6
+# Likeliest sets at each strength that are asked for at the others.
+POOL = 32
+
+Places = tuple[int, ...]
+
+
+def prior(places: Places) -> float:
+    """Return the log of the prior density of strengths, but for a constant: joints of a machine are about alike."""
+    return -float(np.sum(np.abs(np.array(places) - np.median(places))))
+
+
+@dataclass(frozen=True)
+class Logs:
+    """Both logs as quadratics in effects, the second with candidates behind them, and the law of what is common.
+
+    Attributes
+    ----------
+    first, second : Quadratic
+        In (n_effects,) and (n_effects + n_candidates,) values, in units of typical sizes.
+    law : Law
+    firsts, seconds : tuple of Quadratic
+        The windows of each, one of which may be left out.
+    """
+
+    first: Quadratic
+    second: Quadratic
+    law: Law
+    firsts: tuple[Quadratic, ...] = ()
+    seconds: tuple[Quadratic, ...] = ()
+
+    def both(self, places: Places) -> Quadratic:
+        """Return both logs where they differ by strengths at such places of the grid, one for each joint."""
+        # Of an effect that several joints feel misfit would have to look alike on each.
+        apart = self.second.integrated((1 / STRENGTHS[list(places)]) @ self.law.alike + LEAST)
+        return self.first.widened(len(apart.projections)) + apart
+
+    def left(self, places: Places) -> Quadratic:
+        """Return the same in candidates alone, with what is common integrated out."""
+        return self.both(places).integrated(self.law.weights).without(len(self.law.weights))
+
+    def climbed(self, start: Places, worth: Callable[[Places], float]) -> Places:
+        """Return places from which no step of one joint's makes a worth larger."""
+        now, best = start, worth(start)
+        moved = True
+        while moved:
+            moved = False
+            for joint in range(len(start)):
+                for step in (-1, 1):
+                    while 0 <= now[joint] + step < len(STRENGTHS):
+                        tried = (*now[:joint], now[joint] + step, *now[joint + 1 :])
+                        if (value := worth(tried)) <= best:
+                            break
+                        now, best, moved = tried, value, True
+        return now
+
+    def shortened(self) -> Iterator["Logs"]:
+        """Yield both logs without each of their windows."""
+        for one in self.firsts:
+            yield Logs(self.first - one, self.second, self.law)
+        for one in self.seconds:
+            yield Logs(self.first, self.second - one, self.law)
+
+    def alike(self) -> list[Places]:
+        """Return the places where joints are all alike."""
+        return [(place,) * len(self.law.alike) for place in range(len(STRENGTHS))]
+
+    def level(self) -> float:
+        """Return the log density of both logs if nothing changed, nats."""
+
+        def worth(places: Places) -> float:
+            return self.left(places).level + prior(places)
+
+        return worth(self.climbed(max(self.alike(), key=worth), worth))
+
+
+class OverStrengths(SwiftWeigher):
+    """Weighs sets, each at the strengths at which it is worth most.
+
+    Parameters
+    ----------
+    logs : Logs
+    priors : Priors
+    rivals : mapping from place to places
+        As `Weigher`'s.
+    """
+
+    def __init__(self, logs: Logs, priors: Priors, rivals: Mapping[int, Sequence[int]]):
+        self.logs = logs
+        self._at: dict[Places, tuple[SwiftWeigher, float]] = {}
+        self._settled: set[tuple[int, ...]] = set()
+        nothing = Gram(np.zeros((0, 0)), np.zeros(0), np.zeros(0))
+        super().__init__(nothing, priors, rivals)
+        best = -np.inf
+        for places in sorted(logs.alike(), key=lambda places: -self._worth(places, ())):
+            # Where all candidates together explain too little no set does.
+            if self._most(places) > best:
+                self._search(places, ())
+                best = max(
+                    best, *(one.evidence + self._at[places][1] for one in self._at[places][0].seen.values())
+                )
+
+    def settled(self, members: Sequence[int]) -> Weighed:
+        """Return what a set is worth after strengths were climbed to for it."""
+        key = tuple(sorted(set(members)))
+        if key not in self._settled:
+            self._settled.add(key)
+            start = max(self._at, key=lambda places: self._worth(places, key))
+            self._search(self.logs.climbed(start, lambda places: self._worth(places, key)), key)
+        return self(key)
+
+    def is_settled(self, members: Sequence[int]) -> bool:
+        """Return whether strengths were climbed to for a set."""
+        return tuple(sorted(set(members))) in self._settled
+
+    def best_places(self, members: Sequence[int]) -> Places:
+        """Return the strengths, as places on the grid, at which a set is worth most."""
+        key = tuple(sorted(set(members)))
+        return max(self._at, key=lambda places: self._worth(places, key))
+
+    def losses(self, whole: Weighed) -> dict[int, float]:
+        """Return what each member of a set is worth, nats, whichever window of either log is left out."""
+        found = super().losses(whole)
+        for logs in self.logs.shortened():
+            for one, loss in found.items():
+                rest = tuple(set(whole.members) - {one})
+                # Without the window strengths may be those of the other set.
+                worths = [self._weigher_of(logs, self.best_places(own)) for own in (whole.members, rest)]
+                ours, theirs = (
+                    max(worth(own).evidence + level for worth, level in worths)
+                    for own in (whole.members, rest)
+                )
+                found[one] = min(loss, ours - theirs)
+        return found
+
+    def _weigher_of(self, logs: Logs, places: Places) -> tuple[SwiftWeigher, float]:
+        left = logs.left(places)
+        gram = Gram(left.products, left.projections, np.zeros(len(left.projections)))
+        return SwiftWeigher(gram, self.priors, self.rivals), left.level + prior(places)
+
+    def _weigher(self, places: Places) -> tuple[SwiftWeigher, float]:
+        if places not in self._at:
+            self._at[places] = self._weigher_of(self.logs, places)
+            self.seen.clear()
+        return self._at[places]
+
+    def _worth(self, places: Places, members: tuple[int, ...]) -> float:
+        worth, level = self._weigher(places)
+        return worth(members).evidence + level
+
+    def _most(self, places: Places) -> float:
+        """Return what no set is worth more than, but for its prior: what all candidates explain without bounds."""
+        worth, level = self._weigher(places)
+        values, axes = np.linalg.eigh(worth.gram.products)
+        told = values > RANK * max(float(values[-1]), 1e-300)
+        return level + 0.5 * float(np.sum((worth.gram.projections @ axes[:, told]) ** 2 / values[told]))
+
+    def _search(self, places: Places, start: Sequence[int]) -> None:
+        """Find the likeliest sets at some strengths."""
+        worth, _ = self._weigher(places)
+        search_sets(worth, start)
+
+    def pool(self) -> list[tuple[int, ...]]:
+        """Return the likeliest sets of each search."""
+        found: dict[tuple[int, ...], None] = {(): None}
+        for worth, _ in self._at.values():
+            likely = sorted(worth.seen, key=lambda members: -worth.seen[members].evidence)
+            found.update(dict.fromkeys(likely[:POOL]))
+        return list(found)
+
+    def _weighed(self, members: tuple[int, ...]) -> Weighed:
+        worth, level = self._at[self.best_places(members)]
+        found = worth(members)
+        return replace(found, evidence=found.evidence + level)
+
+    def promises(self, now: Weighed) -> Array:
+        """Return by how much each further effect would raise the log posterior odds, about; -inf of members."""
+        # At those strengths at which it would then be worth most.
+        whole = [
+            level + (ours := worth(now.members)).evidence + worth.promises(ours)
+            for worth, level in self._at.values()
+        ]
+        return np.asarray(np.max(whole, axis=0) - now.evidence)
+
+    def price(self, members: Sequence[int]) -> float:
+        """Return by how much what a set is worth is less than what it explains, nats."""
+        one = self._at[self.best_places(members)][0](members)
+        return one.likelihood - one.evidence
