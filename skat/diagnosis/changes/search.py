@@ -18,6 +18,8 @@ from skat.diagnosis.search import without_weak
 from skat.effects import Effect
 from skat.simulators import MujocoSimulator, Simulator
 
+# Of what logs differ by on windows that were held out, that changes explain at least.
+MOST = 0.5
 # Log odds of what is not named, and the share of its range from neutral that a value keeps to.
 NEVER, INSIDE = -1e6, 1 - 1e-6
 
@@ -92,6 +94,9 @@ def find_changes(
         verdict = "ambiguous"
     value = common.level - common.slopes @ differences
     gain = gain_of(question, value, differences)
+    if causes and gain is not None and gain.nominal > gain.floor and gain.explained < MOST:
+        # On windows that were not used the logs differ by something else.
+        causes, verdict = (), "unexplained"
     return Changes(causes, verdict, gain, sizes_of(question, value))
 
 
@@ -133,9 +138,7 @@ def _named(worth: OverStrengths, needed: float) -> tuple[Weighed, dict[int, floa
     """Return the set that is named, and what each member is worth, nats."""
     worth.settled(())
     while True:
-        # Of any two sets, that with more names must be worth what they need.
-        best = max(map(worth, worth.pool()), key=lambda one: one.evidence - needed * len(one.members))
-        best, nats = without_weak(best, worth, needed)
+        best, nats = without_weak(worth.best(needed), worth, needed)
         asked = [best.members, *([one for one in best.members if one != gone] for gone in best.members)]
         if all(worth.is_settled(members) for members in asked):
             return best, nats

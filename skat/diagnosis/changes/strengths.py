@@ -25,8 +25,6 @@ from skat.diagnosis.search import search_sets
 STRENGTHS = 8.0 ** np.arange(-10, 3)
 # Precision of an effect that no joint feels, in typical sizes.
 LEAST = 1e-6
-# Likeliest sets at each strength that are asked for at the others.
-POOL = 32
 
 Places = tuple[int, ...]
 
@@ -113,6 +111,8 @@ class OverStrengths(SwiftWeigher):
 
     def __init__(self, logs: Logs, priors: Priors, rivals: Mapping[int, Sequence[int]]):
         self.logs = logs
+        # What was tried on a climb, and of it where sets were searched: only there others are weighed.
+        self._tried: dict[Places, tuple[SwiftWeigher, float]] = {}
         self._at: dict[Places, tuple[SwiftWeigher, float]] = {}
         self._settled: set[tuple[int, ...]] = set()
         nothing = Gram(np.zeros((0, 0)), np.zeros(0), np.zeros(0))
@@ -147,15 +147,15 @@ class OverStrengths(SwiftWeigher):
     def losses(self, whole: Weighed) -> dict[int, float]:
         """Return what each member of a set is worth, nats, whichever window of either log is left out."""
         found = super().losses(whole)
-        for logs in self.logs.shortened():
+        rests = {one: tuple(set(whole.members) - {one}) for one in found}
+        places = {own: self.best_places(own) for own in (whole.members, *rests.values())}
+        for logs in self.logs.shortened() if found else ():
+            at = {one: self._weigher_of(logs, one) for one in set(places.values())}
             for one, loss in found.items():
-                rest = tuple(set(whole.members) - {one})
                 # Without the window strengths may be those of the other set.
-                worths = [self._weigher_of(logs, self.best_places(own)) for own in (whole.members, rest)]
-                ours, theirs = (
-                    max(worth(own).evidence + level for worth, level in worths)
-                    for own in (whole.members, rest)
-                )
+                sets = whole.members, rests[one]
+                worths = [at[places[own]] for own in sets]
+                ours, theirs = (max(worth(own).evidence + level for worth, level in worths) for own in sets)
                 found[one] = min(loss, ours - theirs)
         return found
 
@@ -165,10 +165,9 @@ class OverStrengths(SwiftWeigher):
         return SwiftWeigher(gram, self.priors, self.rivals), left.level + prior(places)
 
     def _weigher(self, places: Places) -> tuple[SwiftWeigher, float]:
-        if places not in self._at:
-            self._at[places] = self._weigher_of(self.logs, places)
-            self.seen.clear()
-        return self._at[places]
+        if places not in self._tried:
+            self._tried[places] = self._weigher_of(self.logs, places)
+        return self._tried[places]
 
     def _worth(self, places: Places, members: tuple[int, ...]) -> float:
         worth, level = self._weigher(places)
@@ -183,16 +182,18 @@ class OverStrengths(SwiftWeigher):
 
     def _search(self, places: Places, start: Sequence[int]) -> None:
         """Find the likeliest sets at some strengths."""
-        worth, _ = self._weigher(places)
+        worth, _ = self._at[places] = self._weigher(places)
+        self.seen.clear()
         search_sets(worth, start)
 
-    def pool(self) -> list[tuple[int, ...]]:
-        """Return the likeliest sets of each search."""
-        found: dict[tuple[int, ...], None] = {(): None}
-        for worth, _ in self._at.values():
-            likely = sorted(worth.seen, key=lambda members: -worth.seen[members].evidence)
-            found.update(dict.fromkeys(likely[:POOL]))
-        return list(found)
+    def best(self, needed: float) -> Weighed:
+        """Return the set that is worth most, where of any two that with more names must be worth so much more, nats."""
+        found = [
+            (one.evidence + level - needed * len(members), members)
+            for worth, level in self._at.values()
+            for members, one in worth.seen.items()
+        ]
+        return self(max(found)[1])
 
     def _weighed(self, members: tuple[int, ...]) -> Weighed:
         worth, level = self._at[self.best_places(members)]

@@ -10,6 +10,7 @@ from skat.diagnosis.changes.candidates import Candidate
 from skat.diagnosis.changes.search import _at_bounds, _common, _logs, _named
 from skat.diagnosis.changes.strengths import LEAST, STRENGTHS, OverStrengths
 from skat.diagnosis.evidence import Priors, Weighed
+from skat.diagnosis.findings import Gain
 from tests.diagnosis.changes.arm import arm, effect_of
 from tests.diagnosis.changes.drawn import ALIKE, WEIGHTS, M, dense, question_of_rows
 from tests.diagnosis.changes.test_force_space import log_of
@@ -103,3 +104,17 @@ def test_a_change_is_named_where_its_odds_are_as_long_as_asked(simulator, logs):
     assert (change.name, change.value) == ("damping[elbow]", pytest.approx(0.1, rel=0.05))
     alpha = float(np.exp(-change.evidence - 0.1))
     assert find_changes(simulator, *logs, effects, alpha=alpha).verdict == "nothing changed"
+
+
+@pytest.mark.parametrize(("explained", "verdict"), [(0.4, "unexplained"), (0.6, "named")])
+def test_what_explains_little_of_the_windows_held_out_is_not_named(
+    simulator, logs, monkeypatch, explained, verdict
+):
+    def gain_of(*_):
+        return Gain(5.0, 5.0 - 4.0 * explained, 1.0, explained, (0.0, 1.0), 0.0, {})
+
+    monkeypatch.setattr("skat.diagnosis.changes.search.gain_of", gain_of)
+    names = [f"{family}[elbow]" for family in ("damping", "dry_friction", "stiffness", "armature", "gain")]
+    found = find_changes(simulator, *logs, [effect_of(simulator, name) for name in names])
+    assert found.verdict == verdict
+    assert bool(found.changes) == (verdict == "named")
