@@ -14,7 +14,7 @@ from skat.diagnosis.changes.telling import Changes, causes_of, gain_of, sizes_of
 from skat.diagnosis.changes.windows import Windows
 from skat.diagnosis.evidence import Priors, Weighed
 from skat.diagnosis.filtering import Array
-from skat.diagnosis.search import without_weak
+from skat.diagnosis.search import FEW, without_weak
 from skat.effects import Effect
 from skat.simulators import MujocoSimulator, Simulator
 
@@ -139,7 +139,10 @@ def _named(worth: OverStrengths, needed: float) -> tuple[Weighed, dict[int, floa
     worth.settled(())
     while True:
         best, nats = without_weak(worth.best(needed), worth, needed)
+        # Also of those with a name more that promise most: at the strengths of others they may be worth little.
         asked = [best.members, *([one for one in best.members if one != gone] for gone in best.members)]
+        promises = worth.promises(best)
+        asked += [[*best.members, int(one)] for one in np.argsort(-promises)[:FEW] if promises[one] > -np.inf]
         if all(worth.is_settled(members) for members in asked):
             return best, nats
         for members in asked:
