@@ -7,13 +7,13 @@ are compared with those of the positions. Each log is cut into windows of time, 
 
 :math:`\theta` is what is wrong in both logs, all effects at once, held by their priors. No model is right, and what it
 misses differs from motion to motion: :math:`\eta` is by how much, and T, of each effect, is estimated within the logs,
-each with values of its own. :math:`\Delta` says that logs that move otherwise differ though nothing changed: as windows
-do, and by what no effect explains, which may look like any. All three are integrated out, and sparse :math:`\delta`, by
-how much the logs differ more than that, are searched for by evidence. The theory page derives it.
+each with values of its own. :math:`\Delta` says that logs that move otherwise differ though nothing changed, in all
+effects on a joint, by a strength that both logs tell. All three are integrated out, and sparse :math:`\delta`, by how
+much the logs differ more than that, are searched for by evidence. The theory page derives it.
 
 Modules import only those before them: `smoothing` makes a motion of readings, `force_space` rows of a log, `windows`
-are sums of rows; `candidates` are what may have changed, `motions` say by what force, `law`
-what else differs; `question` is the regression of two logs, which `mixups` doubts, `telling` words, and `search`
+likelihoods of rows; `candidates` are what may have changed, `motions` say by what force, `law` what else differs, and
+`strengths` by how much; `question` is the regression of two logs, which `mixups` doubts, `telling` words, and `search`
 answers.
 """
 

@@ -79,10 +79,8 @@ def mistake_of(question: Question, differences: Array, alone: Array, *, price: f
     def whole(side: int, some: Rows, seen: Mask) -> Quadratic:
         return Windows.of(some.part(seen), law.noise[side][seen]).without(law.spread).whole()
 
-    first, mended_second = (
-        whole(0, question.sides[0], np.isfinite(question.sides[0].target)),
-        whole(1, otherwise, seen & kept),
-    )
+    first = Windows.of(question.sides[0], law.noise[0]).without(law.spread).whole()
+    mended_second = whole(1, otherwise, seen & kept)
     odds = Logs(first, mended_second, law).level() - Logs(first, whole(1, given, seen & kept), law).level()
     if odds + price + np.log(MIXED_UP / len(mixed)) <= needed:
         return ""
