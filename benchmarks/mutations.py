@@ -155,12 +155,14 @@ def reached(place, tests):
     from coverage import CoverageData
 
     with tempfile.TemporaryDirectory() as folder:
-        data, times = Path(folder) / "coverage", Path(folder) / "times.xml"
+        data, times, told = (Path(folder) / name for name in ("coverage", "times.xml", "told.txt"))
         options = ["--cov=skat", "--cov-context=test", "--cov-report=", f"--junitxml={times}"]
         options += ["-o", "junit_family=xunit1"]
-        code = _run(place, [tests, *options], 7200, COVERAGE_FILE=str(data))
+        with told.open("w") as output:
+            code = _run(place, [tests, *options], 7200, output, COVERAGE_FILE=str(data))
         if code:
-            raise SystemExit(f"{tests} fails (exit code {code}) before anything is changed.")
+            last = "\n".join(told.read_text("utf-8").splitlines()[-60:])
+            raise SystemExit(f"{last}\n{tests} fails (exit code {code}) before anything is changed.")
         seconds, lines = {}, {}
         for case in ET.parse(times).iter("testcase"):
             seconds[case.get("file")] = seconds.get(case.get("file"), 0.0) + float(case.get("time"))
@@ -169,8 +171,8 @@ def reached(place, tests):
         for path in measured.measured_files():
             contexts = measured.contexts_by_lineno(path)
             lines[Path(path).relative_to(place).as_posix()] = {
-                str(line): sorted({one.partition("::")[0] for one in told} & seconds.keys())
-                for line, told in contexts.items()
+                str(line): sorted({one.partition("::")[0] for one in tests_of} & seconds.keys())
+                for line, tests_of in contexts.items()
             }
     return Reached(seconds, lines)
 
@@ -312,7 +314,7 @@ def _keep(output, commit, known):
         Path(f"{output}.reached.json").write_text(json.dumps({commit: told}), "utf-8")
 
 
-def _run(place, tests, limit, **environment):
+def _run(place, tests, limit, output=subprocess.DEVNULL, **environment):
     options = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:randomly", "-m", "not long"]
     command = [sys.executable, "-m", "pytest", *options, *tests]
     environment = {
@@ -323,9 +325,10 @@ def _run(place, tests, limit, **environment):
         "OMP_NUM_THREADS": "1",
         "MPLBACKEND": "agg",
     }
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     # A session of its own: what a test has started is ended with it.
-    process = subprocess.Popen(command, cwd=place, env=environment, start_new_session=True, **quiet)
+    process = subprocess.Popen(
+        command, cwd=place, env=environment, start_new_session=True, stdout=output, stderr=output
+    )
     RUNNING.add(process)
     try:
         return process.wait(limit)
