@@ -157,7 +157,7 @@ def reached(place, tests):
     with tempfile.TemporaryDirectory() as folder:
         data, times, told = (Path(folder) / name for name in ("coverage", "times.xml", "told.txt"))
         options = ["--cov=skat", "--cov-context=test", "--cov-report=", f"--junitxml={times}"]
-        options += ["-o", "junit_family=xunit1"]
+        options += ["--cov-fail-under=0", "-o", "junit_family=xunit1"]
         with told.open("w") as output:
             code = _run(place, [tests, *options], 7200, output, COVERAGE_FILE=str(data))
         if code:
