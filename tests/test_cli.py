@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from skat.cli import app
 from skat.cli.terminal import clear_errors, heard
 from skat.simulators import MujocoSimulator
-from tests.diagnosis.pages import Page
+from tests.diagnosis.pages import Page, blank_frames
 
 MODEL = """
 <mujoco>
@@ -32,7 +32,7 @@ MODEL = """
 """
 
 
-def measured_cart(n_episodes=6, n_rows=40, damping=0.6, noise=1e-4, seed=0):
+def measured_cart(n_episodes=6, n_rows=25, damping=0.6, noise=1e-4, seed=0):
     """A log of the cart in a world with viscous friction, which the model has not."""
     model = mujoco.MjModel.from_xml_string(MODEL)
     model.dof_damping[:] = damping
@@ -56,12 +56,20 @@ def measured_states(model, rng, n_episodes=6, n_rows=40, noise=1e-4):
 
 
 @pytest.fixture
-def here(tmp_path, monkeypatch):
+def drawing(tmp_path, monkeypatch):
+    """The folder with a model and a log; reports have pictures of the robot where there is OpenGL."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("SKAT_DATA_HOME", raising=False)
     (tmp_path / "model.xml").write_text(MODEL)
     measured_cart().to_csv(tmp_path / "log.csv", index=False)
     return tmp_path
+
+
+@pytest.fixture
+def here(drawing, monkeypatch):
+    """The same folder; reports have blank pictures."""
+    monkeypatch.setattr("skat.replay.frames", blank_frames)
+    return drawing
 
 
 def skat(*arguments):
@@ -106,22 +114,28 @@ def test_help_loads_nothing_heavy():
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_diagnose_names_the_hidden_friction_and_writes_a_report(here):
+def test_diagnose_names_the_hidden_friction_and_writes_a_report(drawing):
+    measured_cart(n_rows=40).to_csv(drawing / "log.csv", index=False)
     result = skat("diagnose", "model.xml", "log.csv", "--effect", "damping[rail]", "--effect", "mass[cart]")
     assert result.exit_code == 0, result.output
     assert "(95 %: " in result.stdout
     assert "% of the excess is explained (95 %: " in result.stdout
     for method in ("AffineTransport", "ProcrustesAffineTransport", "CORAL", "ExactTransport", "extended"):
         assert method in result.stdout
-    report = Page((here / "log-report.html").read_text())
+    report = Page((drawing / "log-report.html").read_text())
     assert "damping[rail]" in report.text
     assert any("line measured" in plot["roles"] for plot in report.plots)
-    for told in ("model.xml against log.csv", sha256((here / "log.csv").read_bytes()).hexdigest(), "SHA-256"):
+    assert "the green ghost is what was measured" in report.text or "No picture of the robot" in report.text
+    for told in (
+        "model.xml against log.csv",
+        sha256((drawing / "log.csv").read_bytes()).hexdigest(),
+        "SHA-256",
+    ):
         assert told in report.text
 
 
 def test_a_first_look_says_that_it_is_one(here):
-    measured_cart(n_episodes=12).to_csv(here / "long.csv", index=False)
+    measured_cart(n_episodes=20).to_csv(here / "long.csv", index=False)
     effects = ("--effect", "damping[rail]", "--effect", "mass[cart]")
     result = skat("diagnose", "model.xml", "long.csv", "--quick", *effects, "--json", "found.json")
     assert result.exit_code == 0, result.output
@@ -165,7 +179,7 @@ def test_warnings_are_shown_and_remembered_for_the_report(capsys):
 
 
 def test_a_column_that_was_guessed_is_hidden_from_the_diagnosis(here):
-    guessed = edited(here, **{"qvel.rail": np.zeros(240)})
+    guessed = edited(here, **{"qvel.rail": np.zeros(150)})
     result = skat("diagnose", "model.xml", guessed, "--hidden", "qvel.rail", "--effect", "damping[rail]")
     assert result.exit_code == 0, result.output
     assert "Log: named" in result.stdout
@@ -334,7 +348,7 @@ def test_too_few_rows_are_refused(here):
 
 def test_a_lost_row_is_told(here):
     time = pd.read_csv(here / "log.csv")["time"]
-    time[10:40] += 0.02
+    time[10:25] += 0.02
     result = skat("check", "model.xml", edited(here, time=time))
     assert result.exit_code == 0, result.output
     assert "rows are lost" in result.stdout

@@ -16,6 +16,7 @@ import pytest
 from typer.testing import CliRunner
 
 from skat.cli import app
+from tests.diagnosis.pages import blank_frames
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -32,8 +33,8 @@ COMMANDS = {
 # A short log of a robot with the model's own time step, and one effect, is enough to see that a page's lines run.
 QUICK = {"timestep": 0.002, "n_episodes": 4, "n_rows": 40}
 SHORTER = {
-    "changed": [],
-    "diagnose": ["--effect", "dry_friction[elbow]"],
+    "changed": ["--effect", "mass[lower]", "--effect", "gain[elbow]"],
+    "diagnose": ["--effect", "dry_friction[elbow]", "--test-size", "0"],
     "preflight": ["--effect", "dry_friction[elbow]"],
     "check": ["--no-preflight"],
 }
@@ -62,6 +63,7 @@ def arm(tmp_path, monkeypatch):
     pytest.importorskip("pyarrow")
     runpy.run_path(str(DOCS / "arm_logs.py"))["write"](tmp_path, **QUICK)
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("skat.replay.frames", blank_frames)
 
 
 @pytest.mark.filterwarnings("ignore:The positions lag:UserWarning")

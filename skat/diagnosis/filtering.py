@@ -183,15 +183,14 @@ def kalman_filter(chains: Chains, force_variances: Array, error_variances: Array
     means, innovations = np.zeros((n, steps + 1, d)), np.zeros((n, steps + 1, d))
     covariances, gains, factors, scales = (np.zeros((n, steps + 1, d, d)) for _ in range(4))
     both = mask[..., :, None] & mask[..., None, :]
-    own, padded = np.where(mask, error_variances, 0.0), np.where(mask, error_variances, 1.0)
+    own = np.where(mask, error_variances, 0.0)
+    padded = np.where(mask, error_variances, 1.0)[..., None] * np.eye(d)
     seen = mask.astype(np.float64)
     mean, P = np.zeros((n, d)), np.tile(np.diag(chains.prior), (n, 1, 1))
     diagonal = np.arange(d)
     for t in range(steps + 1):
         means[:, t], covariances[:, t] = mean, P
-        S = np.where(both[:, t], P, 0.0)
-        S[:, diagonal, diagonal] += padded[:, t]
-        L = np.linalg.cholesky(S)
+        L = np.linalg.cholesky(np.where(both[:, t], P, 0.0) + padded[:, t])
         W = np.linalg.inv(L) * seen[:, t, None, :]
         K = P @ (W.swapaxes(1, 2) @ W)
         innovation = (chains.measured[:, t] - mean) * seen[:, t]

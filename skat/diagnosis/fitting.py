@@ -173,9 +173,13 @@ def settled(
         if turn or start is not None:
             # Each chain goes on only where that does better: about contacts the end of a full step may be anywhere.
             gains = np.zeros(len(space.real))
-            gains[chosen] = _likelihoods(space, moved, shares, estimate, chosen) - _likelihoods(
-                space, here, shares, estimate, chosen
+            # Of all chains as they are here the noise was estimated, by a pass over them.
+            before = (
+                estimate.filtered.log_likelihoods
+                if chosen.all()
+                else _likelihoods(space, here, shares, estimate, chosen)
             )
+            gains[chosen] = _likelihoods(space, moved, shares, estimate, chosen) - before
             better = chosen & (gains > 0)
             losses = np.where(chosen & (paces == 1), np.maximum(0.0, -gains), losses)
             shorter = going & ~better

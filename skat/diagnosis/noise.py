@@ -165,7 +165,8 @@ def estimate_noise(
         exponent = min(1.0, 1.5 * exponent)
         if gain < tolerance:
             break
-    return passed(chains, best.noise, real, covariances=True)
+    force, error = best.noise.force_variances, best.noise.error_variances
+    return replace(best, smoothed=smooth(chains, best.filtered, force, error))
 
 
 def _improved(

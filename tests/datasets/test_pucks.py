@@ -79,7 +79,7 @@ def test_the_hidden_effect_is_drawn():
 
 @pytest.mark.parametrize("colour", ["blue", "red"])
 def test_strikes_of_a_real_puck_scatter_by_five_centimetres(colour):
-    places = make_real_puck(colour, np.zeros((150, 2)), random_state=0)
+    places = make_real_puck(colour, np.zeros((75, 2)), random_state=0)
     np.testing.assert_allclose(places.std(axis=0, ddof=1), 0.05, rtol=0.2)
 
 

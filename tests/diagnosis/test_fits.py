@@ -27,6 +27,12 @@ def fits(space):
     return Fits(space, effects, priors_of(effects), np.zeros(space.d), None, 1.0)
 
 
+@pytest.fixture(scope="module")
+def nothing(fits):
+    """The fit of no cause that all others begin at."""
+    return fits.first()[-1]
+
+
 def a_fit(members, evidence):
     """Return a fit of which only members and evidence matter."""
     return Fit(members, {}, None, evidence, np.zeros(len(members)))
@@ -75,8 +81,7 @@ def test_going_on_from_a_fit_that_rests_loses_nothing(space):
     assert isinstance(second, Fitted)
 
 
-def test_a_set_is_fitted_to_where_its_slopes_move_it_no_more(fits):
-    nothing = fits.first()[-1]
+def test_a_set_is_fitted_to_where_its_slopes_move_it_no_more(fits, nothing):
     # Begun far away, on either side.
     low, high = (fits.of((0,), np.array([place]), nothing) for place in (0.02, 0.4))
     assert low.values["damping[hinge]"] == pytest.approx(high.values["damping[hinge]"], abs=1e-4)
@@ -88,8 +93,7 @@ def test_a_set_is_fitted_to_where_its_slopes_move_it_no_more(fits):
     assert back.evidence == pytest.approx(nothing.evidence, abs=0.5)
 
 
-def test_a_fit_that_cannot_be_what_is_wanted_ends_early(fits, monkeypatch):
-    nothing = fits.first()[-1]
+def test_a_fit_that_cannot_be_what_is_wanted_ends_early(fits, nothing, monkeypatch):
     turns = []
     monkeypatch.setattr("skat.diagnosis.fits.settled", lambda *a, **k: turns.append(a) or settled(*a, **k))
     whole = fits.of((1,), np.array([0.3]), nothing)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
+from contextlib import suppress
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -11,7 +13,7 @@ from typing import TYPE_CHECKING
 from skat.diagnosis.report.content import Provenance, SourceFile
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterable, Mapping
     from os import PathLike
 
 PACKAGES = ("skat", "mujoco", "numpy", "scipy", "scikit-learn")
@@ -47,7 +49,7 @@ def provenance(
         date=datetime.now().astimezone().isoformat(timespec="seconds"),
         files=tuple(source_file(role, path) for role, path in files),
         command=command,
-        versions=tuple(_versions()),
+        versions=_versions(),
         seed="" if seed is None else str(seed),
         settings=tuple((name, str(one)) for name, one in (settings or {}).items() if one is not None),
         warnings=tuple(dict.fromkeys(map(str, warnings))),
@@ -88,9 +90,11 @@ def _sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _versions() -> Iterator[tuple[str, str]]:
+@functools.cache
+def _versions() -> tuple[tuple[str, str], ...]:
+    """Return the packages' versions; each is read from a file that is parsed whole."""
+    found = []
     for name in PACKAGES:
-        try:
-            yield name, version(name)
-        except PackageNotFoundError:  # run from a checkout that is not installed
-            continue
+        with suppress(PackageNotFoundError):  # run from a checkout that is not installed
+            found.append((name, version(name)))
+    return tuple(found)
