@@ -4,7 +4,8 @@ The commit's hash draws the lines and what becomes of each: a comparison, an ope
 Each changed line meets the tests of its own folder, the long ones left out, in a copy of the commit; the tree itself
 stays as it is. A run that fails, or takes much longer than that of the commit, has caught the change. Of a folder only
 those files are run of which some test reaches the line, as a run of the commit with coverage tells; the quick ones
-first. Some changes are none, as ``<`` for ``<=`` where equality has no chance: look at the survivors before adding a
+first, and with ``--seconds`` no slower ones than fit into so much: what these would notice counts as not noticed. Some
+changes are none, as ``<`` for ``<=`` where equality has no chance: look at the survivors before adding a
 test.
 
     python benchmarks/mutations.py --output FILE        # 50 lines; an hour or two; ended by anybody, it goes on
@@ -16,7 +17,9 @@ import ast
 import contextlib
 import copy
 import io
+import itertools
 import json
+import math
 import os
 import random
 import signal
@@ -123,13 +126,20 @@ class Reached:
     seconds: dict
     lines: dict
 
-    def files(self, mutation):
-        """Return the files that reach a mutation, quick ones first; all, of a line that is run as it is imported."""
+    def files(self, mutation, seconds=math.inf):
+        """Return the files that reach a mutation, quick ones first; all, of a line that is run as it is imported.
+
+        Only so many as take so many seconds together, but one at least.
+        """
         first, last = _statement(mutation)
         own = self.lines.get(mutation.path, {})
         told = [own[str(line)] for line in range(first, last + 1) if str(line) in own]
         found = {file for files in told for file in files} or (self.seconds if told else ())
-        return sorted(found, key=lambda file: (self.seconds[file], file))
+        files = sorted(found, key=lambda file: (self.seconds[file], file))
+        taken = itertools.accumulate(self.seconds[file] for file in files)
+        return [
+            file for place, (file, so_far) in enumerate(zip(files, taken)) if not place or so_far <= seconds
+        ]
 
 
 def _statement(mutation):
@@ -221,7 +231,7 @@ def main():
             source = file.read_text("utf-8")
             try:
                 file.write_text(mutation.source, "utf-8")
-                files = known[tests].files(mutation)
+                files = known[tests].files(mutation, arguments.seconds)
                 # Some changes make a loop endless: that is noticed, too.
                 return (
                     bool(files)
@@ -376,6 +386,9 @@ def _arguments():
     parser.add_argument("--only", nargs="+", help="pieces of the paths to draw from")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--least", type=float, default=0.85, help="exit code 1 if a smaller share is caught")
+    parser.add_argument(
+        "--seconds", type=float, default=math.inf, help="of tests for each line, the quick ones; default all"
+    )
     parser.add_argument("--commit", default="HEAD", help="the commit whose lines are changed, default HEAD")
     parser.add_argument("--output", help="a file for what is printed; a run that ended early goes on from it")
     return parser.parse_args()

@@ -83,13 +83,16 @@ def test_files_that_reach_a_line_are_found_quick_ones_first(script, tmp_path):
     reached = script["reached"](tmp_path, "tests")
     drawn = script["mutations"]("skat/moves.py", MODULE)
 
-    def files(line):
-        return [file.removeprefix("tests/test_") for file in reached.files(drawn[line][0])]
+    def files(line, **limit):
+        return [file.removeprefix("tests/test_") for file in reached.files(drawn[line][0], **limit)]
 
     assert files(1) == ["up.py", "slow.py"]
     assert files(7) == ["up.py", "slow.py"]
     assert files(9) == ["slow.py"]
     assert files(13) == []
+    # What takes too long together is left out, but not all.
+    assert files(7, seconds=0.2) == ["up.py"]
+    assert files(9, seconds=0.2) == ["slow.py"]
     kept = tmp_path / "found.txt"
     script["_keep"](kept, "a", {"tests": reached})
     assert script["_kept"](kept, "a") == {"tests": reached}
