@@ -1,8 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from skat.logs import LogError, load_log, suspects
+from skat.logs.suspects import in_degrees
 from skat.simulators import MujocoSimulator
 from tests.logs import formats
 
@@ -97,3 +100,16 @@ def test_positions_beyond_the_joints_ranges_look_like_degrees():
         LogError, match=r"qpos\.shoulder reaches .* where the joint allows -1\.57 to 1\.57 rad"
     ):
         load_log(wide, MujocoSimulator(limited))
+
+
+def test_of_few_rows_ranges_tell_degrees_where_no_error_can():
+    simulator = MujocoSimulator(formats.ARM.replace('range="-150 150"', 'range="-90 90"'))
+    time = 0.01 * np.arange(100)
+    wide = {"time": time, "ctrl.shoulder": 60 * np.sin(time), "ctrl.elbow": 70 * np.cos(time)}
+    wide |= {"qpos.shoulder": 60 * np.sin(9 * time), "qpos.elbow": 70 * np.cos(9 * time)}
+    log = load_log(wide, simulator, units="rad")
+    some = slice(15, 23)
+    suspect = in_degrees(simulator, replace(log, X=log.X[some], y=log.y[some], groups=log.groups[some]))
+    assert suspect.sentence.endswith("these look like degrees.")
+    assert suspect.options == {"units": "deg"}
+    assert np.isnan([suspect.error, suspect.repaired]).all()
