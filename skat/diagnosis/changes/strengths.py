@@ -11,7 +11,7 @@ References
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -21,8 +21,9 @@ from skat.diagnosis.evidence import RANK, Gram, Priors, SwiftWeigher, Weighed
 from skat.diagnosis.filtering import Array
 from skat.diagnosis.search import search_sets
 
-# Of the variance of an effect's difference, over that if all misfit looked like it: places on a grid.
-STRENGTHS = 8.0 ** np.arange(-10, 3)
+# Of the variance of an effect's difference, over that if all misfit looked like it: places on a grid. No misfit exerts
+# more than all of itself; logs that differ by more do so by a change.
+STRENGTHS, BEYOND = 8.0 ** np.arange(-10, 1), 8.0 ** np.arange(1, 5)
 # Precision of an effect that no joint feels, in typical sizes.
 LEAST = 1e-6
 
@@ -45,6 +46,8 @@ class Logs:
     law : Law
     firsts, seconds : tuple of Quadratic
         The windows of each, one of which may be left out.
+    strengths : ndarray of shape (n_places,)
+        By which joints may differ.
     """
 
     first: Quadratic
@@ -52,11 +55,12 @@ class Logs:
     law: Law
     firsts: tuple[Quadratic, ...] = ()
     seconds: tuple[Quadratic, ...] = ()
+    strengths: Array = field(default_factory=STRENGTHS.copy)
 
     def both(self, places: Places) -> Quadratic:
         """Return both logs where they differ by strengths at such places of the grid, one for each joint."""
         # Of an effect that several joints feel misfit would have to look alike on each.
-        apart = self.second.integrated((1 / STRENGTHS[list(places)]) @ self.law.alike + LEAST)
+        apart = self.second.integrated((1 / self.strengths[list(places)]) @ self.law.alike + LEAST)
         return self.first.widened(len(apart.projections)) + apart
 
     def left(self, places: Places) -> Quadratic:
@@ -71,7 +75,7 @@ class Logs:
             moved = False
             for joint in range(len(start)):
                 for step in (-1, 1):
-                    while 0 <= now[joint] + step < len(STRENGTHS):
+                    while 0 <= now[joint] + step < len(self.strengths):
                         tried = (*now[:joint], now[joint] + step, *now[joint + 1 :])
                         if (value := worth(tried)) <= best:
                             break
@@ -81,13 +85,13 @@ class Logs:
     def shortened(self) -> Iterator["Logs"]:
         """Yield both logs without each of their windows."""
         for one in self.firsts:
-            yield Logs(self.first - one, self.second, self.law)
+            yield replace(self, first=self.first - one)
         for one in self.seconds:
-            yield Logs(self.first, self.second - one, self.law)
+            yield replace(self, second=self.second - one)
 
     def alike(self) -> list[Places]:
         """Return the places where joints are all alike."""
-        return [(place,) * len(self.law.alike) for place in range(len(STRENGTHS))]
+        return [(place,) * len(self.law.alike) for place in range(len(self.strengths))]
 
     def level(self) -> float:
         """Return the log density of both logs if nothing changed, nats."""
@@ -96,6 +100,17 @@ class Logs:
             return self.left(places).level + prior(places)
 
         return worth(self.climbed(max(self.alike(), key=worth), worth))
+
+    def beyond_misfit(self) -> float:
+        """Return by how much both logs are likelier, nats, if they may differ by more than all misfit exerts.
+
+        Whichever window of either is left out.
+        """
+
+        def gain(logs: Logs) -> float:
+            return replace(logs, strengths=np.r_[STRENGTHS, BEYOND]).level() - logs.level()
+
+        return min(map(gain, (self, *self.shortened())))
 
 
 class OverStrengths(SwiftWeigher):
