@@ -288,9 +288,10 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         -------
         SimulationDiagnosis
             With `changes_`, a list of `Cause` whose value is by how much an effect is more in the log after, or, of a
-            factor, how many times what it was; `verdict_`, "nothing changed", "named", "ambiguous" or, where columns
-            of the log after seem to be mixed up, "unexplained"; `gain_`, on parts of the log after that were held out;
-            and `common_`: for each degree of freedom the rms force that the simulation lacks in both logs, and what
+            factor, how many times what it was; `verdict_`, "nothing changed", "named", "ambiguous" or "unexplained",
+            where columns of the log after seem to be mixed up, or logs differ by more than any misfit of the simulation
+            makes, and by no effect that was asked about; `gain_`, on parts of the log after that were held out; and
+            `common_`: for each degree of freedom the rms force that the simulation lacks in both logs, and what
             is left with all that is common in it, N or N m.
 
         Raises

@@ -97,6 +97,8 @@ def find_changes(
     if causes and gain is not None and gain.nominal > gain.floor and gain.explained < MOST:
         # On windows that were not used the logs differ by something else.
         causes, verdict = (), "unexplained"
+    if not causes and logs.beyond_misfit() > needed:
+        verdict = "unexplained"
     return Changes(causes, verdict, gain, sizes_of(question, value))
 
 
@@ -139,10 +141,13 @@ def _named(worth: OverStrengths, needed: float) -> tuple[Weighed, dict[int, floa
     worth.settled(())
     while True:
         best, nats = without_weak(worth.best(needed), worth, needed)
-        # Also of those with a name more that promise most: at the strengths of others they may be worth little.
-        asked = [best.members, *([one for one in best.members if one != gone] for gone in best.members)]
-        promises = worth.promises(best)
-        asked += [[*best.members, int(one)] for one in np.argsort(-promises)[:FEW] if promises[one] > -np.inf]
+        # Also of those with a name more, or another in a member's place, that promise most: at the strengths of others
+        # they may be worth little.
+        rests = [[one for one in best.members if one != gone] for gone in best.members]
+        asked = [best.members, *rests]
+        for some in (best.members, *rests):
+            promises = worth.promises(worth(some))
+            asked += [[*some, int(one)] for one in np.argsort(-promises)[:FEW] if promises[one] > -np.inf]
         if all(worth.is_settled(members) for members in asked):
             return best, nats
         for members in asked:

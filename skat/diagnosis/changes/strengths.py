@@ -11,9 +11,10 @@ References
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.special import logsumexp
 
 from skat.diagnosis.changes.law import Law
 from skat.diagnosis.changes.windows import Quadratic
@@ -21,8 +22,9 @@ from skat.diagnosis.evidence import RANK, Gram, Priors, SwiftWeigher, Weighed
 from skat.diagnosis.filtering import Array
 from skat.diagnosis.search import search_sets
 
-# Of the variance of an effect's difference, over that if all misfit looked like it: places on a grid.
-STRENGTHS = 8.0 ** np.arange(-10, 3)
+# Of the variance of an effect's difference, over that if all misfit looked like it: places on a grid. No misfit exerts
+# more than all of itself; logs that differ by more do so by a change.
+STRENGTHS, BEYOND = 8.0 ** np.arange(-10, 1), 8.0 ** np.arange(1, 5)
 # Precision of an effect that no joint feels, in typical sizes.
 LEAST = 1e-6
 
@@ -30,8 +32,28 @@ Places = tuple[int, ...]
 
 
 def prior(places: Places) -> float:
-    """Return the log of the prior density of strengths, but for a constant: joints of a machine are about alike."""
+    """Return the log of how likely strengths are beside each other, at most: joints of a machine are about alike."""
     return -float(np.sum(np.abs(np.array(places) - np.median(places))))
+
+
+def log_sum(gains: Array) -> float:
+    """Return the log of a likelihood summed over strengths of all joints, each told for itself.
+
+    Parameters
+    ----------
+    gains : ndarray of shape (n_joints, n_places)
+        Log likelihood of each joint at each place, nats.
+
+    Returns
+    -------
+    float
+        Over levels of all joints, each as likely, and steps of each joint from it, which end where the grid does, but
+        for a constant.
+    """
+    n = gains.shape[1]
+    steps = np.arange(1 - n, n)
+    at = np.clip(np.arange(n)[:, None] + steps, 0, n - 1)
+    return float(logsumexp(logsumexp(gains[:, at] - np.abs(steps), axis=2).sum(axis=0)))
 
 
 @dataclass(frozen=True)
@@ -45,6 +67,8 @@ class Logs:
     law : Law
     firsts, seconds : tuple of Quadratic
         The windows of each, one of which may be left out.
+    strengths : ndarray of shape (n_places,)
+        By which joints may differ.
     """
 
     first: Quadratic
@@ -52,11 +76,12 @@ class Logs:
     law: Law
     firsts: tuple[Quadratic, ...] = ()
     seconds: tuple[Quadratic, ...] = ()
+    strengths: Array = field(default_factory=STRENGTHS.copy)
 
     def both(self, places: Places) -> Quadratic:
         """Return both logs where they differ by strengths at such places of the grid, one for each joint."""
         # Of an effect that several joints feel misfit would have to look alike on each.
-        apart = self.second.integrated((1 / STRENGTHS[list(places)]) @ self.law.alike + LEAST)
+        apart = self.second.integrated((1 / self.strengths[list(places)]) @ self.law.alike + LEAST)
         return self.first.widened(len(apart.projections)) + apart
 
     def left(self, places: Places) -> Quadratic:
@@ -71,7 +96,7 @@ class Logs:
             moved = False
             for joint in range(len(start)):
                 for step in (-1, 1):
-                    while 0 <= now[joint] + step < len(STRENGTHS):
+                    while 0 <= now[joint] + step < len(self.strengths):
                         tried = (*now[:joint], now[joint] + step, *now[joint + 1 :])
                         if (value := worth(tried)) <= best:
                             break
@@ -81,13 +106,13 @@ class Logs:
     def shortened(self) -> Iterator["Logs"]:
         """Yield both logs without each of their windows."""
         for one in self.firsts:
-            yield Logs(self.first - one, self.second, self.law)
+            yield replace(self, first=self.first - one)
         for one in self.seconds:
-            yield Logs(self.first, self.second - one, self.law)
+            yield replace(self, second=self.second - one)
 
     def alike(self) -> list[Places]:
         """Return the places where joints are all alike."""
-        return [(place,) * len(self.law.alike) for place in range(len(STRENGTHS))]
+        return [(place,) * len(self.law.alike) for place in range(len(self.strengths))]
 
     def level(self) -> float:
         """Return the log density of both logs if nothing changed, nats."""
@@ -95,7 +120,31 @@ class Logs:
         def worth(places: Places) -> float:
             return self.left(places).level + prior(places)
 
-        return worth(self.climbed(max(self.alike(), key=worth), worth))
+        best = self.climbed(max(self.alike(), key=worth), worth)
+        return worth(best) + self.room(best, worth)
+
+    def room(self, places: Places, worth: Callable[[Places], float]) -> float:
+        """Return the log of what a worth is at all strengths, summed, over what it is at some.
+
+        As if each joint told its strength for itself. Logs that are alike at all small strengths are so at many.
+        """
+        here = worth(places) - prior(places)
+        gains = np.empty((len(places), len(self.strengths)))
+        for joint, place in np.ndindex(gains.shape):
+            moved = (*places[:joint], place, *places[joint + 1 :])
+            gains[joint, place] = worth(moved) - prior(moved) - here
+        return log_sum(gains) - prior(places)
+
+    def beyond_misfit(self) -> float:
+        """Return by how much both logs are likelier, nats, if they may differ by more than all misfit exerts.
+
+        Whichever window of either is left out.
+        """
+
+        def gain(logs: Logs) -> float:
+            return replace(logs, strengths=np.r_[STRENGTHS, BEYOND]).level() - logs.level()
+
+        return min(map(gain, (self, *self.shortened())))
 
 
 class OverStrengths(SwiftWeigher):
@@ -114,7 +163,8 @@ class OverStrengths(SwiftWeigher):
         # What was tried on a climb, and of it where sets were searched: only there others are weighed.
         self._tried: dict[Places, tuple[SwiftWeigher, float]] = {}
         self._at: dict[Places, tuple[SwiftWeigher, float]] = {}
-        self._settled: set[tuple[int, ...]] = set()
+        # Of each set for which strengths were climbed to, the log of how many strengths are about as likely.
+        self._rooms: dict[tuple[int, ...], float] = {}
         nothing = Gram(np.zeros((0, 0)), np.zeros(0), np.zeros(0))
         super().__init__(nothing, priors, rivals)
         best = -np.inf
@@ -127,17 +177,23 @@ class OverStrengths(SwiftWeigher):
                 )
 
     def settled(self, members: Sequence[int]) -> Weighed:
-        """Return what a set is worth after strengths were climbed to for it."""
+        """Return what a set is worth at all strengths, after the best were climbed to for it."""
         key = tuple(sorted(set(members)))
-        if key not in self._settled:
-            self._settled.add(key)
+        if key not in self._rooms:
             start = max(self._at, key=lambda places: self._worth(places, key))
-            self._search(self.logs.climbed(start, lambda places: self._worth(places, key)), key)
+            places = self.logs.climbed(start, lambda places: self._worth(places, key))
+            self._search(places, key)
+            self._rooms[key] = self.logs.room(self.best_places(key), lambda places: self._worth(places, key))
+            self.seen.clear()
         return self(key)
+
+    def _room_of(self, members: tuple[int, ...]) -> float:
+        # Where strengths were not climbed to it may be as much as of any set.
+        return self._rooms.get(members, max(self._rooms.values(), default=0.0))
 
     def is_settled(self, members: Sequence[int]) -> bool:
         """Return whether strengths were climbed to for a set."""
-        return tuple(sorted(set(members))) in self._settled
+        return tuple(sorted(set(members))) in self._rooms
 
     def best_places(self, members: Sequence[int]) -> Places:
         """Return the strengths, as places on the grid, at which a set is worth most."""
@@ -147,7 +203,7 @@ class OverStrengths(SwiftWeigher):
     def losses(self, whole: Weighed) -> dict[int, float]:
         """Return what each member of a set is worth, nats, whichever window of either log is left out."""
         found = super().losses(whole)
-        rests = {one: tuple(set(whole.members) - {one}) for one in found}
+        rests = {one: tuple(sorted(set(whole.members) - {one})) for one in found}
         places = {own: self.best_places(own) for own in (whole.members, *rests.values())}
         for logs in self.logs.shortened() if found else ():
             at = {one: self._weigher_of(logs, one) for one in set(places.values())}
@@ -155,7 +211,10 @@ class OverStrengths(SwiftWeigher):
                 # Without the window strengths may be those of the other set.
                 sets = whole.members, rests[one]
                 worths = [at[places[own]] for own in sets]
-                ours, theirs = (max(worth(own).evidence + level for worth, level in worths) for own in sets)
+                ours, theirs = (
+                    max(worth(own).evidence + level for worth, level in worths) + self._room_of(own)
+                    for own in sets
+                )
                 found[one] = min(loss, ours - theirs)
         return found
 
@@ -189,7 +248,7 @@ class OverStrengths(SwiftWeigher):
     def best(self, needed: float) -> Weighed:
         """Return the set that is worth most, where of any two that with more names must be worth so much more, nats."""
         found = [
-            (one.evidence + level - needed * len(members), members)
+            (one.evidence + level + self._room_of(members) - needed * len(members), members)
             for worth, level in self._at.values()
             for members, one in worth.seen.items()
         ]
@@ -198,7 +257,7 @@ class OverStrengths(SwiftWeigher):
     def _weighed(self, members: tuple[int, ...]) -> Weighed:
         worth, level = self._at[self.best_places(members)]
         found = worth(members)
-        return replace(found, evidence=found.evidence + level)
+        return replace(found, evidence=found.evidence + level + self._room_of(members))
 
     def promises(self, now: Weighed) -> Array:
         """Return by how much each further effect would raise the log posterior odds, about; -inf of members."""
@@ -207,7 +266,7 @@ class OverStrengths(SwiftWeigher):
             level + (ours := worth(now.members)).evidence + worth.promises(ours)
             for worth, level in self._at.values()
         ]
-        return np.asarray(np.max(whole, axis=0) - now.evidence)
+        return np.asarray(np.max(whole, axis=0) + max(self._rooms.values(), default=0.0) - now.evidence)
 
     def price(self, members: Sequence[int]) -> float:
         """Return by how much what a set is worth is less than what it explains, nats."""

@@ -1,5 +1,6 @@
 """Sets weighed where logs may differ though nothing changed: by dense normal densities, and by simulation."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from skat.diagnosis.changes.force_space import Rows
 from skat.diagnosis.changes.law import Law, with_misfit
 from skat.diagnosis.changes.question import Question
 from skat.diagnosis.changes.search import _logs, _named
-from skat.diagnosis.changes.strengths import LEAST, STRENGTHS, OverStrengths, prior
+from skat.diagnosis.changes.strengths import BEYOND, LEAST, STRENGTHS, OverStrengths, log_sum, prior
 from skat.diagnosis.evidence import Gram, Priors, SwiftWeigher, Weigher
 from tests.diagnosis.changes.arm import arm, effect_of
 from tests.diagnosis.changes.drawn import ALIKE, WEIGHTS, M, dense, question_of_rows
@@ -46,7 +47,7 @@ def assert_dense(left, question, places, gone=(None, None)):
     np.testing.assert_allclose(left.projections, D.T @ over[:, -1], rtol=1e-8, atol=1e-8)
 
 
-@pytest.mark.parametrize("places", [(8, 10), (0, 0), (12, 12), (0, 12), (12, 3)])
+@pytest.mark.parametrize("places", [(8, 10), (0, 0), (10, 10), (0, 10), (10, 3)])
 def test_candidates_alone_are_told_by_a_normal_law_of_all_else(simulator, places):
     question = question_of_rows(simulator, differences=(1.0, 0.0, -2.0))
     assert_dense(_logs(question).left(places), question, places)
@@ -54,7 +55,7 @@ def test_candidates_alone_are_told_by_a_normal_law_of_all_else(simulator, places
 
 def test_logs_that_have_to_be_alike_have_one_value_in_common_and_those_that_may_differ_two(simulator):
     logs = _logs(question_of_rows(simulator))
-    alike, free = logs.both((0, 0)), logs.both((12, 12))
+    alike, free = logs.both((0, 0)), replace(logs, strengths=np.r_[STRENGTHS, BEYOND]).both((12, 12))
     own = logs.first.products
     # Of the second log an effect that may be anything tells nothing of what is common.
     assert np.linalg.norm(free.products[:2, :2] - own) < 0.1 * np.linalg.norm(alike.products[:2, :2] - own)
@@ -78,21 +79,50 @@ def test_strengths_fall_by_a_nat_for_each_step_of_a_joint_from_the_others():
     assert prior((2, 5)) == -3.0
 
 
+@pytest.mark.parametrize("kind", ["flat", "level", "sharp", "drawn"])
+def test_strengths_that_joints_tell_for_themselves_are_summed_over_a_common_level(kind):
+    n, joints = 5, 3
+    gains = {
+        "flat": np.zeros((joints, n)),
+        # Alike below some strength, as where nothing differs.
+        "level": np.where(np.arange(n) < 3, 0.0, -50.0) * np.ones((joints, 1)),
+        "sharp": np.where(np.arange(n) == [[1], [1], [3]], 0.0, -50.0),
+        "drawn": np.random.default_rng(0).normal(size=(joints, n)) * 3,
+    }[kind]
+    expected = 0.0
+    for level in range(n):
+        for steps in itertools.product(range(1 - n, n), repeat=joints):
+            at = np.clip(level + np.array(steps), 0, n - 1)
+            expected += np.exp(gains[np.arange(joints), at].sum() - np.abs(steps).sum())
+    assert log_sum(gains) == pytest.approx(np.log(expected), rel=1e-12)
+
+
+def test_a_worth_at_all_strengths_is_its_sum_where_joints_tell_theirs_for_themselves(simulator):
+    logs = _logs(question_of_rows(simulator))
+    gains = np.random.default_rng(1).normal(size=(2, len(STRENGTHS))) * 3
+
+    def worth(places):
+        return float(gains[[0, 1], list(places)].sum()) + prior(places)
+
+    for places in ((0, 0), (4, 7), (10, 2)):
+        assert worth(places) + logs.room(places, worth) == pytest.approx(log_sum(gains))
+
+
 def test_strengths_are_climbed_to_where_no_step_of_a_joint_gains(simulator):
     logs = _logs(question_of_rows(simulator))
 
     def worth(places):
         return -abs(places[0] - 7.2) - 0.5 * abs(places[1] - places[0])
 
-    assert logs.climbed((0, 12), worth) == (7, 7)
+    assert logs.climbed((0, 10), worth) == (7, 7)
     # At the ends of the grid.
-    assert logs.climbed((5, 5), lambda places: float(sum(places))) == (12, 12)
+    assert logs.climbed((5, 5), lambda places: float(sum(places))) == (10, 10)
     assert logs.climbed((5, 5), lambda places: -float(sum(places))) == (0, 0)
 
     def both(places):
         return logs.left(places).level + prior(places)
 
-    for start in ((0, 0), (6, 6), (12, 3)):
+    for start in ((0, 0), (6, 6), (10, 3)):
         found = logs.climbed(start, both)
         assert both(found) >= both(start)
         for joint in (0, 1):
@@ -129,10 +159,11 @@ def test_a_set_is_worth_what_it_is_at_the_strengths_that_are_best_for_it(simulat
     assert worth.is_settled(members)
     assert settled.evidence == worth(members).evidence >= max(expected) - 0.05
     places = worth.best_places(members)
-    assert settled.evidence == pytest.approx(at(logs, places, members), abs=0.05)
+    room = logs.room(places, lambda places: at(logs, places, members))
+    assert settled.evidence == pytest.approx(at(logs, places, members) + room, abs=0.05)
     for beside in ((places[0] - 1, places[1]), (places[0] + 1, places[1])):
         if 0 <= beside[0] < len(STRENGTHS):
-            assert at(logs, beside, members) <= settled.evidence + 0.05
+            assert at(logs, beside, members) <= at(logs, places, members) + 0.05
 
 
 def test_strengths_that_were_climbed_to_are_known_to_all_sets(simulator):
@@ -149,7 +180,7 @@ def test_the_price_of_a_set_is_what_it_explains_but_is_not_worth(simulator):
     worth = OverStrengths(logs, priors_of(M), {})
     best = worth.settled((0,))
     places = worth.best_places((0,))
-    gain = best.evidence - logs.left(places).level - prior(places)
+    gain = at(logs, places, (0,)) - logs.left(places).level - prior(places)
     assert worth.price((0,)) == pytest.approx(best.likelihood - gain, abs=0.05)
     assert worth.price(()) == 0.0
 
@@ -281,8 +312,11 @@ def test_no_member_is_worth_more_than_without_any_one_window(simulator, shown):
         max(at(one, places, (2,)) for places in known) - max(at(one, places, ()) for places in known)
         for one in ways
     )
+    rooms = [
+        logs.room(places, lambda some, own=own: at(logs, some, own)) for own, places in zip(((), (2,)), known)
+    ]
     assert len(ways) == 1 + 2 * WINDOWS
-    assert worth.losses(whole)[2] == pytest.approx(found, abs=0.1)
+    assert worth.losses(whole)[2] == pytest.approx(found + rooms[1] - rooms[0], abs=0.1)
 
 
 def test_one_member_that_hangs_on_a_window_takes_nothing_from_another(simulator):
