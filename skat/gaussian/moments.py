@@ -53,8 +53,8 @@ class SideBySide:
         """Return the rows, as float64, less a vector."""
         out = np.empty(self.shape) if out is None else out
         middle = self.parts[0].shape[1]
-        np.subtract(self.parts[0], shift[:middle], out=out[:, :middle])
-        np.subtract(self.parts[1], shift[middle:], out=out[:, middle:])
+        _write_less(self.parts[0], shift[:middle], out[:, :middle])
+        _write_less(self.parts[1], shift[middle:], out[:, middle:])
         return out
 
 
@@ -328,9 +328,17 @@ def _less(rows: Any, shift: Any, out: Any = None) -> Any:
     if n_wide:
         wide = (n_wide // n_beside, n_beside * n_features)
         beside = np.tile(shift, n_beside)
-        np.subtract(rows[:n_wide].reshape(wide), beside, out=out[:n_wide].reshape(wide), dtype=np.float64)
-    np.subtract(rows[n_wide:], shift, out=out[n_wide:], dtype=np.float64)
+        _write_less(rows[:n_wide].reshape(wide), beside, out[:n_wide].reshape(wide))
+    _write_less(rows[n_wide:], shift, out[n_wide:])
     return out
+
+
+def _write_less(rows: Any, shift: Any, out: Any) -> None:
+    # A copy converts a number as it goes; a difference of two types goes through a buffer first.
+    if shift.any():
+        np.subtract(rows, shift, out=out, dtype=np.float64)
+    else:
+        np.copyto(out, rows)
 
 
 def _blocks(n_rows: int, n_features: int) -> Any:
