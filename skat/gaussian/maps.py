@@ -571,12 +571,19 @@ def distance_of_roots(mean_difference: Any, source_root: Any, target_root: Any) 
     core = target_root.T @ source_root
     if len(core) > 256:
         spread = np.square(source_root).sum() + np.square(target_root).sum()
-        square = spread - 2 * np.linalg.svd(core, compute_uv=False).sum()
+        square = spread - 2 * _sum_of_singular_values(core)
         if square > 1e-3 * spread:
             return float(np.sqrt(np.square(mean_difference).sum() + square))
     left, _, right = np.linalg.svd(core)
     unaligned = source_root - target_root @ (left @ right)
     return float(np.hypot(np.linalg.norm(mean_difference), np.linalg.norm(unaligned)))
+
+
+def _sum_of_singular_values(matrix: Any) -> Any:
+    squares = np.linalg.eigvalsh(matrix.T @ matrix)
+    if squares[0] > 1e-5 * squares[-1]:
+        return np.sqrt(squares).sum()
+    return np.linalg.svd(matrix, compute_uv=False).sum()
 
 
 def coefficient_distance(source: Any, target: Any, coef: Any) -> float:

@@ -6,6 +6,7 @@ from typing import Any, Self
 
 import numpy as np
 from scipy.linalg import lapack
+from scipy.sparse.linalg import LinearOperator, eigsh
 
 __all__ = ["Moments", "SideBySide", "row_moments", "triangle"]
 
@@ -53,8 +54,8 @@ class SideBySide:
         """Return the rows, as float64, less a vector."""
         out = np.empty(self.shape) if out is None else out
         middle = self.parts[0].shape[1]
-        np.subtract(self.parts[0], shift[:middle], out=out[:, :middle])
-        np.subtract(self.parts[1], shift[middle:], out=out[:, middle:])
+        _write_less(self.parts[0], shift[:middle], out[:, :middle])
+        _write_less(self.parts[1], shift[middle:], out[:, middle:])
         return out
 
 
@@ -299,10 +300,16 @@ def row_moments(rows: Any, weight: Any = None) -> Any:
             shift = shift + offset
             scatter, offset = _scatter_about(rows, weight, shift)
         mean, remainder = _sum_with_remainder(shift, offset)
-        if np.isfinite(scatter).all() and not _is_well_conditioned(scatter):
-            factor = _row_factor(rows, weight, mean)
-            return Moments(n_rows, total, squared, mean, remainder, factor=factor, eps=eps)
-    return Moments(n_rows, total, squared, mean, remainder, scatter=scatter, eps=eps)
+        held, factor = {"scatter": scatter}, None
+        if np.isfinite(scatter).all():
+            factor = _factor_if_well_conditioned(scatter)
+            if factor is None:
+                held = {"factor": _row_factor(rows, weight, mean)}
+    moments = Moments(n_rows, total, squared, mean, remainder, **held, eps=eps)
+    if factor is not None:
+        # What the condition was seen from is what every map is made of.
+        vars(moments)["covariance_factor"] = factor / np.sqrt(total)
+    return moments
 
 
 def triangle(factor: Any) -> Any:
@@ -328,9 +335,17 @@ def _less(rows: Any, shift: Any, out: Any = None) -> Any:
     if n_wide:
         wide = (n_wide // n_beside, n_beside * n_features)
         beside = np.tile(shift, n_beside)
-        np.subtract(rows[:n_wide].reshape(wide), beside, out=out[:n_wide].reshape(wide), dtype=np.float64)
-    np.subtract(rows[n_wide:], shift, out=out[n_wide:], dtype=np.float64)
+        _write_less(rows[:n_wide].reshape(wide), beside, out[:n_wide].reshape(wide))
+    _write_less(rows[n_wide:], shift, out[n_wide:])
     return out
+
+
+def _write_less(rows: Any, shift: Any, out: Any) -> None:
+    # A copy converts a number as it goes; a difference of two types goes through a buffer first.
+    if shift.any():
+        np.subtract(rows, shift, out=out, dtype=np.float64)
+    else:
+        np.copyto(out, rows)
 
 
 def _blocks(n_rows: int, n_features: int) -> Any:
@@ -413,45 +428,71 @@ def _compressed(factor: Any, at_most: Any) -> Any:
     return _compressed(np.vstack([triangles.reshape(-1, n_features), factor[whole:]]), at_most)
 
 
-def _is_well_conditioned(scatter: Any) -> bool:
-    """Whether the correlations of the columns that vary are far from singular."""
+def _factor_if_well_conditioned(scatter: Any) -> Any:
+    """Return the Cholesky factor of a scatter, or None where the columns that vary are nearly dependent."""
     scale = np.sqrt(np.diagonal(scatter).clip(0))
-    varies = scale > 0
-    if not varies.any():
-        return True
+    varies = np.flatnonzero(scale > 0)
+    if not len(varies):
+        return np.zeros((0, len(scale)))
     if scale[varies].min() < SMALLEST_SPREAD:
-        return False
-    if not varies.all():
-        scatter, scale = scatter[varies][:, varies], scale[varies]
-    correlation = scatter / scale / scale[:, np.newaxis]
-    if len(scale) > LARGEST_CHEAP_SPECTRUM:
-        condition = _condition_in_1_norm(correlation)
-        # The condition in the 2-norm is at most this, and at least this divided by the number of features.
-        if condition <= WORST_CONDITION_OF_A_PRODUCT:
-            return True
-        if condition > WORST_CONDITION_OF_A_PRODUCT * len(scale):
-            return False
-    eigenvalues = np.linalg.eigvalsh(correlation)
-    return bool(eigenvalues[0] * WORST_CONDITION_OF_A_PRODUCT >= eigenvalues[-1])
+        return None
+    correlation = _correlation(scatter, scale, varies)
+    if len(varies) > LARGEST_CHEAP_SPECTRUM:
+        # LAPACK reads columns: the lower triangle of the transpose is the upper one in rows, with nothing copied.
+        lower, info = lapack.dpotrf(correlation.T, lower=1)
+        if info != 0 or _condition(correlation, lower) > WORST_CONDITION_OF_A_PRODUCT:
+            return None
+        upper = lower.T
+    else:
+        eigenvalues = np.linalg.eigvalsh(correlation)
+        if eigenvalues[0] * WORST_CONDITION_OF_A_PRODUCT < eigenvalues[-1]:
+            return None
+        upper = np.linalg.cholesky(correlation, upper=True)
+    return _in_all_columns(upper, scale, varies)
 
 
-def _condition_in_1_norm(matrix: Any) -> Any:
-    cholesky, info = lapack.dpotrf(matrix, lower=1)
-    if info != 0:
-        return np.inf
-    reciprocal, _ = lapack.dpocon(cholesky, np.abs(matrix).sum(axis=0).max(), uplo="L")
-    return 1 / reciprocal if reciprocal > 0 else np.inf
+def _condition(matrix: Any, lower: Any) -> Any:
+    """Return the condition in the 2-norm, or a number on the same side of the worst of a product."""
+    reciprocal, _ = lapack.dpocon(lower, np.abs(matrix).sum(axis=0).max(), uplo="L")
+    condition = 1 / reciprocal if reciprocal > 0 else np.inf
+    # The condition in the 2-norm is at most that in the 1-norm, and at least that divided by the number of columns.
+    if WORST_CONDITION_OF_A_PRODUCT < condition <= WORST_CONDITION_OF_A_PRODUCT * len(matrix):
+        inverse = LinearOperator(
+            matrix.shape, lambda v: lapack.dpotrs(lower, v, lower=1)[0], dtype=np.float64
+        )
+        # Any start but one at right angles to the directions sought.
+        start = np.random.default_rng(0).normal(size=len(matrix))
+        largest, inverse_of_least = (
+            eigsh(operator, k=1, v0=start, tol=1e-3, return_eigenvectors=False)[0]
+            for operator in (matrix, inverse)
+        )
+        condition = largest * inverse_of_least
+    return condition
 
 
 def _factor_of_scatter(scatter: Any) -> Any:
     """Return the Cholesky factor of a scatter that is well conditioned but for columns that do not vary."""
     scale = np.sqrt(np.diagonal(scatter).clip(0))
     varies = np.flatnonzero(scale > 0)
+    if not len(varies):
+        return np.zeros((0, len(scale)))
+    upper = np.linalg.cholesky(_correlation(scatter, scale, varies), upper=True)
+    return _in_all_columns(upper, scale, varies)
+
+
+def _correlation(scatter: Any, scale: Any, varies: Any) -> Any:
+    """Return the correlations of the columns that vary."""
+    if len(varies) < len(scale):
+        scatter, scale = scatter[np.ix_(varies, varies)], scale[varies]
+    return scatter / scale / scale[:, np.newaxis]
+
+
+def _in_all_columns(upper: Any, scale: Any, varies: Any) -> Any:
+    """Return a factor of correlations as one of the scatter, with zeros for columns that do not vary."""
+    if len(varies) == len(scale):
+        return upper * scale
     factor = np.zeros((len(varies), len(scale)))
-    if len(varies):
-        used = scale[varies]
-        correlation = scatter[np.ix_(varies, varies)] / used / used[:, np.newaxis]
-        factor[:, varies] = np.linalg.cholesky(correlation, upper=True) * used
+    factor[:, varies] = upper * scale[varies]
     return factor
 
 

@@ -106,6 +106,22 @@ def test_rows_are_the_same_read_where_they_are_and_shifted(dtype, offset):
     assert standardised_difference(columns.covariance, moments.covariance) < 1e-14
 
 
+@pytest.mark.parametrize("mean", [0.0, 1e3, 1e6])
+@pytest.mark.parametrize("is_weighted", [False, True])
+def test_rows_of_float32_are_centred_and_summed_in_float64(is_weighted, mean):
+    """Columns of two values: a sum in float32 would round each square to the same side, however short its blocks."""
+    rng = np.random.default_rng(0)
+    rows = np.where(rng.random((30_000, 30)) < 0.3, 1.0, 0.1 * rng.random(30))
+    rows = ((rows + mean) * np.logspace(-6, 6, 30)).astype(np.float32)
+    weight = rng.uniform(0.5, 2, len(rows)) if is_weighted else None
+    moments = row_moments(rows, weight)
+    assert moments.factor is None
+    centred = rows.astype(float) - rows[0]
+    centred -= np.average(centred, axis=0, weights=weight)
+    expected = np.cov(centred.T, bias=True, aweights=weight)
+    assert standardised_difference(moments.covariance, expected) < 1e-14
+
+
 def test_centred_rows_are_not_copied():
     rows = np.random.default_rng(0).normal(size=(60_000, 30))
     tracemalloc.start()
