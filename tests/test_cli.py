@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 from skat.cli import app
 from skat.cli.terminal import clear_errors, heard
 from skat.simulators import MujocoSimulator
+from tests.diagnosis.changes.test_force_space import ARM, log_of
 from tests.diagnosis.pages import Page, blank_frames
 
 MODEL = """
@@ -103,6 +104,22 @@ def test_help_names_the_commands():
     assert result.exit_code == 0
     for command in ("demo", "diagnose", "effects", "preflight", "transport", "experiment"):
         assert command in result.stdout
+
+
+def test_logs_that_differ_by_no_effect_are_said_to(here):
+    (here / "arm.xml").write_text(ARM)
+    names = ["qpos.shoulder", "qpos.elbow", "qvel.shoulder", "qvel.elbow", "ctrl.shoulder", "ctrl.elbow"]
+    for month, seed in (("june", 4), ("july", 5)):
+        rows = pd.DataFrame(log_of(seed, friction=(0.12, 0.06))[0], columns=names)
+        if month == "july":
+            rows[names[4:]] = rows[names[:3:-1]].to_numpy()
+        rows.assign(time=0.01 * rows.index).to_csv(here / f"{month}.csv", index=False)
+    effects = ("--effect", "damping[elbow]", "--effect", "gain[elbow]")
+    result = skat("changed", "arm.xml", "june.csv", "july.csv", *effects)
+    assert result.exit_code == 0, result.output
+    assert "Verdict: unexplained" in result.stdout
+    assert "july.csv differs from june.csv by more than what the model misses in both" in result.stdout
+    assert "ctrl.shoulder and ctrl.elbow are swapped" in result.stderr
 
 
 def test_help_loads_nothing_heavy():
