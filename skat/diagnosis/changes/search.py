@@ -97,7 +97,7 @@ def find_changes(
     if causes and gain is not None and gain.nominal > gain.floor and gain.explained < MOST:
         # On windows that were not used the logs differ by something else.
         causes, verdict = (), "unexplained"
-    if not causes and logs.beyond_misfit() > needed:
+    if not causes and logs.differ_beyond_misfit(needed):
         verdict = "unexplained"
     return Changes(causes, verdict, gain, sizes_of(question, value))
 

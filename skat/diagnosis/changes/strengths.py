@@ -10,6 +10,7 @@ References
 .. [1] Higgins, Thompson, Spiegelhalter (2009). A re-evaluation of random-effects meta-analysis. J. R. Stat. Soc. A 172.
 """
 
+import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -25,6 +26,8 @@ from skat.diagnosis.search import search_sets
 # Of the variance of an effect's difference, over that if all misfit looked like it: places on a grid. No misfit exerts
 # more than all of itself; logs that differ by more do so by a change.
 STRENGTHS, BEYOND = 8.0 ** np.arange(-10, 1), 8.0 ** np.arange(1, 5)
+# Of strengths, nats: so unlikely ones count for nothing, and where a smaller one changes so little none does.
+UNLIKELY, FLAT = -12.0, 1e-3
 # Precision of an effect that no joint feels, in typical sizes.
 LEAST = 1e-6
 
@@ -129,14 +132,25 @@ class Logs:
         As if each joint told its strength for itself. Logs that are alike at all small strengths are so at many.
         """
         here = worth(places) - prior(places)
-        gains = np.empty((len(places), len(self.strengths)))
-        for joint, place in np.ndindex(gains.shape):
-            moved = (*places[:joint], place, *places[joint + 1 :])
-            gains[joint, place] = worth(moved) - prior(moved) - here
+        gains = np.full((len(places), len(self.strengths)), -np.inf)
+        for joint, start in enumerate(places):
+            gains[joint, start] = 0.0
+            for ahead in (range(start - 1, -1, -1), range(start + 1, len(self.strengths))):
+                last = 0.0
+                for place in ahead:
+                    moved = (*places[:joint], place, *places[joint + 1 :])
+                    gains[joint, place] = worth(moved) - prior(moved) - here
+                    if gains[joint, place] < UNLIKELY:
+                        break
+                    if place < start and abs(gains[joint, place] - last) < FLAT:
+                        # Smaller ones are as if there were none.
+                        gains[joint, :place] = gains[joint, place]
+                        break
+                    last = gains[joint, place]
         return log_sum(gains) - prior(places)
 
-    def beyond_misfit(self) -> float:
-        """Return by how much both logs are likelier, nats, if they may differ by more than all misfit exerts.
+    def differ_beyond_misfit(self, needed: float) -> bool:
+        """Return whether logs are likelier by so many nats if they may differ by more than all misfit exerts.
 
         Whichever window of either is left out.
         """
@@ -144,7 +158,7 @@ class Logs:
         def gain(logs: Logs) -> float:
             return replace(logs, strengths=np.r_[STRENGTHS, BEYOND]).level() - logs.level()
 
-        return min(map(gain, (self, *self.shortened())))
+        return all(gain(logs) > needed for logs in itertools.chain([self], self.shortened()))
 
 
 class OverStrengths(SwiftWeigher):

@@ -139,6 +139,22 @@ def test_both_logs_are_worth_what_no_change_is_at_the_best_strengths(simulator):
     assert logs.level() >= max(logs.left(places).level for places in logs.alike())
 
 
+@pytest.mark.parametrize(
+    ("moved", "shown", "beyond"), [(0.0, 8, False), (0.3, 8, False), (30.0, 8, True), (30.0, 1, False)]
+)
+def test_logs_that_differ_by_more_than_misfit_could_are_told_where_no_one_window_decides(
+    simulator, moved, shown, beyond
+):
+    question = misfit_question(simulator, 0, apart=0.0)
+    rows = question.sides[1]
+    # On one joint, by what is not alike in two windows, so that no one effect explains it.
+    step = moved * np.random.default_rng(3).normal(size=(WINDOWS, EFFECTS)) * (np.arange(EFFECTS) < EACH)
+    step[shown:] = 0.0
+    extra = np.sum(rows.columns[:, :EFFECTS] * step.mean(axis=0), axis=1) * (rows.stretch < shown)
+    logs = _logs(replace(question, sides=(question.sides[0], replace(rows, target=rows.target + extra))))
+    assert logs.differ_beyond_misfit(NEEDED) == beyond
+
+
 def at(logs, places, members):
     """Return what a set is worth at some strengths, by a search's weigher of its own."""
     left = logs.left(places)
