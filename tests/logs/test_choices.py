@@ -7,6 +7,7 @@ import pytest
 from skat.logs import LogError, load_log
 from skat.logs.loading import _align
 from skat.logs.matching import _listed, simulator_inputs
+from skat.logs.names import reading
 from skat.logs.readers.messages import DEEPEST, MOST_FIELDS, collected, fields
 from skat.simulators import FunctionSimulator, MujocoSimulator
 
@@ -28,6 +29,21 @@ FLOATING = """
 @pytest.fixture
 def robot():
     return MujocoSimulator(ROBOT.format(SERVO))
+
+
+@pytest.mark.parametrize(
+    ("column", "kind"),
+    [
+        ("elbow_position", "qpos"),
+        ("elbow_position_error", "other"),
+        ("elbow_velocity_std", "other"),
+        ("elbow_command_voltage", "other"),
+        ("temperature", "other"),
+        ("elbow_velocity_command", "ctrl"),
+    ],
+)
+def test_one_word_of_what_is_no_state_is_enough_to_leave_a_column_out(column, kind):
+    assert reading(column).kind == kind
 
 
 def table(n_rows=40, **changes):
