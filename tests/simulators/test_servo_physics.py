@@ -39,6 +39,26 @@ PENDULUM = f"""
 """
 
 
+# A body on a plane, by slides and a hinge that only say where it is, with a ball and two hinges.
+WALKER = """
+<mujoco><worldbody><body name="torso">
+  <joint name="rootx" type="slide" axis="1 0 0"/><joint name="rootz" type="slide" axis="0 0 1"/>
+  <joint name="rooty" axis="0 1 0"/><geom size=".1"/>
+  <body><joint name="hip" axis="0 1 0"/><geom size=".05" pos="0 0 -.2"/>
+    <body pos="0 0 -.2"><joint name="ankle" type="ball"/><geom size=".03" pos=".05 0 -.1"/></body></body>
+  <body pos="0 0 .1"><joint name="neck" axis="0 1 0"/><geom size=".05" pos="0 0 .1"/></body>
+</body></worldbody><actuator><motor name="hip" joint="hip"/></actuator></mujoco>
+"""
+
+
+def test_gears_are_where_joints_of_one_axis_are_and_not_where_a_body_is():
+    names = [effect.name for effect in MujocoSimulator(WALKER).all_effects()]
+    for family in (*NEUTRAL, "backlash"):
+        there = {name for name in names if name.startswith(f"{family}[")}
+        assert there <= {f"{family}[hip]", f"{family}[neck]"}, family
+    assert {"stribeck[hip]", "stribeck[neck]", "load_friction[hip]", "backlash[hip]"} <= set(names)
+
+
 def law_of(name):
     return json.loads((DATA / name).read_text())
 
