@@ -59,6 +59,19 @@ def test_gears_are_where_joints_of_one_axis_are_and_not_where_a_body_is():
     assert {"stribeck[hip]", "stribeck[neck]", "load_friction[hip]", "backlash[hip]"} <= set(names)
 
 
+@pytest.mark.parametrize("motors", [1, 2])
+def test_what_is_late_of_one_motor_is_asked_apart_from_all_where_there_are_others(motors):
+    more = '<motor name="neck" joint="neck"/></actuator>' if motors == 2 else "</actuator>"
+    listed = {
+        effect.name
+        for effect in MujocoSimulator(WALKER.replace("</actuator>", more)).effects(also="all")
+        if effect.family in ("delay", "lag") and not effect.name.startswith("lag[q")
+    }
+    alone = {"delay[action]", "lag[all]"}
+    apart = {f"{family}[{motor}]" for family in ("delay", "lag") for motor in ("hip", "neck")}
+    assert listed == (alone if motors == 1 else alone | apart)
+
+
 def law_of(name):
     return json.loads((DATA / name).read_text())
 
