@@ -6,14 +6,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from skat.diagnosis.changes.candidates import WEAKEST, Model
+from skat.diagnosis.changes.candidates import Model
 from skat.diagnosis.changes.force_space import Rows
 from skat.diagnosis.changes.motions import Half, lacking_forces, rows_about, whole_coefficients_of
-from skat.diagnosis.changes.question import Question
+from skat.diagnosis.changes.question import Question, model_about
 from skat.diagnosis.changes.strengths import Logs
 from skat.diagnosis.changes.windows import Quadratic, Windows
 from skat.diagnosis.filtering import Array, Mask
-from skat.effects import Effect
 from skat.simulators import MujocoSimulator
 
 # Odds that two columns of a log were mixed up, or that one has its sign turned.
@@ -47,7 +46,7 @@ def mistake_of(question: Question, differences: Array, alone: Array, *, price: f
     mixed = _mixed_up(simulator, own)
     if not mixed:
         return ""
-    model = _model_of(question, alone)
+    model = model_about(question.base, question.effects, question.sizes, alone)
 
     def left(half: Half) -> Array:
         """Return what the first log's model leaves, NaN where nothing was measured or a joint was not fast."""
@@ -91,14 +90,6 @@ def mistake_of(question: Question, differences: Array, alone: Array, *, price: f
     return "" if as_well else name
 
 
-def _model_of(question: Question, alone: Array) -> Model:
-    """Return the model with what is wrong by the first log alone."""
-    values = dict(question.base.values)
-    for effect, size, one in zip(question.effects, question.sizes, alone):
-        values[effect.name] = _within(effect, values.get(effect.name, effect.neutral) + size * one)
-    return replace(question.base, values=values)
-
-
 def _in_another_order(question: Question, side: int, half: Half) -> tuple[Rows, Mask]:
     """Return the rows of a log with columns in another order, and which of its rows there are in both."""
     own, rows = question.halves[side], question.sides[side]
@@ -112,12 +103,6 @@ def _in_another_order(question: Question, side: int, half: Half) -> tuple[Rows, 
     place = np.maximum(np.cumsum(there) - 1, 0)[here]
     seen = there[here] & (rows.frequency <= np.tile(cutoff, 2)[rows.joint])
     return replace(rows, target=found.target[place], columns=found.columns[place]), seen
-
-
-def _within(effect: Effect, value: float) -> float:
-    """Return a value within the bounds; no factor so small that a machine would not be one."""
-    low, high = effect.bounds
-    return float(np.clip(value, max(low, WEAKEST) if effect.neutral == 1 else low, high))
 
 
 def _mixed_up(simulator: MujocoSimulator, half: Half) -> list[tuple[str, Half]]:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from skat.diagnosis.changes.candidates import (
     MOTORS,
     UNSEEN,
+    WEAKEST,
     Candidate,
     Model,
     distinct,
@@ -117,6 +118,12 @@ def question_of(
     law = with_misfit(own, settled_law(own))
     offered, scales = offered_candidates(simulator, effects, common, sizes, typical)
     columns = columns_of(simulator, halves[1], base, offered, scales)
+    # A sensor reads all of the forces that the machine has otherwise, not those of the model alone.
+    sensed = [place for place, one in enumerate(offered) if one.effect.family in ("scale", "bias")]
+    if sensed:
+        about = model_about(base, common, sizes, law.value)
+        some = [offered[place] for place in sensed]
+        columns[:, sensed] = columns_of(simulator, halves[1], about, some, scales[sensed])
     columns = _of_motors(offered, columns, sides[1], law.value, scales)
     noise = law.noise[1]
     whitened = columns / noise[:, None]
@@ -236,6 +243,20 @@ def _of_motors(
             felt = [joint for joint in np.unique(rows.joint) if np.any(columns[rows.joint == joint, place])]
             columns[:, place] -= np.isin(rows.joint, felt) * explained * scales[place]
     return columns
+
+
+def model_about(base: Model, effects: Sequence[Effect], sizes: Array, value: Array) -> Model:
+    """Return a model with what is common, (n_effects,) in units of sizes, in it, as far as a machine may have it."""
+    values = dict(base.values)
+    for effect, size, one in zip(effects, sizes, value):
+        values[effect.name] = _within(effect, values.get(effect.name, effect.neutral) + size * one)
+    return replace(base, values=values)
+
+
+def _within(effect: Effect, value: float) -> float:
+    """Return a value within the bounds; no factor so small that a machine would not be one."""
+    low, high = effect.bounds
+    return float(np.clip(value, max(low, WEAKEST) if effect.neutral == 1 else low, high))
 
 
 def _held_out(stretch: NDArray[np.intp], share: float) -> Mask:

@@ -60,6 +60,17 @@ def test_a_change_is_told_where_the_speed_of_one_joint_alone_was_measured(where)
     assert found.changes_[0].value == pytest.approx(1.25, rel=0.07)
 
 
+def test_a_sensor_that_reads_less_reads_less_of_what_is_wrong_in_both_logs_too():
+    # About the model as it is, a scale of .85 came out as .83.
+    wrong = {"friction": (0.3, 0.2), "damping": (0.1, 0.05), "mass": 1.5}
+    X, y, groups = log_of(5, **wrong)
+    X[:, 1], y[:, 1] = 0.85 * X[:, 1], 0.85 * y[:, 1]
+    (change,) = asked(log_of(4, **wrong), (X, y, groups)).changes_
+    assert change.name == "scale[qpos.elbow]"
+    assert change.value == pytest.approx(0.85, abs=0.005)
+    assert change.interval[0] < 0.85 < change.interval[1]
+
+
 def test_swapped_columns_are_told_and_nothing_is_named():
     X, y, groups = log_of(5, **WRONG)
     X[:, [4, 5]] = X[:, [5, 4]]
