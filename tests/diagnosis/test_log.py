@@ -246,6 +246,14 @@ def test_text_in_a_cell_is_named_with_its_row_and_column(simulator):
         check_log(simulator, X, y, groups)
 
 
+def test_an_infinite_value_in_a_column_too_many_is_named_by_its_number(simulator):
+    X, y, groups = rows([20])
+    X = np.column_stack([X, np.zeros(20)])
+    X[3, 3] = np.inf
+    with pytest.raises(ValueError, match=r"X has inf in row 3, column 3; every"):
+        check_log(simulator, X, y, groups)
+
+
 def test_wrong_number_of_columns_lists_those_of_the_simulator(simulator):
     X, y, groups = rows([20])
     with pytest.raises(ValueError, match=r"X has 2 columns; the simulator's are 3: x, v, force"):

@@ -310,3 +310,10 @@ def test_an_explicit_inertia_grows_with_the_square_of_a_links_length():
     longer = MujocoSimulator(arm).compiled({"length[link]": 1.5})
     np.testing.assert_allclose(longer.body_inertia[1], 1.5**2 * np.array([0.03, 0.02, 0.015]), rtol=1e-12)
     assert longer.body_mass[1] == 2
+
+
+@pytest.mark.parametrize(("place", "has"), [("0 0 0", False), ("0.2 0 0", True), ("0 0.1 -0.2", True)])
+def test_a_ball_on_a_joint_away_from_its_centre_has_a_length(place, has):
+    text = f"""<mujoco><worldbody><body name="ball"><joint name="hinge" axis="0 1 0" pos="{place}"/>
+    <geom type="sphere" size=".05"/></body></worldbody></mujoco>"""
+    assert ("length[ball]" in [effect.name for effect in MujocoSimulator(text).all_effects()]) == has

@@ -61,11 +61,12 @@ def test_distance_is_of_mahalanobis_and_does_not_depend_on_units():
         np.testing.assert_allclose(transport.support_distance(others * units), expected, rtol=1e-9)
 
 
-def test_rows_off_the_plane_of_the_fitted_ones_are_infinitely_far():
+@pytest.mark.parametrize("unit", [1.0, 1e-6])
+def test_rows_off_the_plane_of_the_fitted_ones_are_infinitely_far(unit):
     rng = np.random.default_rng(0)
-    rows = rng.normal(size=(50, 2)) @ [[1.0, 0.0, 1.0], [0.0, 1.0, 1.0]]
+    rows = unit * rng.normal(size=(50, 2)) @ [[1.0, 0.0, 1.0], [0.0, 1.0, 1.0]]
     transport = AffineTransport().fit(rows, rows)
-    distances = transport.support_distance(np.vstack([rows[:5], rows[:5] + np.array([0, 0, 0.1])]))
+    distances = transport.support_distance(np.vstack([rows[:5], rows[:5] + unit * np.array([0, 0, 0.1])]))
     assert np.isfinite(distances[:5]).all()
     assert np.isinf(distances[5:]).all()
 
