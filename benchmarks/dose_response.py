@@ -212,7 +212,7 @@ def right(line):
 def report(lines, shown):
     dose = [line for line in lines if line["what"] == "dose" and line["kind"] not in ("swap", "flip")]
     shown.share("doses: right family and element, or alias", map(right, dose), "95 %")
-    shown.share("... nothing else named", [len(line["causes"]) <= 1 for line in dose], "90 %")
+    shown.share("... nothing else named", [not line["causes"] or tables.or_alias(line) for line in dose], "90 %")
     for kind in ("gain", "delay", "offset", "bias", "scale"):
         mine = [line for line in dose if line["kind"] == kind]
         shown.share(f"... {kind}: right", map(right, mine))
@@ -255,9 +255,11 @@ def report(lines, shown):
             mine = [line for line in mine if line["verdict"] != "too short"]
             shown.share(
                 label if machine is None else f"... {machine}",
-                [line["verdict"] != "nothing changed" for line in mine],
+                [bool(line["causes"]) for line in mine],
                 wanted if machine is None else "",
             )
+        differing = [line["verdict"] == "unexplained" for line in lines if line["what"] == what]
+        shown.share("... told to differ by nothing that has a name", differing)
     across = [line for line in lines if line["what"] == "dose across"]
     shown.share("doses across motions: right", map(right, across), "90 %")
     shown.share("... and nothing else", map(tables.or_alias, across))
