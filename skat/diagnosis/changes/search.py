@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skat.diagnosis.changes.candidates import Candidate, priors_of, rivals_of
+from skat.diagnosis.changes.candidates import MOTORS, Candidate, priors_of, rivals_of
 from skat.diagnosis.changes.mixups import mistake_of
 from skat.diagnosis.changes.motions import Log, half_of
 from skat.diagnosis.changes.question import Question, question_of
@@ -75,15 +75,16 @@ def find_changes(
     while True:
         worth = OverStrengths(logs, priors, rivals_of(question.candidates))
         best, nats = _named(worth, needed)
-        absurd = _at_bounds(best, question.candidates, priors)
+        differences = np.zeros(len(question.candidates))
+        differences[list(best.members)] = best.values
+        common = _common(logs, worth.best_places(best.members))
+        value = common.level - common.slopes @ differences
+        absurd = [*_at_bounds(best, question.candidates, priors), *_impossible(best, question, value)]
         if not absurd:
             break
         log_odds = priors.log_odds.copy()
         log_odds[absurd] = NEVER
         priors = replace(priors, log_odds=log_odds)
-    common = _common(logs, worth.best_places(best.members))
-    differences = np.zeros(len(question.candidates))
-    differences[list(best.members)] = best.values
     price = worth.price(best.members)
     mistake = mistake_of(question, differences, common.alone, price=price, needed=needed)
     if mistake:
@@ -92,7 +93,6 @@ def find_changes(
     verdict = "nothing changed" if not causes else "named"
     if any(cause.aliases for cause in causes):
         verdict = "ambiguous"
-    value = common.level - common.slopes @ differences
     gain = gain_of(question, value, differences)
     if causes and gain is not None and gain.nominal > gain.floor and gain.explained < MOST:
         # On windows that were not used the logs differ by something else.
@@ -161,3 +161,24 @@ def _at_bounds(best: Weighed, candidates: Sequence[Candidate], priors: Priors) -
         for place, value in zip(best.members, best.values)
         if not candidates[place].late and not priors.low[place] * INSIDE < value < priors.high[place] * INSIDE
     ]
+
+
+def _impossible(best: Weighed, question: Question, value: Array) -> list[int]:
+    """Return the members that no machine can have in the second log: a friction, with what is common, below zero.
+
+    Beyond their errors; ``value`` (n_effects,) is what is common, in units of sizes. Motors may turn the other way, and
+    of a weight that is taken off the model knows nothing.
+    """
+    found = []
+    for place, difference, half in zip(best.members, best.values, best.half_widths):
+        one, scale = question.candidates[place], question.scales[place]
+        if one.late or one.effect.family in MOTORS:
+            continue
+        for effect, size, common in zip(question.effects, question.sizes, value):
+            if effect.family != one.effect.family or one.effect.target not in (effect.target, "all"):
+                continue
+            after = question.base.values.get(effect.name, effect.neutral) + size * common + scale * difference
+            if not effect.bounds[0] - scale * half <= after <= effect.bounds[1] + scale * half:
+                found.append(place)
+                break
+    return found

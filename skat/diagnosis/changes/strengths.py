@@ -79,7 +79,7 @@ class Logs:
     law: Law
     firsts: tuple[Quadratic, ...] = ()
     seconds: tuple[Quadratic, ...] = ()
-    strengths: Array = field(default_factory=STRENGTHS.copy)
+    strengths: Array = field(default_factory=lambda: STRENGTHS)
 
     def both(self, places: Places) -> Quadratic:
         """Return both logs where they differ by strengths at such places of the grid, one for each joint."""
