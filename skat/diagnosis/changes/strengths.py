@@ -25,7 +25,7 @@ from skat.diagnosis.search import search_sets
 
 # Of the variance of an effect's difference, over that if all misfit looked like it: places on a grid. No misfit exerts
 # more than all of itself; logs that differ by more do so by a change.
-STRENGTHS, BEYOND = 8.0 ** np.arange(-10, 1), 8.0 ** np.arange(1, 5)
+STRENGTHS, BEYOND = np.power(8.0, np.arange(-10, 1), dtype=float), np.power(8.0, np.arange(1, 5), dtype=float)
 # Of strengths, nats: so unlikely ones count for nothing, and where a smaller one changes so little none does.
 UNLIKELY, FLAT = -12.0, 1e-3
 # Precision of an effect that no joint feels, in typical sizes.
