@@ -3,7 +3,7 @@ r"""Sets of changes, weighed where logs may differ though nothing changed, by as
 Of a model that is not right, two logs differ by more than noise: by what its misfit looks like in the one motion and in
 the other. A change is in one effect; where there is misfit on a joint, all effects on it differ a little. By how much,
 a strength for each joint, is told by all of them together, anew for each set of changes: variance components, as the
-heterogeneity of studies [1]_, that maximise the marginal likelihood.
+heterogeneity of studies [1]_, over which the marginal likelihood is summed.
 
 References
 ----------
