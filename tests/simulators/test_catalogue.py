@@ -143,6 +143,10 @@ def test_what_is_added_to_a_tendon_is_bounded_by_the_mass_that_it_moves():
     soft = text.replace('stiffness="3"', "")
     _, _, _, high, *_ = entries(soft, "tendon_stiffness")["tendon_stiffness[belt]"]
     assert high == pytest.approx(10 * weight / reach, rel=1e-9)
+    # What moves little mass may have a hundred times as much damping, however strong joints may be.
+    thread = '<fixed name="thread"><joint joint="spin" coef="5"/></fixed></tendon>'
+    found = entries(text.replace("</tendon>", thread), "tendon_damping")["tendon_damping[thread]"]
+    assert found[2:4] == (0.0, pytest.approx(100 * 0.05 / 5**2, rel=1e-6))
 
 
 def test_commands_are_late_by_up_to_five_transitions_and_scaled_or_shifted_within_their_range():
