@@ -546,3 +546,23 @@ def test_rows_and_displacements_of_any_leading_shape_go_together(bot):
         np.testing.assert_allclose(
             moved[index], bot.displace(rows, np.tile(tangent[index], (3, 1))), atol=1e-14
         )
+
+
+def test_more_models_than_are_kept_are_compiled_again(monkeypatch):
+    monkeypatch.setattr("skat.simulators.mujoco.CACHED_MODELS", 2)
+    monkeypatch.setattr(stepping, "CACHED_BATCHES", 1)
+    rows, simulator = np.random.default_rng(0).normal(size=(4, 9)), MujocoSimulator(APART)
+    candidates = [{"gravity": 0.1 * number} for number in range(1, 8)] + [
+        {"air_drag[all]": 0.3},
+        {"gravity": 0.1},
+    ]
+    commands = np.zeros((len(candidates), 4, 3))
+    for _ in range(2):
+        found = simulator.predict_many(rows, candidates)
+        forces = simulator.missing_forces(rows[:, :6], np.zeros((4, 3)), commands, candidates)
+        np.testing.assert_array_equal(found[0], found[-1])
+        for index in (0, 3, 7):
+            alone = clone(simulator)
+            np.testing.assert_array_equal(alone.predict(rows, effects=candidates[index]), found[index])
+            one = alone.missing_forces(rows[:, :6], np.zeros((4, 3)), commands[:1], [candidates[index]])
+            np.testing.assert_array_equal(one[0], forces[index])
