@@ -446,3 +446,26 @@ def test_a_contact_is_seen_in_its_row():
     model = mujoco.MjModel.from_xml_string(text)
     inputs = np.array([[[0.5, 0.0], [-0.01, 0.0], [0.2, 0.0], [-0.02, 0.0]]])
     np.testing.assert_array_equal(Stepper().constrained(Job(0, model, 1), inputs), [False, True, False, True])
+
+
+NOTHING = {
+    "plain": Forces(),
+    "drag": Forces(body=1, drag_all=1e-30),
+    "dead zone": Forces(dead_zones=((1, 1e-30),)),
+    "friction": Forces(friction=((1, 1, tuple(NEUTRAL.values())),)),
+}
+
+
+@pytest.mark.parametrize("n_substeps", [1, 3])
+@pytest.mark.parametrize("forces", NOTHING.values(), ids=NOTHING)
+def test_a_solver_that_stops_early_starts_each_row_from_nothing(forces, n_substeps):
+    """With one iteration it shows where it began: laws of nothing look at the state before, and earlier rows ran."""
+    text = ARM.replace('<option timestep="0.004"', '<option timestep="0.004" iterations="1" tolerance="0"')
+    model = mujoco.MjModel.from_xml_string(text.replace("<joint ", '<joint frictionloss="0.3" '))
+    inputs, stepper = rows(4), Stepper()
+    for _ in range(2):
+        states, _ = stepper.run([Job(0, model, n_substeps, forces)], inputs)
+        for index in range(4):
+            np.testing.assert_allclose(
+                states[0, index], plain(model, inputs[0, index], n_substeps), atol=1e-12
+            )
