@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from skat.simulators import edits
+from skat.simulators.source import differing_fields
 
 LINK = """<mujoco><compiler angle="{angle}" inertiafromgeom="{mode}"/><option timestep=".004" gravity="1 2 -9"/>
 <worldbody><body name="link" pos="1 0 0"><joint name="hinge" axis="0 1 0" {joint}/>{parts}</body></worldbody>
@@ -214,6 +215,36 @@ def test_play_is_a_bare_joint_of_its_width_beyond_the_motors(angle, armature, ro
     np.testing.assert_allclose(found.jnt_solimp[1], [0.95, 0.99, 1e-4, 0.5, 2.0])
     for name in ("pos", "axis"):
         np.testing.assert_allclose(getattr(play, name), getattr(plain.joint("hinge"), name))
+
+
+JOINTS = {
+    "turn": '<joint name="turn" axis="0 0 1" damping=".1" armature=".01"/>{}',
+    "tip": '<frame euler="0 .3 0" pos=".1 0 0"><joint name="tip" axis="1 0 0" range="-2 2" armature=".2" '
+    'pos="0 .1 0" springref=".1" stiffness="3"/>{}</frame>',
+    "push": '<joint name="push" type="slide" axis="0 1 0" frictionloss=".3" armature=".4"/>{}',
+}
+JOINT_PLAY = """<joint name="{name}.play" {same} limited="true" range="-.04 .04" solreflimit=".008 1" ref="0"
+    solimplimit=".95 .99 1e-4 .5 2" springdamper="0 0" actuatorfrclimited="false"/>"""
+SAME = {"turn": 'axis="0 0 1"', "tip": 'axis="1 0 0" pos="0 .1 0"', "push": 'type="slide" axis="0 1 0"'}
+
+
+@pytest.mark.parametrize("loose", [["turn"], ["tip"], ["push"], ["tip", "turn"]])
+def test_play_follows_its_motor_whatever_else_turns_the_body(loose):
+    """A joint turns the axes of those behind it; a default for joints is not meant for the play."""
+    text = """<mujoco><compiler angle="radian"/><default><joint ref=".2" springref=".1" springdamper=".5 1"
+    actuatorfrcrange="-3 3"/></default><option timestep=".004"/><worldbody><body name="body">{}
+    <geom type="box" size=".1 .2 .3" pos=".3 0 0"/></body></worldbody><actuator>
+    <motor joint="turn"/><motor joint="tip"/><motor joint="push"/></actuator></mujoco>"""
+    plays = {name: JOINT_PLAY.format(name=name, same=SAME[name]) if name in loose else "" for name in JOINTS}
+    wanted = mujoco.MjModel.from_xml_string(
+        text.format("".join(JOINTS[name].format(plays[name]) for name in JOINTS))
+    )
+    spec = mujoco.MjSpec.from_string(text.format("".join(one.format("") for one in JOINTS.values())))
+    for name in loose:
+        edits.add_play(name, 0.02, spec, 0.08)
+    found = spec.compile()
+    differing = set(differing_fields(found, wanted))
+    assert not differing - {"qpos_spring"}  # of a joint without a spring
 
 
 def test_servos_gains_change_by_their_parts():
