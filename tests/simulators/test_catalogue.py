@@ -404,6 +404,27 @@ def test_drag_along_one_axis_is_drag_in_all():
     assert entries(text.format(slides), "air_drag")["air_drag[all]"][-1] == LISTED
 
 
+@pytest.mark.parametrize(
+    ("joints", "along_slides"),
+    [
+        ('<joint type="slide" axis="0 0 1"/>', {"z", "all"}),
+        ('<joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 0 1"/>', {"x", "z"}),
+        ("<freejoint/>", set()),
+    ],
+)
+def test_drag_is_an_edit_of_the_model_where_a_slide_moves_along_it(joints, along_slides):
+    text = f'<mujoco><worldbody><body>{joints}<geom size=".1" mass=".5"/></body></worldbody></mujoco>'
+    drags = [one for one in MujocoSimulator(text).all_effects() if one.family == "air_drag"]
+    assert {one.target for one in drags if one.apply is not None} == along_slides
+
+
+def test_what_lies_before_a_gear_is_bounded_by_the_force_there_and_a_rotor_has_a_fiftieth_of_the_inertia():
+    text = turning('<motor name="drive" joint="spin" gear=".5" forcerange="-3 6"/>', option=">")
+    assert entries(text, "torque_speed")["torque_speed[drive]"][2:5] == pytest.approx((0.0, 12.0, 0.18))
+    loose = MujocoSimulator(text).compiled({"backlash[spin]": 0.01})
+    np.testing.assert_allclose(loose.dof_armature, [0.02 * 0.05, 0.0], rtol=1e-9)
+
+
 def test_a_joint_that_says_where_the_robot_is_has_damping_only():
     base = '<joint name="x" type="slide" axis="1 0 0"/><joint name="turn" axis="0 0 1"/>'
     leg = '<body name="leg"><joint name="hip" axis="0 1 0"/><geom size=".1" pos="0 0 .3"/></body>'
