@@ -1,5 +1,7 @@
 """Every number of every effect, by hand, on models whose inertias and drives make them easy."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -28,16 +30,22 @@ MACHINE = """
 LISTED, ASKED, ACCEPTED = "listed", "listed if asked for", "accepted only"
 
 
-def entries(text, families, frame_skip=1):
-    """Return (unit, neutral, low, high, typical, how it is listed) of each effect of the model itself, by name."""
+@cache
+def every(text, frame_skip):
+    """Return each effect of a model with how it is listed."""
     simulator = MujocoSimulator(text, frame_skip=frame_skip)
     listed, asked = ({one.name for one in simulator.effects(also=also)} for also in ((), "all"))
-    return {
-        one.name: (
-            *(one.unit, one.neutral, *one.bounds, one.typical),
-            LISTED if one.name in listed else ASKED if one.name in asked else ACCEPTED,
-        )
+    return [
+        (one, LISTED if one.name in listed else ASKED if one.name in asked else ACCEPTED)
         for one in simulator.all_effects()
+    ]
+
+
+def entries(text, families, frame_skip=1):
+    """Return (unit, neutral, low, high, typical, how it is listed) of each effect of the model itself, by name."""
+    return {
+        one.name: (one.unit, one.neutral, *one.bounds, one.typical, how)
+        for one, how in every(text, frame_skip)
         if one.family in families.split() and (one.target or "").split(".")[0] not in ("qpos", "qvel")
     }
 
