@@ -4,7 +4,15 @@ import mujoco
 import numpy as np
 import pytest
 
-from skat.simulators.contacts import contact_pairs, explicit_pair
+from skat.simulators.contacts import (
+    contact_pairs,
+    explicit_pair,
+    scale_all_damping_ratios,
+    scale_all_friction,
+    scale_damping_ratio,
+    scale_friction,
+    set_anisotropy,
+)
 
 MODEL = """
 <mujoco>
@@ -81,3 +89,51 @@ def test_pairs_that_a_model_names_come_first_and_once():
     assert pair.name == "floor/ball"
     off = text.replace("<worldbody>", '<option><flag contact="disable"/></option><worldbody>')
     assert contact_pairs(mujoco.MjModel.from_xml_string(off)) == ()
+
+
+TWO_BALLS = """
+<mujoco>
+  <worldbody>
+    <geom name="floor" type="plane" size="1 1 .1" friction=".4 .01 .001" solref=".03 .7" margin=".01"/>
+    <body pos="0 0 .09"><freejoint/><geom name="left" size=".1" friction=".9 .002 .0003" margin=".02"/></body>
+    <body pos="3 0 .09"><freejoint/><geom name="right" size=".1" friction=".9 .002 .0003"/></body>
+  </worldbody>
+  <contact><pair name="named" geom1="floor" geom2="right" friction=".5 .6 .02 .003 .004" solref=".04 .8"/></contact>
+</mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("edit", "of", "factors"),
+    [
+        (scale_friction, "left", {"left": (0.5, 0.5, 1.0)}),
+        (scale_friction, "named", {"named": (0.5, 0.5, 1.0)}),
+        (scale_friction, "both", {"left": (0.5, 0.5, 1.0), "named": (0.5, 0.5, 1.0)}),
+        (scale_all_friction, None, {"left": (0.5, 0.5, 1.0), "named": (0.5, 0.5, 1.0)}),
+        (set_anisotropy, "left", {"left": (1.0, 0.5, 1.0)}),
+        (set_anisotropy, "both", {"left": (1.0, 0.5, 1.0), "named": (1.0, 0.5, 1.0)}),
+        (scale_damping_ratio, "named", {"named": (1.0, 1.0, 0.5)}),
+        (scale_all_damping_ratios, None, {"left": (1.0, 1.0, 0.5), "named": (1.0, 1.0, 0.5)}),
+    ],
+)
+def test_an_edit_changes_sliding_friction_or_damping_of_the_contacts_it_names(edit, of, factors):
+    def contacts(model):
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        return {("named" if model.geom("right").id in one.geom else "left"): one for one in data.contact}
+
+    spec = mujoco.MjSpec.from_string(TWO_BALLS)
+    before = spec.compile()
+    names = {"left": ["floor/left"], "named": ["named"], "both": ["floor/left", "named"]}
+    if of is None:
+        edit(spec, 0.5)
+    else:
+        edit(tuple(pair for pair in contact_pairs(before) if pair.name in names[of]), spec, 0.5)
+    nominal, found = contacts(before), contacts(spec.compile())
+    assert nominal.keys() == found.keys() == {"left", "named"}
+    for name, one in nominal.items():
+        first, second, ratio = factors.get(name, (1.0, 1.0, 1.0))
+        np.testing.assert_allclose(found[name].friction, one.friction * [first, second, 1, 1, 1], rtol=1e-12)
+        np.testing.assert_allclose(found[name].solref, one.solref * [1, ratio], rtol=1e-12)
+        np.testing.assert_allclose(found[name].solimp, one.solimp, rtol=1e-12)
+        assert found[name].includemargin == pytest.approx(one.includemargin)
+        assert found[name].dist == pytest.approx(one.dist)
