@@ -4,6 +4,7 @@ Bodies, geoms, joints and actuators are meant by their index in the spec's lists
 changes the spec in place; a list of indices means the edit of each.
 """
 
+import copy
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -17,6 +18,12 @@ AUTOMATIC = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
 # What is put behind the name of a joint for that of its play.
 PLAY = ".play"
 SHELL = mujoco.mjtGeomInertia.mjINERTIA_SHELL
+# All that the compiler reads of a joint, but for its frame.
+JOINT_PARTS = (
+    *("name", "type", "pos", "axis", "ref", "align", "stiffness", "springref", "springdamper", "springyield"),
+    *("limited", "range", "margin", "solref_limit", "solimp_limit", "actfrclimited", "actfrcrange"),
+    *("actgravcomp", "armature", "damping", "frictionloss", "solref_friction", "solimp_friction", "group"),
+)
 
 
 def scale_mass(bodies: Sequence[int], spec: mujoco.MjSpec, factor: float) -> None:
@@ -276,7 +283,7 @@ def add_play(joint: str, rotor: float, spec: mujoco.MjSpec, width: float) -> Non
     motor = next(one for one in spec.joints if one.name == joint)
     if motor.armature <= 0:
         motor.armature = rotor
-    motor.parent.add_joint(
+    play = motor.parent.add_joint(
         name=joint + PLAY,
         type=motor.type,
         pos=motor.pos,
@@ -290,9 +297,36 @@ def add_play(joint: str, rotor: float, spec: mujoco.MjSpec, width: float) -> Non
         stiffness=np.zeros_like(motor.stiffness),
         frictionloss=0.0,
         margin=0.0,
+        # What the model's default for joints would give it.
+        ref=0.0,
+        springdamper=np.zeros(2),
+        actfrclimited=mujoco.mjtLimited.mjLIMITED_FALSE,
     )
+    if motor.frame is not None:
+        play.set_frame(motor.frame)
+    _follow(motor, play)
     for key in list(spec.keys):
         spec.delete(key)
+
+
+def _follow(first: mujoco.MjsJoint, last: mujoco.MjsJoint) -> None:
+    """Have the last joint of a body come right after another; those in between move on by a place.
+
+    A joint turns the axes of those that follow it in its body.
+    """
+    joints = list(first.parent.joints)
+    places = joints[[one.name for one in joints].index(first.name) + 1 :]
+    if len(places) < 2:
+        return
+    moved = [last, *places[:-1]]
+    parts = [{name: copy.copy(getattr(one, name)) for name in JOINT_PARTS} for one in moved]
+    frames = [one.frame or first.parent.add_frame() for one in moved]
+    for place in places:
+        place.name = ""  # which no two may share at any time
+    for place, frame, values in zip(places, frames, parts):
+        place.set_frame(frame)
+        for name, value in values.items():
+            setattr(place, name, value)
 
 
 def _in_units(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, values: Sequence[float]) -> np.ndarray:
@@ -306,8 +340,7 @@ def add_payload(body: int, place: Sequence[float], spec: mujoco.MjSpec, mass: fl
     element = _with_inertial(spec.bodies[body], spec)
     turn, diagonal = np.zeros(9), np.array(element.inertia, dtype=float)
     if np.isnan(element.fullinertia[0]):
-        quaternion = element.iquat / np.linalg.norm(element.iquat)
-        mujoco.mju_quat2Mat(turn, quaternion)
+        mujoco.mju_quat2Mat(turn, _quaternion(element.iquat, element.ialt, element.compiler, spec))
         axes = turn.reshape(3, 3)
         inertia = axes @ np.diag(diagonal) @ axes.T
     else:
@@ -352,17 +385,17 @@ def _carrier(body: mujoco.MjsBody, spec: mujoco.MjSpec) -> np.ndarray:
 
 def _turned(place: np.ndarray, element: Any, spec: mujoco.MjSpec) -> np.ndarray:
     """Return a place in a body's, frame's or geom's frame along the axes that the element itself is placed in."""
-    quaternion = element.quat
-    if element.alt.type != mujoco.mjtOrientation.mjORIENTATION_QUAT:
-        compiler = element.compiler
-        quaternion = np.array(
-            spec.resolve_orientation(
-                degree=compiler.degree, sequence=compiler.eulerseq, orientation=element.alt
-            )
-        )
-    turned = np.zeros(3)
-    mujoco.mju_rotVecQuat(turned, np.asarray(place, dtype=float), quaternion / np.linalg.norm(quaternion))
+    quaternion, turned = _quaternion(element.quat, element.alt, element.compiler, spec), np.zeros(3)
+    mujoco.mju_rotVecQuat(turned, np.asarray(place, dtype=float), quaternion)
     return turned
+
+
+def _quaternion(given: np.ndarray, other: Any, compiler: Any, spec: mujoco.MjSpec) -> np.ndarray:
+    """Return an orientation, given as a quaternion or in another way, as a unit quaternion."""
+    if other.type == mujoco.mjtOrientation.mjORIENTATION_QUAT:
+        return np.asarray(given / np.linalg.norm(given))
+    found = spec.resolve_orientation(degree=compiler.degree, sequence=compiler.eulerseq, orientation=other)
+    return np.array(found)
 
 
 def _lengthen(geom: mujoco.MjsGeom, factor: float) -> None:

@@ -256,7 +256,7 @@ def test_function_of_the_wrong_shape_is_named():
         wrong.predict([[1.0], [2.0]])
 
 
-@pytest.mark.parametrize("n_steps", [0, -1, 1.5])
+@pytest.mark.parametrize("n_steps", [0, -1, 1.5, True])
 def test_number_of_steps_is_checked(pendulum, n_steps):
     with pytest.raises(ValueError, match="n_steps must be a positive whole number"):
         pendulum.rollout([[0.0, 0.0]], n_steps=n_steps)
@@ -377,3 +377,35 @@ def test_the_first_bad_action_is_located(oscillator):
         oscillator.rollout(np.zeros((3, 2)), actions, n_steps=4)
     moved = oscillator.displace(np.zeros((1, 3)), np.ones((5, 2)))
     np.testing.assert_array_equal(moved, np.tile([1.0, 1.0, 0.0], (5, 1)))
+
+
+@pytest.mark.parametrize(
+    "values", [{"delay[push]": 0.25}, {"lag[push]": 0.3}, {"delay[action]": 0.12, "lag[place]": 0.2}]
+)
+def test_what_came_before_is_on_the_way_when_an_episode_goes_on(oscillator, values):
+    pushes = np.random.default_rng(3).normal(size=(2, 20, 1))
+    whole = oscillator.rollout([[0.2, 1.0], [-0.4, 0.3]], pushes, n_steps=20, effects=values)
+    before = np.concatenate([whole[:, :12], pushes[:, :12]], axis=2)
+    parts = oscillator.rollout_many(whole[:, 12], pushes[:, 12:], [{}, values], n_steps=8, before=before)
+    np.testing.assert_allclose(parts[1], whole[:, 12:], atol=1e-12)
+    forgetful = oscillator.rollout_many(whole[:, 12], pushes[:, 12:], [values], n_steps=8)[0]
+    assert np.abs(forgetful - whole[:, 12:]).max() > 1e-3
+    np.testing.assert_allclose(
+        parts[0], oscillator.rollout(whole[:, 12], pushes[:, 12:], n_steps=8), atol=1e-14
+    )
+
+
+def test_a_candidate_that_diverges_leaves_the_others_to_go_on():
+    growing = FunctionSimulator(
+        lambda X, growth: np.where(X > 4, np.inf, growth * X),
+        **dict.fromkeys(("input_names", "output_names", "state_names"), ("a",)),
+        effects=[Effect("growth", unit="1", neutral=1.0, bounds=(0.1, 3.0))],
+    )
+    found = growing.rollout_many([[1.0], [0.1]], None, [{"growth": 2.0}, {}], n_steps=5)[..., 0]
+    np.testing.assert_array_equal(np.isnan(found[0, 0]), [False] * 4 + [True] * 2)
+    np.testing.assert_allclose(found[0, 1], 0.1 * 2.0 ** np.arange(6))
+    np.testing.assert_allclose(found[1], [[1.0] * 6, [0.1] * 6])
+    with pytest.raises(
+        RuntimeError, match=r"diverged in 1 of 2 rows \(row 1\) with effects \{'growth': 2.0\}"
+    ):
+        growing.predict([[1.0], [5.0]], effects={"growth": 2.0})

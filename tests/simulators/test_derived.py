@@ -317,3 +317,13 @@ def test_a_ball_on_a_joint_away_from_its_centre_has_a_length(place, has):
     text = f"""<mujoco><worldbody><body name="ball"><joint name="hinge" axis="0 1 0" pos="{place}"/>
     <geom type="sphere" size=".05"/></body></worldbody></mujoco>"""
     assert ("length[ball]" in [effect.name for effect in MujocoSimulator(text).all_effects()]) == has
+
+
+def test_sites_that_tie_a_loop_get_names_that_no_other_has():
+    """A model may have been written with such sites before."""
+    taken = '<site name="equality0_1" pos=".1 0 0"/><site name="equality0_1_" pos="0 .1 0"/>'
+    other = f'<body name="a" pos=".3 0 0"><freejoint/><geom size=".05"/>{taken}</body>'
+    text = model(other + swinging(), '<equality><connect body1="a" body2="b" anchor=".1 0 0"/></equality>')
+    row = [0.31, 0, 0.02, 1, 0, 0, 0, 0.1, *np.zeros(7)]
+    found = MujocoSimulator(text, frame_skip=20).predict([row])[0]
+    np.testing.assert_allclose(found, stepped(text, row, 20), rtol=1e-9, atol=1e-9)

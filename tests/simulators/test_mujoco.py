@@ -497,3 +497,72 @@ if (child := os.fork()) == 0:
 sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 """
     assert subprocess.run([sys.executable, "-W", "ignore", "-c", code]).returncode == 0
+
+
+APART = """<mujoco><compiler angle="radian"/><option timestep=".002"/><worldbody>
+<body pos="0 0 0"><joint name="a" axis="0 1 0"/><geom size=".1" pos=".3 0 0" contype="0"/></body>
+<body pos="0 1 0"><joint name="b" axis="0 1 0"/><geom size=".1" pos=".3 0 0" contype="0"/></body>
+<body pos="0 2 0"><joint name="c" type="slide" axis="0 0 1"/><geom size=".1" contype="0"/></body></worldbody>
+<actuator><motor name="a" joint="a"/><motor name="b" joint="b"/><motor name="c" joint="c"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("loose", ["a", "b"])
+def test_play_in_one_joint_is_nothing_to_a_joint_that_hangs_on_another_body(loose):
+    simulator, rows = MujocoSimulator(APART, frame_skip=5), np.random.default_rng(0).normal(size=(6, 9))
+    others = {
+        "force[c]": 0.7,
+        "position_friction[c]": 3.0,
+        "stribeck[b]": 4.0,
+        "force[b]": -0.3,
+        "dead_zone[c]": 0.1,
+    }
+    groups, columns = np.arange(6), [2, 5] if loose == "b" else [1, 2, 4, 5]
+    found = simulator.predict(rows, effects={f"backlash[{loose}]": 0.05} | others, groups=groups)
+    tight = simulator.predict(rows, effects=others, groups=groups)
+    np.testing.assert_allclose(found[:, columns], tight[:, columns], atol=1e-12)
+    assert np.abs(found - tight).max() > 1e-4
+    for name in others:
+        without = {other: value for other, value in others.items() if other != name}
+        assert np.abs(simulator.predict(rows, effects=without, groups=groups) - tight).max() > 1e-6
+
+
+def test_a_transition_is_one_time_step_unless_it_is_said_to_be_more():
+    simulator = MujocoSimulator(APART)
+    assert simulator.dt == simulator.time_step == 0.002
+    assert MujocoSimulator(APART, frame_skip=3).dt == pytest.approx(0.006)
+    model, n_substeps, _ = MujocoSimulator(APART, frame_skip=3).prepared({})
+    assert (model.opt.timestep, n_substeps) == (0.002, 3)
+    assert MujocoSimulator(APART, frame_skip=3).prepared({}, 7)[1] == 7
+
+
+def test_rows_and_displacements_of_any_leading_shape_go_together(bot):
+    rows, tangent = rows_of(bot, 3), 0.1 * np.random.default_rng(0).normal(size=(4, 1, 20))
+    moved = bot.displace(rows, tangent)
+    assert moved.shape == (4, 3, 24)
+    states = bot.displace(rows[:, :22], tangent)
+    np.testing.assert_array_equal(states, moved[..., :22])
+    np.testing.assert_array_equal(moved[..., 22:], np.tile(rows[:, 22:], (4, 1, 1)))
+    for index in range(4):
+        np.testing.assert_allclose(
+            moved[index], bot.displace(rows, np.tile(tangent[index], (3, 1))), atol=1e-14
+        )
+
+
+def test_more_models_than_are_kept_are_compiled_again(monkeypatch):
+    monkeypatch.setattr("skat.simulators.mujoco.CACHED_MODELS", 2)
+    monkeypatch.setattr(stepping, "CACHED_BATCHES", 1)
+    rows, simulator = np.random.default_rng(0).normal(size=(4, 9)), MujocoSimulator(APART)
+    candidates = [{"gravity": 0.1 * number} for number in range(1, 8)] + [
+        {"air_drag[all]": 0.3},
+        {"gravity": 0.1},
+    ]
+    commands = np.zeros((len(candidates), 4, 3))
+    for _ in range(2):
+        found = simulator.predict_many(rows, candidates)
+        forces = simulator.missing_forces(rows[:, :6], np.zeros((4, 3)), commands, candidates)
+        np.testing.assert_array_equal(found[0], found[-1])
+        for index in (0, 3, 7):
+            alone = clone(simulator)
+            np.testing.assert_array_equal(alone.predict(rows, effects=candidates[index]), found[index])
+            one = alone.missing_forces(rows[:, :6], np.zeros((4, 3)), commands[:1], [candidates[index]])
+            np.testing.assert_array_equal(one[0], forces[index])

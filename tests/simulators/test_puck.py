@@ -3,12 +3,13 @@
 import copy
 import pickle
 
+import mujoco
 import numpy as np
 import pytest
 from sklearn.base import clone
 
 from skat.simulators import make_simulator, stepping
-from skat.simulators.puck import CONDITIONS, LOG_SPEED_PER_UNIT
+from skat.simulators.puck import CONDITIONS, LOG_SPEED_PER_UNIT, MODEL, PuckSimulator
 
 RATIO = np.exp(2 * LOG_SPEED_PER_UNIT)  # of the squared speeds at z1 = 1 and z1 = 0
 
@@ -121,3 +122,75 @@ def test_puck_pickles_copies_and_clones():
     expected = puck.predict(z)
     for other in (pickle.loads(pickle.dumps(puck)), copy.deepcopy(puck), clone(puck)):
         np.testing.assert_array_equal(other.predict(z), expected)
+
+
+def test_the_stick_starts_behind_the_puck_and_sweeps_in_its_direction():
+    """0.4 rad and a quarter of a nat of speed per unit; edge to edge 1 cm apart; left is a quarter turn on."""
+    z, off_centre = strikes(), 0.008
+    states = PuckSimulator(off_centre=off_centre).initial_states(z, gain=1.5)
+    angle, speed = 0.4 * z[:, 0], 1.5 * 1.2 * np.exp(0.25 * z[:, 1])
+    behind = 0.0381 + 0.015 + 0.01
+    expected = np.zeros((12, 12))
+    expected[:, 4] = -behind * np.cos(angle) - off_centre * np.sin(angle)
+    expected[:, 5] = -behind * np.sin(angle) + off_centre * np.cos(angle)
+    expected[:, 10], expected[:, 11] = speed * np.cos(angle), speed * np.sin(angle)
+    np.testing.assert_allclose(states, expected, atol=1e-12)
+    np.testing.assert_allclose(PuckSimulator().initial_states(z)[:, 10:], expected[:, 10:] / 1.5)
+
+
+# Friction along x and along y.
+FRICTIONS = {
+    "normal": (0.2, 0.2),
+    "isotr_low": (0.1, 0.1),
+    "isotr_lowmed": (0.16, 0.16),
+    "isotr_med": (0.2, 0.2),
+    "isotr_medhi": (0.27, 0.27),
+    "isotr_high": (0.34, 0.34),
+    "isotr_low_offc": (0.1, 0.1),
+    "isotr_high_offc": (0.34, 0.34),
+    "heavy_anisotr_lowx": (0.2 / 3**0.5, 0.2 * 3**0.5),
+    "heavy_anisotr_lowy": (0.2 * 3**0.5, 0.2 / 3**0.5),
+    "low_anisotr_lowx": (0.2 / 1.5**0.5, 0.2 * 1.5**0.5),
+    "low_anisotr_lowy": (0.2 * 1.5**0.5, 0.2 / 1.5**0.5),
+}
+
+
+def test_conditions_are_the_frictions_of_the_table():
+    world = PuckSimulator().world
+    assert FRICTIONS.keys() == set(CONDITIONS)
+    for condition, (along_x, along_y) in FRICTIONS.items():
+        puck = make_simulator("puck", condition=condition)
+        friction = world.compiled(puck.built_in).pair("slide").friction
+        np.testing.assert_allclose(friction[:2], [along_y, along_x], rtol=1e-12)  # the first direction is y
+        assert puck.off_centre == (0.008 if condition.endswith("offc") else 0.0)
+        assert (puck.built_in is None) == (condition in ("normal", "isotr_med"))
+
+
+def test_effects_are_bounded_so_that_the_puck_comes_to_rest():
+    puck = make_simulator("puck")
+    world = {effect.name: effect.bounds for effect in puck.world.all_effects()}
+    expected = {name: (-0.08, 0.08) for name in ("tilt[x]", "tilt[y]")}
+    expected |= {name: (-0.12, 0.12) for name in ("wind[x]", "wind[y]")}
+    expected |= {"contact_friction[slide]": (0.2, 10.0), "contact_anisotropy[slide]": (0.2, 5.0)}
+    expected |= {f"bias[{axis}]": (-2.0, 2.0) for axis in "xy"} | {
+        f"scale[{axis}]": (0.1, 10.0) for axis in "xy"
+    }
+    expected |= {"gain[stick]": (0.2, 3.0)}
+    own = ("mass[puck]", "air_drag[all]", "contact_friction[hit]", "restitution[hit]")
+    assert {effect.name: effect.bounds for effect in puck.effects()} == expected | {
+        name: world[name] for name in own
+    }
+    assert puck.units == {"x": "m", "y": "m"}
+    assert {effect.unit for effect in puck.effects() if effect.family == "bias"} == {"m"}
+
+
+def test_strikes_are_those_of_plain_mujoco_run_until_nothing_slides():
+    puck, z = make_simulator("puck"), strikes(2)
+    model = mujoco.MjModel.from_xml_string(MODEL)
+    for strike, place in zip(puck.initial_states(z), puck.predict(z)):
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:] = np.split(strike, 2)
+        while max(np.hypot(*data.qvel[:2]), np.hypot(*data.qvel[4:])) >= 0.005:
+            mujoco.mj_step(model, data, 50)
+        np.testing.assert_allclose(place, data.qpos[:2], atol=1e-9)
+        assert 0.1 < data.time < 15

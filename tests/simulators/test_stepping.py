@@ -310,6 +310,36 @@ def test_a_motor_loses_force_with_speed_and_gains_none(n_substeps):
         np.testing.assert_allclose(states[0, index], expected, atol=1e-12)
 
 
+@pytest.mark.parametrize("slope", [0.0, 0.3])
+def test_a_late_torque_follows_what_speed_leaves_of_the_one_that_is_wanted(slope):
+    """Of a filter of first order, whose input is constant within a substep, the mean acts."""
+    motor = '<general joint="yaw" gear="2" biastype="affine" forcerange="-1 0.5" forcelimited="true"/>'
+    text = ARM.replace('<motor joint="yaw" gear="2"/>', motor)
+    model, inputs, hidden = mujoco.MjModel.from_xml_string(text), rows(8) * 4, np.full((8, 1), np.nan)
+    hidden[::2, 0] = np.linspace(-1.5, 1.5, 4)
+    lags = (0.003, 0.02)
+    laws = [Forces(torque_lags=((0, lag),), speed_slopes=((0, slope),) if slope else ()) for lag in lags]
+    jobs = [Job(0, model, 4, forces, hidden=hidden) for forces in laws]
+    states, after = Stepper().run(jobs, inputs)
+    for place, lag in enumerate(lags):
+        for index, row in enumerate(inputs[0]):
+            torque = hidden[index, 0]
+
+            def late(_, data, control, lag=lag):
+                nonlocal torque
+                lost = slope * data.actuator_velocity[0]
+                low, high = np.clip([-1 - lost, 0.5 - lost], -1, 0.5)
+                wanted = np.clip(control[0], low, high)
+                torque = wanted if np.isnan(torque) else torque
+                way = 1 - np.exp(-0.004 / lag)
+                data.ctrl[0] = np.clip(wanted + (torque - wanted) * way * lag / 0.004, low, high)
+                torque += way * (wanted - torque)
+
+            expected = renewed(late, row, 4)
+            np.testing.assert_allclose(states[place, index], expected, atol=1e-11)
+            assert after[place][index, 0] == pytest.approx(torque, abs=1e-12)
+
+
 def test_a_gears_friction_is_that_of_its_load():
     """The motor's torque against that of gravity and springs."""
     inputs = rows(8)
@@ -416,3 +446,26 @@ def test_a_contact_is_seen_in_its_row():
     model = mujoco.MjModel.from_xml_string(text)
     inputs = np.array([[[0.5, 0.0], [-0.01, 0.0], [0.2, 0.0], [-0.02, 0.0]]])
     np.testing.assert_array_equal(Stepper().constrained(Job(0, model, 1), inputs), [False, True, False, True])
+
+
+NOTHING = {
+    "plain": Forces(),
+    "drag": Forces(body=1, drag_all=1e-30),
+    "dead zone": Forces(dead_zones=((1, 1e-30),)),
+    "friction": Forces(friction=((1, 1, tuple(NEUTRAL.values())),)),
+}
+
+
+@pytest.mark.parametrize("n_substeps", [1, 3])
+@pytest.mark.parametrize("forces", NOTHING.values(), ids=NOTHING)
+def test_a_solver_that_stops_early_starts_each_row_from_nothing(forces, n_substeps):
+    """With one iteration it shows where it began: laws of nothing look at the state before, and earlier rows ran."""
+    text = ARM.replace('<option timestep="0.004"', '<option timestep="0.004" iterations="1" tolerance="0"')
+    model = mujoco.MjModel.from_xml_string(text.replace("<joint ", '<joint frictionloss="0.3" '))
+    inputs, stepper = rows(4), Stepper()
+    for _ in range(2):
+        states, _ = stepper.run([Job(0, model, n_substeps, forces)], inputs)
+        for index in range(4):
+            np.testing.assert_allclose(
+                states[0, index], plain(model, inputs[0, index], n_substeps), atol=1e-12
+            )

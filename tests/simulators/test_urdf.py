@@ -154,6 +154,18 @@ def test_mass_damping_friction_effort_and_places_are_written_where_they_stand():
     assert element(text, "joint[@name='elbow']/origin") == {"xyz": "0.0 0.0 0.5"}
 
 
+def test_a_base_that_is_bolted_elsewhere_is_moved_at_its_bolt():
+    bolt = '<joint name="bolt" type="fixed"><parent link="world"/><child link="base"/></joint>'
+    text = ARM.replace("</robot>", f"{bolt}</robot>")
+    nominal = model_of(text)
+    edited = copy.copy(nominal)
+    assert nominal.body("base").id == 1
+    edited.body_pos[1] = [0.1, 0.0, 0.5]
+    moved = edited_urdf(text, nominal, edited)
+    assert element(moved, "joint[@name='bolt']/origin") == {"xyz": "0.1 0.0 0.5"}
+    np.testing.assert_allclose(model_of(moved).body_pos, edited.body_pos)
+
+
 def test_what_the_compiler_took_from_shapes_is_written_as_an_inertial():
     nominal = model_of(ARM)
     pad = nominal.body("pad").id
