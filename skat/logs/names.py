@@ -118,8 +118,8 @@ EPISODES = (
     *("traj_id", "run", "run_id", "trial", "trial_id", "demo", "demo_id", "rollout", "rollout_id"),
 )
 UNIT = re.compile(
-    r"[_\s.\-\[(]+(deg(?:rees?)?(?:/s|_s|_per_s|ps)?|rad(?:ians?)?(?:/s|_s|_per_s|ps)?|rpm|rps|mrad|ms|us|ns|mm/s|mm|cm|"
-    r"m/s|m_s|N[_ ]?m|mNm|sec|seconds|milliseconds|microseconds|nanoseconds|s|m)[\])]?$"
+    r"[_\s.\-\[(]+((?:deg(?:rees?)?|rad(?:ians?)?)(?:/s|_s|_per_s|ps)?|(?:mm|cm|m)(?:/s|_s|_per_s)?|rpm|rps|mrad|"
+    r"ms|us|ns|N[_ ]?m|mNm|sec|seconds|milliseconds|microseconds|nanoseconds|s)[\])]?$"
 )
 WORDS = {
     "degree": "deg",
