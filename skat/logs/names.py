@@ -207,13 +207,8 @@ def reading(column: str, label: str = "", topic: str = "") -> Reading:
     inside = column.removeprefix(f"{topic}.") if topic else column
     element = ELEMENT.match(inside)
     base, part = (element[1], label or element[2]) if element else (inside, label)
-    unit = ""
-    if element:
-        base, unit = named_unit(base)
-        part_words = tokens(part)
-    else:
-        base, unit = named_unit(base)
-        part_words = ()
+    base, unit = named_unit(base)
+    part_words = tokens(part) if element else ()
     words = (*tokens(base), *part_words)
     kind, of = _kind(words)
     if not kind and topic:
@@ -225,8 +220,6 @@ def reading(column: str, label: str = "", topic: str = "") -> Reading:
         and not set(tokens(topic)) & STATE
     ):
         kind, of = "ctrl", kind
-    elif kind == "state" and topic:
-        kind = "state"
     dropped = POSITION | VELOCITY | COMMAND | EFFORT | FILLER
     key = tuple(word for word in words if word not in dropped)
     if element and not key:
