@@ -66,6 +66,7 @@ class Inputs:
     roots: tuple[str, ...]
     servos: Mapping[str, str]
     limits: Mapping[str, tuple[float, float]]
+    units: Mapping[str, str]
 
 
 def plan(
@@ -150,16 +151,20 @@ def simulator_inputs(simulator: Simulator) -> Inputs:
         keys[name] = [joint_key(own)]
     servos: dict[str, str] = {}
     limits: dict[str, tuple[float, float]] = {}
+    units = dict(simulator.units)
     roots: list[str] = []
     if model is not None:
         for actuator, name in enumerate(kinds["ctrl"]):
+            servos[name] = _servo(model, actuator)
+            if servos[name] == "effort":
+                units[name] = "N"
             if int(model.actuator_trntype[actuator]) == 0:
                 joint = int(model.actuator_trnid[actuator, 0])
                 driven = model.joint(joint).name or f"joint{joint}"
                 if joint_key(driven) not in keys[name]:
                     keys[name].append(joint_key(driven))
                 limits |= _range(model, joint, name)
-            servos[name] = _servo(model, actuator)
+                units.setdefault(name, units.get(f"{servos[name]}.{driven}", ""))
         for joint in range(model.njnt):
             named = model.joint(joint).name or f"joint{joint}"
             if int(model.jnt_type[joint]) >= 2:
@@ -174,6 +179,7 @@ def simulator_inputs(simulator: Simulator) -> Inputs:
         tuple(roots),
         servos,
         limits,
+        units,
     )
 
 
@@ -225,7 +231,7 @@ def _renamed(
         keys |= dict.fromkeys(names, (key,))
         del rest[ours]
         if unit:
-            rest |= {name: rest.get(name, f":{unit}") for name in names if _takes(name, unit, inputs)}
+            rest |= {name: rest.get(name, f":{unit}") for name in _meant(ours, names, unit, inputs)}
     return replace(inputs, keys=keys), rest
 
 
@@ -244,7 +250,7 @@ def _told(
         names = _ours(ours, inputs, recording)
         theirs, unit = without_unit(text, known)
         if unit:
-            units |= dict.fromkeys(names, unit)
+            units |= dict.fromkeys(_meant(ours, names, unit, inputs), unit)
         if theirs == "-" or (theirs == "" and not unit):
             left_out += names
             for name in names:
@@ -576,17 +582,23 @@ def _units(
             found[pattern] = unit
             continue
         names = _ours(pattern, inputs, recording)
-        if pattern == "*":
-            names = [name for name in names if _takes(name, unit, inputs)]
-        found |= dict.fromkeys(names, unit)
+        found |= dict.fromkeys(_meant(pattern, names, unit, inputs), unit)
     return found | told
 
 
-def _takes(name: str, unit: str, inputs: Inputs) -> bool:
-    """Whether a unit for all channels is meant for this one."""
-    if name in inputs.roots:
-        return False
-    return name not in inputs.kinds["ctrl"] or inputs.servos.get(name, "effort") != "effort"
+def _meant(pattern: str, names: list[str], unit: str, inputs: Inputs) -> list[str]:
+    """Return the channels that a unit is meant for: of a pattern's, those that it measures, and of ``*`` no efforts."""
+    if "*" not in pattern:
+        return names
+    if pattern.startswith("*"):
+        efforts = [name for name in inputs.kinds["ctrl"] if inputs.servos.get(name, "effort") == "effort"]
+        names = [name for name in names if name not in (*inputs.roots, *efforts)]
+    try:
+        kind = parsed_unit(unit, limits=(0.0, 1.0)).kind
+    except ValueError:
+        return names
+    own = {"A": "rad", "L": "m"}.get(kind[:1], "")
+    return [name for name in names if (inputs.units.get(name) or own).startswith(own)] or names
 
 
 def _unit(text: str, name: str, inputs: Inputs, simulator: Simulator, recording: Recording) -> Unit:
