@@ -636,18 +636,17 @@ def _times(
     """Return {stream: (column, unit)} of the clocks of the streams that are used."""
     if columns.get("time") == "-":
         return {}
-    if "time" in columns:
-        theirs, unit = without_unit(columns["time"], known)
-        theirs = theirs or next(
-            (name for name, one in known.items() if is_time(name, streams[one.stream].name)), ""
-        )
+    theirs, unit = without_unit(columns.get("time", ""), known)
+    told, shared = unit or told_units.get("time"), told_units.get("time")
+    own: dict[int, tuple[str, str | None]] = {}
+    if theirs:
         if theirs not in known:
             raise _no_column(theirs, "time", known, recording)
-        clock = {
-            known[theirs].stream: (theirs, unit or told_units.get("time") or named_unit(theirs)[1] or None)
-        }
-        if set(clock) >= used:
-            return clock
+        own = {known[theirs].stream: (theirs, told or named_unit(theirs)[1] or None)}
+        if set(own) >= used:
+            return own
+    else:
+        shared = told
     times: dict[int, tuple[str, str | None]] = {}
     message = [
         place
@@ -663,8 +662,8 @@ def _times(
         clocks = [column for column in stream.columns if is_time(column, stream.name)]
         plain = [column for column in clocks if column == "time"] or sorted(clocks, key=len)
         if plain:
-            times[place] = (plain[0], told_units.get("time") or named_unit(plain[0])[1] or None)
-    return times if "time" not in columns else times | clock
+            times[place] = (plain[0], shared or named_unit(plain[0])[1] or None)
+    return times | own
 
 
 def _episode(

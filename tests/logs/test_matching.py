@@ -192,3 +192,27 @@ def test_commands_of_servos_are_positions(commands, chosen):
 def test_what_cannot_be_chosen_is_asked_for(columns, problem, advice, options):
     error = refused(columns)
     assert (error.where, error.problem, error.advice, error.options) == ("log", problem, advice, options)
+
+
+ALL = "qpos.rail qpos.hip qvel.rail qvel.hip ctrl.push ctrl.turn"
+
+
+@pytest.mark.parametrize(
+    ("columns", "told", "clock"),
+    [
+        ("t time", {}, ("time", None)),
+        ("clock t_us stamp_ms", {}, ("t_us", "us")),
+        ("sim_clock_ms", {}, ("sim_clock_ms", "ms")),
+        ("t time", {"units": {"time": "ms"}}, ("time", "ms")),
+        # A unit alone does not say which clock.
+        ("t time", {"columns": {"time": ":us"}}, ("time", "us")),
+        ("t time_ns", {"columns": {"time": ":us"}, "units": {"time": "ms"}}, ("t", "us")),
+        ("time tick_ms", {"columns": {"time": "tick_ms"}}, ("tick_ms", "ms")),
+        ("time tick_ms", {"columns": {"time": "tick_ms:us"}}, ("tick_ms", "us")),
+        ("time tick_ms", {"columns": {"time": "tick_ms"}, "units": {"time": "s"}}, ("tick_ms", "s")),
+        ("time", {"columns": {"time": "-"}}, None),
+        ("elapsed", {}, None),
+    ],
+)
+def test_the_clock_of_a_table_is_one_that_is_told_or_named_so(columns, told, clock):
+    assert planned(MOTORS, f"{columns} {ALL}", **told).times == ({0: clock} if clock else {})
