@@ -169,7 +169,7 @@ def simulator_inputs(simulator: Simulator) -> Inputs:
             named = model.joint(joint).name or f"joint{joint}"
             if int(model.jnt_type[joint]) >= 2:
                 limits |= _range(model, joint, f"qpos.{named}")
-            elif int(model.jnt_type[joint]) == 0 and int(model.body_parentid[model.jnt_bodyid[joint]]) == 0:
+            elif int(model.jnt_type[joint]) == 0:
                 mine = (f"qpos.{named}.", f"qvel.{named}.")
                 roots += [name for name in names if name.startswith(mine)]
     return Inputs(

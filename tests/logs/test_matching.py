@@ -216,3 +216,206 @@ ALL = "qpos.rail qpos.hip qvel.rail qvel.hip ctrl.push ctrl.turn"
 )
 def test_the_clock_of_a_table_is_one_that_is_told_or_named_so(columns, told, clock):
     assert planned(MOTORS, f"{columns} {ALL}", **told).times == ({0: clock} if clock else {})
+
+
+ARM = ("/arm", "/arm.q[rail] /arm.q[hip] /arm.header.stamp /arm.time /arm.run")
+TOLD = ("/cmd", "/cmd.data[1] /cmd.data[0] /cmd.time")
+OTHER = ("/other", "/other.q[rail] /other.q[hip] /other.time /other.header.stamp")
+
+
+@pytest.mark.parametrize(
+    ("streams", "told", "clocks"),
+    [
+        ([ARM], {"columns": {"ctrl.*": "0"}}, ["/arm.header.stamp"]),
+        # Stamps of the sender count where every topic that is used has them: clocks must be one.
+        ([ARM, TOLD], {}, ["/arm.time", "/cmd.time"]),
+        ([ARM, ("/cmd", f"{TOLD[1]} /cmd.header.stamp")], {}, ["/arm.header.stamp", "/cmd.header.stamp"]),
+        ([OTHER, ARM, TOLD], {"topic": "/arm"}, [None, "/arm.time", "/cmd.time"]),
+        ([ARM, TOLD], {"columns": {"time": "/arm.run:ms"}}, ["/arm.run", "/cmd.time"]),
+    ],
+)
+def test_clocks_of_topics_are_those_of_their_messages(streams, told, clocks):
+    found = planned(MOTORS, *streams, **told)
+    expected = {place: clock for place, clock in enumerate(clocks) if clock}
+    assert {place: clock for place, (clock, _) in found.times.items()} == expected
+    assert {unit for clock, unit in found.times.values() if clock != "/arm.run"} <= {"s"}
+    assert [match.theirs for match in found.matches if match.name == "time"] == list(expected.values())
+    assert taken(found)["qpos.hip"] == ("/arm.q[hip]", "", "by its name")
+
+
+def test_tables_beside_each_other_have_clocks_of_their_own():
+    tables = [("a", "a.t a.rail_pos a.hip_pos"), ("b", "b.t_ms b.tick b.u1 b.u2"), ("c", "c.time")]
+    assert planned(MOTORS, *tables).times == {0: ("a.t", None), 1: ("b.t_ms", "ms")}
+    told = planned(MOTORS, *tables, columns={"time": "b.tick:us"}, units={"time": "s"})
+    assert told.times == {0: ("a.t", "s"), 1: ("b.tick", "us")}
+    assert planned(MOTORS, *tables, columns={"time": ":us"}).times == {0: ("a.t", "us"), 1: ("b.t_ms", "us")}
+
+
+@pytest.mark.parametrize(("topic", "advised"), [("cmd", "/cmd"), ("/leg", "/arm")])
+def test_a_topic_that_is_not_there_is_told_with_one_that_is(topic, advised):
+    error = refused(ARM, TOLD, topic=topic)
+    assert error.problem == f"has no topic {topic!r} with numbers; it has /arm, /cmd."
+    assert error.options == {"topic": advised}
+    assert refused(OTHER, ARM, TOLD).options == {"topic": "/other"}
+    assert planned(MOTORS, f"time {ALL}", topic=topic).lacking == ()  # a table has none
+
+
+@pytest.mark.parametrize(
+    ("columns", "told", "episode", "how"),
+    [
+        ("run Episode", {}, "Episode", "by its name"),
+        ("Traj_ID lap", {}, "Traj_ID", "by its name"),
+        ("run Episode", {"episodes": "run"}, "run", "told"),
+        ("run lap", {"columns": {"episode": "lap"}}, "lap", "told"),
+        ("run lap", {"columns": {"episode": "lap"}, "episodes": "gaps"}, "lap", "told"),
+        ("run", {"episodes": "gaps"}, None, None),
+        ("lap", {}, None, None),
+    ],
+)
+def test_episodes_are_told_apart_by_what_is_told_or_named_so(columns, told, episode, how):
+    found = planned(MOTORS, f"time {columns} {ALL}", **told)
+    assert found.episode == ((0, episode) if episode else None)
+    matched = [(match.theirs, match.unit, match.how) for match in found.matches if match.name == "episode"]
+    assert matched == ([(episode, "", how)] if episode else [])
+    assert planned(MOTORS, ("a", f"time {ALL}"), ("b", "b.t run")).episode is None
+
+
+@pytest.mark.parametrize(("columns", "advised"), [("time Run", "Run"), ("time lap", "gaps")])
+def test_a_column_of_episodes_that_is_not_there_is_told_with_what_may_be_meant(columns, advised):
+    error = refused(f"{columns} {ALL}", episodes="turn")
+    assert error.problem == (
+        f"was told to tell episodes apart and is not there; it has {', '.join(f'{columns} {ALL}'.split())}."
+    )
+    assert error.options == {"episodes": advised}
+
+
+SAID = [
+    # What names one channel comes before what names many, in any order.
+    ({"qpos.hip": "b", "qpos.*": "*_a"}, "rail_a hip_a b", "rail_a b", "told", 2),
+    ({"qpos.*": "*_a", "qpos.hip": "b"}, "rail_a hip_a b", "rail_a b", "told", 2),
+    ({"qpos.hip": "-", "qpos.*": "*_a"}, "rail_a hip_a", "rail_a", "told", 3),
+    ({"qpos.*": "j_*_p"}, "j_10_p j_2_p", "j_2_p j_10_p", "told, by order", 2),
+    ({"qpos.*": "j_*_p"}, "j_hip_joint_p j_rail_joint_p j_p", "j_rail_joint_p j_hip_joint_p", "told", 2),
+    ({"qpos.*": "angle"}, "angle[10] angle[9]", "angle[9] angle[10]", "told, by order", 2),
+    ({"qpos.*": "angle"}, "angle[hip] angle[rail]", "angle[rail] angle[hip]", "told", 2),
+    ({"qpos.*": "angle"}, "angle[7] angle[8]", "angle[8] angle[7]", "told", 2),
+    ({"qpos.*": "arm/angle"}, "/arm/angle[0] /arm/angle[1]", "/arm/angle[0] /arm/angle[1]", "told, by order", 2),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("columns", "theirs", "expected", "how", "n_lacking"), SAID)
+def test_columns_are_those_that_the_user_says(columns, theirs, expected, how, n_lacking):
+    labels = {"angle[7]": "hip.pos", "angle[8]": "rail.pos"}
+    found = planned(MOTORS, f"time {theirs} u1 u2", columns=columns, labels=labels)
+    positions = {name: match for name, match in taken(found).items() if name.startswith("qpos.")}
+    assert [match[0] for match in positions.values()] == expected.split()
+    assert {match[2] for match in positions.values()} == {how}
+    assert len(found.lacking) == n_lacking
+
+
+def test_constants_units_and_what_is_left_out_are_those_that_the_user_says():
+    said = {"qpos.rail": "a:mm", "qpos.hip": "b", "qvel.*": "-", "ctrl.turn": "0:-x:2", "ctrl.*": "0.5"}
+    found = planned(MOTORS, "time a b 0 rail_vel hip_vel", columns=said, units={"qpos.rail": "cm"})
+    assert taken(found) == {
+        "qpos.rail": ("a", "mm", "told"),
+        "qpos.hip": ("b", "", "told"),
+        "ctrl.push": ("0.5", "", "told"),
+        "ctrl.turn": ("0", "-x:2", "told"),
+    }
+    assert found.constants == {"ctrl.push": 0.5}
+    assert found.lacking == ("qvel.rail", "qvel.hip")
+    assert found.told_units == {"qpos.rail", "ctrl.turn"}
+    unit = found.found["ctrl.turn"][2]
+    assert (unit.factor, unit.sign) == (2.0, -1.0)
+
+
+def test_a_topic_of_commands_is_told_by_its_name_where_it_has_one_array():
+    found = taken(planned(MOTORS, ARM, TOLD, columns={"ctrl.*": "/cmd"}))
+    assert found["ctrl.push"] == ("/cmd.data[0]", "", "told, by order")
+    assert found["ctrl.turn"] == ("/cmd.data[1]", "", "told, by order")
+    two = refused(ARM, (TOLD[0], f"{TOLD[1]} /cmd.other[0]"), columns={"ctrl.*": "/cmd"})
+    assert (two.where, two.problem) == ("log, column '/cmd'", "was told for ctrl.* and is not there.")
+
+
+@pytest.mark.parametrize(
+    ("theirs", "columns", "where", "problem", "advice"),
+    [
+        ("a b", {"qpos.*": "a"}, "column a", "is one column, and qpos.* means 2 inputs: qpos.rail, qpos.hip.",
+         "Name one input for it, or put * for what differs in their names."),
+        ("q_1 q_2 q_3", {"qpos.*": "q_*"}, "q_*",
+         "has 3 columns (q_1, q_2, q_3) for 2 inputs; none is named after qpos.rail, qpos.hip.",
+         "Name each: columns={'qpos.rail': 'q_1'} (on the command line --map 'qpos.rail=q_1')."),
+        ("q_hip q_2", {"qpos.*": "q_*"}, "q_*",
+         "has 2 columns (q_hip, q_2) for 2 inputs; none is named after qpos.rail.",
+         "Name each: columns={'qpos.rail': 'q_hip'} (on the command line --map 'qpos.rail=q_hip')."),
+        ("rail_pos b", {"qpos.rail": "rail_p"}, "column 'rail_p'", "was told for qpos.rail and is not there.",
+         "It has rail_pos."),
+        ("rail_pos b", {"qpos.rail": "zz"}, "column 'zz'", "was told for qpos.rail and is not there.",
+         "It has time, rail_pos, b, u1, u2."),
+        ("a b", {"qpos.knee": "a"}, "columns['qpos.knee']", "is no input of the simulator.",
+         f"It has {', '.join(ALL.split())}, time and episode."),
+        ("a b", {"act.*": "a"}, "columns['act.*']", "means no input of the simulator.",
+         f"It has {', '.join(ALL.split())}."),
+        ("a b", {"qpos.hip": "a:m"}, "unit of qpos.hip", "'m' does not measure what the model has in rad.",
+         "Check the unit or the name."),
+        ("a b", {"qpos.hip": "a", "qvel.rail": "b:rpm"}, "unit of qvel.rail",
+         "'rpm' does not measure what the model has in m/s.", "Check the unit or the name."),
+        ("a b", {"time": "tick", "qpos.rail": "a"}, "column 'tick'", "was told for time and is not there.",
+         "It has time, a, b, u1, u2."),
+    ],
+)  # fmt: skip
+def test_what_a_user_says_and_is_not_there_is_told(theirs, columns, where, problem, advice):
+    error = refused(f"time {theirs} u1 u2", columns=columns)
+    assert (error.where, error.problem, error.advice) == (f"log, {where}", problem, advice)
+
+
+def test_rates_told_as_angles_or_lengths_are_those_in_a_second():
+    units = {
+        "qpos.hip": "deg",
+        "qvel.hip": "deg",
+        "qvel.rail": "mm",
+        "ctrl.push": "A:0.5",
+        "ctrl.turn": "mNm",
+    }
+    found = planned(MOTORS, f"time {ALL}", units=units)
+    assert {name: unit for name, (_, unit, _) in taken(found).items() if unit} == units
+
+
+@pytest.mark.parametrize(
+    ("columns", "theirs", "positions"),
+    [
+        ({"*.hip": "leg"}, "rail_q leg_q rail_v leg_v", ["rail_q", "leg_q"]),
+        ({"*.rail": "0"}, "hip_q", ["0", "hip_q"]),
+        ({"*.rail": "-"}, "rail_q hip_q", [None, "hip_q"]),
+        ({"qpos.*": "*_q"}, "rail_q hip_q", ["rail_q", "hip_q"]),
+    ],
+)
+def test_a_joints_name_in_all_columns_a_number_and_a_dash_are_told_apart(columns, theirs, positions):
+    found = taken(planned(MOTORS, f"time {theirs} u_push u_turn", columns=columns))
+    assert [found.get(name, [None])[0] for name in ("qpos.rail", "qpos.hip")] == positions
+    assert [found[name][0] for name in ("ctrl.push", "ctrl.turn")] == ["u_push", "u_turn"]
+
+
+URDF = """
+<robot name="arm"><link name="world"/>
+  <link name="arm">
+    <inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+  </link>
+  <joint name="hip" type="continuous"><axis xyz="0 1 0"/><parent link="world"/><child link="arm"/></joint>
+</robot>
+"""
+
+
+def test_commands_of_a_urdf_ask_what_drives_its_joints():
+    record = Recording("log", (Stream("", ("time", "hip_pos", "hip_cmd"), None),))
+    with pytest.raises(
+        LogError, match=r"has commands \(hip_cmd\), and the model, a URDF, has no actuators\."
+    ):
+        plan(record, MujocoSimulator(URDF), {}, None, None, None)
+    for motors in ("torque", "none"):
+        found = plan(record, MujocoSimulator(URDF, motors=motors), {}, None, None, None)
+        assert ("ctrl.hip" in found.found) == (motors == "torque")
+    silent = Recording("log", (Stream("", ("time", "hip_pos"), None),))
+    assert plan(silent, MujocoSimulator(URDF), {}, None, None, None).lacking == ("qvel.hip",)
+    used = plan(record, MujocoSimulator(URDF), {"qvel.hip": "hip_cmd"}, None, None, None)
+    assert used.found["qvel.hip"][1] == "hip_cmd"
