@@ -1,0 +1,302 @@
+"""What is in files of each format: whole recordings, with the names, numbers and notes that readers make of them."""
+
+import json
+
+import numpy as np
+import pytest
+
+from skat.logs import LogError
+from skat.logs.readers import hdf5, lerobot, minari, parquet
+from skat.logs.readers.messages import FIRST_MESSAGES, messages_recording
+
+pytest.importorskip("pyarrow")
+pytest.importorskip("h5py")
+
+
+def numbers(stream, names=None):
+    """Return {name: list} of a stream's columns, NaN as None."""
+    found = stream.read(names or stream.columns)
+    return {
+        name: [None if isinstance(value, float) and np.isnan(value) else value for value in values.tolist()]
+        for name, values in found.items()
+    }
+
+
+# -- Parquet and LeRobot -----------------------------------------------------------------------------------------------
+
+
+def write_parquet(path, **columns):
+    import pyarrow.parquet
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    pyarrow.parquet.write_table(pyarrow.table(columns), path)
+    return path
+
+
+def test_cells_of_lists_are_columns_and_empty_ones_not_measured(tmp_path):
+    path = write_parquet(
+        tmp_path / "a.parquet",
+        t=[0.0, 0.5, None],
+        v=[[1, 2, 3], None, [4.0, 5.0, 6.5]],
+        word=["a", "b", None],
+        inner=[[[1]], [[2]], [[3]]],
+        none=[[], [1.0], [2.0]],
+    )
+    (stream,) = parquet.read(path).streams
+    assert stream.columns == ("t", "v[0]", "v[1]", "v[2]", "word", "none")
+    assert numbers(stream, ["v[2]", "t", "v[0]"]) == {
+        "v[2]": [3, None, 6.5],
+        "t": [0.0, 0.5, None],
+        "v[0]": [1, None, 4],
+    }
+    assert stream.read(["word"])["word"].tolist()[:2] == ["a", "b"]
+
+
+@pytest.mark.parametrize("lengths", [(2, 1, 3), (2, 2, 1), (2, None, 3)])
+def test_lists_of_other_lengths_are_refused_also_where_they_are_as_many_in_all(tmp_path, lengths):
+    cells = [None if length is None else list(range(length)) for length in lengths]
+    (stream,) = parquet.read(write_parquet(tmp_path / "a.parquet", v=cells)).streams
+    row = next(row for row, length in enumerate(lengths) if length not in (2, None))
+    with pytest.raises(
+        LogError, match=rf"row {row}, column v: holds {lengths[row]} numbers, the first row 2"
+    ):
+        stream.read(["v[0]"])
+
+
+def write_lerobot(folder, features, version="v2.1", **described):
+    (folder / "meta").mkdir(parents=True)
+    info = {"codebase_version": version, "features": features} | described
+    (folder / "meta" / "info.json").write_text(json.dumps(info))
+    for place, chunk in enumerate(("chunk-000", "chunk-000", "chunk-001")):
+        state = [[10.0 * place + row, -row] for row in range(2)]
+        write_parquet(folder / "data" / chunk / f"episode_{place}.parquet", state=state, n=[place] * 2)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("names", "labels"),
+    [
+        (["hip.pos", "knee.pos"], ["hip.pos", "knee.pos"]),
+        ({"motors": ["hip", "knee"]}, ["hip", "knee"]),
+        ({"hip": 1, "knee": 0}, ["knee", "hip"]),
+        ({"motors": {"hip": 1, "knee": 0}}, ["knee", "hip"]),
+        (["hip"], None),
+        ({}, None),
+        (None, None),
+        ("hip", None),
+    ],
+)
+def test_a_lerobot_is_its_files_after_each_other_with_the_names_of_its_description(tmp_path, names, labels):
+    features = {"state": {"names": names}, "n": {"names": None}, "camera": "none"}
+    record = lerobot.read(write_lerobot(tmp_path / "set", features, fps=50))
+    (stream,) = record.streams
+    assert (record.source, record.rate) == (str(tmp_path / "set"), 50.0)
+    assert record.notes == ("LeRobot v2.1, 3 files",)
+    assert stream.columns == ("state[0]", "state[1]", "n")
+    assert stream.labels == (dict(zip(stream.columns, labels)) if labels else {})
+    assert numbers(stream) == {
+        "state[0]": [0, 1, 10, 11, 20, 21],
+        "state[1]": [0, -1, 0, -1, 0, -1],
+        "n": [0, 0, 1, 1, 2, 2],
+    }
+
+
+@pytest.mark.parametrize(
+    ("fps", "rate"),
+    [(30, 30.0), (12.5, 12.5), (0, None), (-5, None), (True, None), ("30", None), (None, None)],
+)
+def test_the_rate_of_a_lerobot_is_a_positive_number(tmp_path, fps, rate):
+    assert lerobot.read(write_lerobot(tmp_path / "set", {}, version="v3.0", fps=fps)).rate == rate
+
+
+# -- HDF5 and Minari ---------------------------------------------------------------------------------------------------
+
+
+def write_hdf5(path, **arrays):
+    import h5py
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with h5py.File(path, "w") as file:
+        for name, values in arrays.items():
+            if values is not None:
+                file[name.replace("__", "/")] = values
+    return path
+
+
+def test_groups_of_the_same_data_sets_are_episodes_in_the_order_of_their_numbers(tmp_path):
+    path = write_hdf5(
+        tmp_path / "a.h5",
+        **{
+            f"run_{run}__{name}": values
+            for run in (10, 2)
+            for name, values in (
+                ("t", np.arange(3.0) + run),
+                ("v", np.arange(6.0).reshape(3, 2) - run),
+                ("deep__w", np.arange(12.0).reshape(3, 2, 2) * run),
+                ("constants", np.zeros(7)),
+            )
+        },
+    )
+    (stream,) = hdf5.read(path).streams
+    assert set(stream.columns) == {
+        "t",
+        "v[0]",
+        "v[1]",
+        *(f"deep/w[{place}]" for place in range(4)),
+        "episode",
+    }
+    assert numbers(stream, ["t", "v[1]", "deep/w[2]", "episode"]) == {
+        "t": [2, 3, 4, 10, 11, 12],
+        "v[1]": [-1, 1, 3, -9, -7, -5],
+        "deep/w[2]": [4, 12, 20, 20, 60, 100],
+        "episode": ["run_2"] * 3 + ["run_10"] * 3,
+    }
+
+
+def test_a_group_is_chosen_by_its_name(tmp_path):
+    path = write_hdf5(
+        tmp_path / "a.h5", arm__t=np.arange(3.0), arm__q=np.ones((3, 1)), hand__t=np.arange(2.0)
+    )
+    for topic in ("arm", "/arm/"):
+        (stream,) = hdf5.read(path, topic).streams
+        assert numbers(stream) == {"q[0]": [1, 1, 1], "t": [0, 1, 2]}
+    with pytest.raises(LogError, match=r"has no group 'leg'\. It has: arm, hand\."):
+        hdf5.read(path, "leg")
+    (stream,) = hdf5.read(write_hdf5(tmp_path / "b.h5", one=np.arange(3.0), run__t=np.arange(3.0))).streams
+    assert set(stream.columns) == {"one", "run/t"}
+
+
+def write_minari(folder, *episodes, metadata="{}"):
+    arrays = {f"episode_{place}__{name}": values for place, one in episodes for name, values in one.items()}
+    write_hdf5(folder / "data" / "main_data.hdf5", **arrays)
+    (folder / "data" / "metadata.json").write_text(metadata)
+    return folder
+
+
+def steps(n_rows, first, **more):
+    return {
+        "rewards": np.zeros(n_rows - 1),
+        "observations__q": first + np.arange(2.0 * n_rows).reshape(n_rows, 2),
+        "actions": first - np.arange(n_rows - 1.0),
+    } | more
+
+
+def test_episodes_of_a_minari_follow_each_other_and_its_actions_have_a_last_one(tmp_path):
+    more = {
+        "infos__time": np.arange(3.0),
+        "infos__image": np.arange(12).reshape(3, 2, 2),
+        "infos__word": np.array([b"a", b"b", b"c"]),
+        "infos__short": np.zeros(7),
+        "infos__single": 1.0,
+        "other": np.zeros(3),
+    }
+    path = write_minari(tmp_path / "set", (10, steps(3, 100.0, **more)), (2, steps(3, 0.0, **more)))
+    record = minari.read(path)
+    (stream,) = record.streams
+    assert (record.source, record.rate, record.notes) == (str(path), None, ("Minari, 2 episodes",))
+    pixels = {f"infos.image[{place}]": 2 * [float(4 * row + place) for row in range(3)] for place in range(4)}
+    assert (
+        numbers(stream)
+        == {
+            "observations.q[0]": [0, 2, 4, 100, 102, 104],
+            "observations.q[1]": [1, 3, 5, 101, 103, 105],
+            "actions": [0, -1, -1, 100, 99, 99],
+            "infos.time": [0, 1, 2, 0, 1, 2],
+            "episode": ["0", "0", "0", "1", "1", "1"],
+        }
+        | pixels
+    )
+    assert minari.read(path / "data").notes == record.notes
+
+
+@pytest.mark.parametrize(
+    ("episodes", "metadata", "problem"),
+    [
+        ([], "{}", "has no episodes"),
+        ([(0, {"rewards": np.zeros(2)})], "{}", "has no episodes"),
+        ([(0, steps(3, 0.0)), (1, {"rewards": np.zeros(2)})], "{}", "has episodes of different columns"),
+        ([(0, {"actions": np.zeros(2)})], "{}", "is no Minari data set, or damaged"),
+        ([(0, steps(3, 0.0))], "[]", "metadata.json: is no Minari data set, or damaged"),
+        ([(0, steps(3, 0.0))], "{", "metadata.json: is no Minari data set, or damaged"),
+    ],
+)
+def test_a_minari_without_whole_episodes_is_refused(tmp_path, episodes, metadata, problem):
+    with pytest.raises(LogError) as caught:
+        minari.read(write_minari(tmp_path / "set", *episodes, metadata=metadata))
+    assert problem in str(caught.value)
+
+
+# -- messages ----------------------------------------------------------------------------------------------------------
+
+RECEIVED, STAMPED = 5_000_000_000, 4_000_000_000
+
+
+def arm(row, **more):
+    stamp = STAMPED + 10_000_000 * row
+    return {"header": {"stamp": {"sec": stamp // 10**9, "nanosec": stamp % 10**9}}, "q": [row, -row]} | more
+
+
+def recorded(*messages, types=None):
+    return messages_recording(
+        "bag",
+        types if types is not None else {topic: "kind" for topic, _, _ in messages},
+        lambda topics: (one for one in messages if topics is None or one[0] in topics),
+        ("noted",),
+    )
+
+
+def test_topics_are_streams_whose_times_count_from_the_first_message_of_all():
+    messages = [("/cmd", RECEIVED, {"u": 7.0})]
+    for row in range(3):
+        messages.append(
+            ("/arm", RECEIVED + 1_000_000 * (1 + row), arm(row, **({"late": 1.0} if row == 2 else {})))
+        )
+    messages += [("/cmd", RECEIVED + 9_000_000, {}), ("/words", RECEIVED, {"data": "hello"})]
+    record = recorded(*messages)
+    assert (record.source, record.rate, record.notes) == ("bag", None, ("noted",))
+    assert [stream.name for stream in record.streams] == ["/cmd", "/arm"]
+    told, moved = record.streams
+    assert numbers(told) == {"/cmd.u": [7.0, None], "/cmd.time": [0.0, 0.009]}
+    assert list(moved.columns) == ["/arm.q[0]", "/arm.q[1]", "/arm.late", "/arm.header.stamp", "/arm.time"]
+    assert numbers(moved) == {
+        "/arm.q[0]": [0, 1, 2],
+        "/arm.q[1]": [0, -1, -2],
+        "/arm.late": [None, None, 1.0],
+        "/arm.header.stamp": [0.0, 0.01, 0.02],
+        "/arm.time": [0.001, 0.002, 0.003],
+    }
+    assert moved.place(4) == "message 4 of /arm"
+
+
+def test_a_stamp_of_nought_is_none_and_a_time_of_the_messages_own_counts():
+    unset = {"header": {"stamp": {"sec": 0, "nanosec": 0}}, "q": 1.0, "time": 0.25}
+    (stream,) = recorded(("/arm", RECEIVED, unset), ("/arm", RECEIVED, arm(3, q=2.0, time=0.5))).streams
+    assert numbers(stream) == {"/arm.q": [1, 2], "/arm.time": [0.25, 0.5], "/arm.header.stamp": [None, 0.0]}
+    (plain,) = recorded(("/arm", RECEIVED, unset)).streams
+    assert "/arm.header.stamp" not in plain.columns
+
+
+def test_fields_are_those_of_the_first_messages_of_each_topic():
+    messages = [
+        ("/arm", RECEIVED + row, {"q": row} | ({"late": 1} if row == 20 else {})) for row in range(21)
+    ]
+    assert FIRST_MESSAGES == 20
+    (stream,) = recorded(*messages).streams
+    assert stream.columns == ("/arm.q", "/arm.time")
+    assert len(stream.read(["/arm.q"])["/arm.q"]) == 21
+    early, late = recorded(*messages, ("/cmd", RECEIVED, {"u": 1})).streams
+    assert (early.name, late.columns) == ("/arm", ("/cmd.u", "/cmd.time"))
+
+
+@pytest.mark.parametrize(
+    ("messages", "types", "told"),
+    [
+        ([("/words", 0, {"data": "hello"})], {"/words": "std_msgs/String"}, "/words (std_msgs/String)"),
+        ([], {"/a": "A", "/b": "B"}, "/a (A), /b (B)"),
+        ([], {}, "none"),
+    ],
+)
+def test_messages_without_numbers_are_told_with_their_topics(messages, types, told):
+    with pytest.raises(LogError) as caught:
+        recorded(*messages, types=types)
+    assert caught.value.problem == f"has no topic with messages that hold numbers; its topics: {told}."
