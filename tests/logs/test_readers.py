@@ -153,6 +153,24 @@ def test_groups_of_the_same_data_sets_are_episodes_in_the_order_of_their_numbers
     }
 
 
+@pytest.mark.parametrize(
+    ("run", "shape", "problem"),
+    [
+        (1, (3, 2), "run_2/v: has the shape (3, 2); t there has 4 rows"),
+        (1, (4, 3), "run_2/v: has the shape (4, 3)"),
+    ],
+)
+def test_an_episode_whose_columns_do_not_fit_together_is_refused(tmp_path, run, shape, problem):
+    """One row less in an episode and one more in the next would set all between them apart by a row."""
+    shapes = [(4, 2), (4, 2), (4, 2)]
+    shapes[run] = shape
+    arrays = {f"run_{place + 1}__v": np.zeros(one) for place, one in enumerate(shapes)}
+    arrays |= {f"run_{place}__t": np.arange(4.0) for place in (1, 2, 3)}
+    with pytest.raises(LogError) as caught:
+        hdf5.read(write_hdf5(tmp_path / "a.h5", **arrays))
+    assert problem in str(caught.value)
+
+
 def test_a_group_is_chosen_by_its_name(tmp_path):
     path = write_hdf5(
         tmp_path / "a.h5", arm__t=np.arange(3.0), arm__q=np.ones((3, 1)), hand__t=np.arange(2.0)
