@@ -405,12 +405,11 @@ def _guessed(
             continue
         candidates = [one for one in columns if one.said.kind == kind and one.name not in taken]
         if kind == "ctrl":
-            fitting = [
+            candidates = [
                 one
                 for one in candidates
                 if not one.said.of or one.said.of == inputs.servos.get(joints[0], one.said.of)
             ]
-            candidates = fitting or ([] if any(one.said.of for one in candidates) else candidates)
         by_name = _by_key(joints, candidates, inputs, recording, kind)
         if len(by_name) < len(joints) and not by_name:
             by_name = _by_order(joints, candidates, recording)

@@ -91,6 +91,9 @@ ORDER, STATE = "by order", "by order, [qpos, qvel]"
         ("rail hip u_push u_turn", ("rail", "hip", None, None, "u_push", "u_turn"), "by its name", NAMES[2:4]),
         ("rail_pos rail_pos_filt hip_pos push_u turn_u", ("rail_pos", "hip_pos", None, None, "push_u", "turn_u"),
          "by its name", NAMES[2:4]),
+        # Of what has positions, a vector is another matter.
+        ("rail_pos hip_pos obs[0] obs[1] obs[2] obs[3] u1 u2", ("rail_pos", "hip_pos", None, None, "u1", "u2"),
+         "by its name", NAMES[2:4]),
         ("hip_vel push_u turn_u", (None, None, None, "hip_vel", "push_u", "turn_u"), "by its name", NAMES[:3]),
     ],
 )  # fmt: skip
@@ -163,6 +166,15 @@ def test_commands_of_servos_are_positions(commands, chosen):
                 {},
             )
             for vector in ("obs[0]", "obs[0] obs[1] obs[2] obs[3] obs[4]")
+        ),
+        # Numbers beside the name of something else are none of joints.
+        (
+            "time lever_1_pos lever_2_pos u1 u2",
+            "no column could be found for the model's positions (qpos.rail, qpos.hip); it has time, lever_1_pos, "
+            "lever_2_pos, u1, u2.",
+            "Say which is which: columns={'qpos.rail': 'lever_1_pos'} (on the command line --map "
+            "'qpos.rail=lever_1_pos'); with :deg behind it where it is in degrees. Or the log is of another robot.",
+            {},
         ),
         (
             "time lever u1 u2",
