@@ -9,6 +9,7 @@ from sklearn.model_selection import GroupKFold, KFold, StratifiedKFold
 from skat import AffineTransport, MultiSourceTransport, ResidualTransport, TargetRows
 from skat.gaussian import gaussian_wasserstein_distance, transport_map
 from skat.metrics import affinity_score
+from skat.transport.residual import KernelRidgeCV
 
 
 def rows_of(n_rows, n_features=2, seed=0):
@@ -94,6 +95,12 @@ class Unweighted(Ridge):
         return super().fit(X, y)
 
 
+def test_a_regressor_without_weights_serves_rows_without_weights():
+    X = rows_of(20)
+    found, same = (ResidualTransport(AffineTransport(), one).fit(X, X**2) for one in (Unweighted(), Ridge()))
+    np.testing.assert_array_equal(found.transform(X), same.transform(X))
+
+
 @pytest.mark.parametrize(
     ("change", "options", "message"),
     [
@@ -108,6 +115,14 @@ def test_pairs_that_cannot_be_corrected_are_refused(change, options, message):
     given = {"X": rows_of(20), "y": rows_of(20, seed=1)} | change
     with pytest.raises(ValueError, match=message):
         ResidualTransport(AffineTransport(), **options).fit(**given)
+
+
+@pytest.mark.parametrize(("n_rows", "gamma", "alpha"), [(11, 1.0 / 2, 1.0), (12, 0.05 / 2, 1e-3)])
+def test_length_and_penalty_are_chosen_from_twelve_rows_on(n_rows, gamma, alpha):
+    """Of a straight line the longest length and the least penalty are the best."""
+    X = rows_of(n_rows)
+    ridge = KernelRidgeCV().fit(X, X @ [[1.0], [2.0]]).model_.named_steps["kernelridge"]
+    assert (ridge.gamma, ridge.alpha) == (gamma, alpha)
 
 
 # -- several sources ---------------------------------------------------------------------------------------------------
