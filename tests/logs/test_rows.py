@@ -167,6 +167,20 @@ def test_a_function_takes_every_row_that_begins_one_of_its_steps(clock, dt):
     assert (log.dt, len(log)) == (dt, (99 // every))
 
 
+def test_a_rate_that_is_told_stands_for_a_clock_that_is_a_little_off_for_a_function_too():
+    source = table(0.0201 * np.arange(40))
+    assert refused(source, cart(0.02)).problem.startswith("0.0201 s from row to row")
+    log = load_log(source, cart(0.02), rate=50)
+    assert (log.dt, len(log)) == (0.02, 39)
+    assert log.notes == ("Rows are taken as 0.02 s apart, as told; the clock says 0.0201 s.",)
+    np.testing.assert_array_equal(log.X[:, 0], source["qpos.x"][:-1])
+    # A rate that is far off is none of the log's.
+    far = refused(source, cart(0.01), rate=100)
+    assert far.problem.startswith(
+        "0.0201 s from row to row, while a transition of the simulator takes 0.01 s"
+    )
+
+
 def test_a_function_of_longer_or_unknown_steps_is_refused():
     error = refused(table(0.010011 * np.arange(40)), cart())
     assert error.problem == (
@@ -192,6 +206,51 @@ def test_the_error_of_interpolation_is_said_of_each_channel_in_its_unit():
     )
     np.testing.assert_allclose(np.sqrt(log.floor), [sizes["qpos.x"], sizes["qvel.x"]])
     assert log.notes[0].startswith("The clock is uneven, by up to ")
+
+
+SLIDER = """
+<mujoco><option timestep="0.005"/><worldbody><body><joint name="x" type="slide" axis="1 0 0"/>
+<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></worldbody>
+<actuator><motor name="u" joint="x"/></actuator></mujoco>
+"""
+
+
+@pytest.mark.parametrize(
+    ("clock", "rate", "frame_skip", "dt", "note"),
+    [
+        (0.02, None, 4, 0.02, None),
+        (0.005, None, 1, 0.005, None),
+        (0.02, 25, 8, 0.04, "Every 2th row is taken."),
+        (0.0201, 50, 4, 0.02, "Rows are taken as 0.02 s apart, as told; the clock says 0.0201 s."),
+        (
+            0.032,
+            None,
+            7,
+            0.032,
+            "0.032 s from row to row is no multiple of the model's time step of 0.005 s: it is simulated in 7 steps "
+            "of 0.00457143 s.",
+        ),
+        (
+            0.002,
+            None,
+            1,
+            0.002,
+            "0.002 s from row to row is no multiple of the model's time step of 0.005 s: it is simulated in 1 steps "
+            "of 0.002 s.",
+        ),
+    ],
+)
+def test_a_model_takes_so_many_of_its_steps_or_of_finer_ones(clock, rate, frame_skip, dt, note):
+    log = load_log(table(clock * np.arange(60)), MujocoSimulator(SLIDER), rate=rate)
+    assert log.simulator.frame_skip == frame_skip
+    assert log.dt == pytest.approx(dt, rel=1e-9)
+    assert log.notes == ((note,) if note else ())
+
+
+def test_a_model_of_settled_steps_says_how_far_rows_are_apart_where_nobody_else_does():
+    bare = table(np.zeros(40), time=None)
+    assert load_log(bare, MujocoSimulator(SLIDER, frame_skip=2)).time[1] == pytest.approx(0.01)
+    assert refused(bare, MujocoSimulator(SLIDER)).options == {"rate": pytest.approx(200.0)}
 
 
 # -- several tables ----------------------------------------------------------------------------------------------------
