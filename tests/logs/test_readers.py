@@ -5,9 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from skat.logs import LogError
+from skat.logs import LogError, load_log
 from skat.logs.readers import hdf5, lerobot, minari, parquet
 from skat.logs.readers.messages import FIRST_MESSAGES, messages_recording
+from skat.simulators import FunctionSimulator
 
 pytest.importorskip("pyarrow")
 pytest.importorskip("h5py")
@@ -107,6 +108,31 @@ def test_a_lerobot_is_its_files_after_each_other_with_the_names_of_its_descripti
 )
 def test_the_rate_of_a_lerobot_is_a_positive_number(tmp_path, fps, rate):
     assert lerobot.read(write_lerobot(tmp_path / "set", {}, version="v3.0", fps=fps)).rate == rate
+
+
+@pytest.mark.parametrize(
+    ("spacing", "dt", "note"),
+    [
+        (0.02, 0.02, None),
+        (0.0201, 0.02, "Rows are taken as 0.02 s apart, as told; the clock says 0.0201 s."),
+        (0.025, 0.025, None),
+        (None, 0.02, "The log has no times: rows are 0.02 s apart, as told."),
+    ],
+)
+def test_the_rate_of_a_lerobot_stands_for_its_clock_where_they_agree(tmp_path, spacing, dt, note):
+    folder = write_lerobot(tmp_path / "set", {}, fps=50)
+    for path in (folder / "data").rglob("*.parquet"):
+        path.unlink()
+    clock = {} if spacing is None else {"timestamp": spacing * np.arange(40)}
+    write_parquet(folder / "data" / "chunk-000" / "file.parquet", q=np.arange(40.0), **clock)
+    simulator = FunctionSimulator(
+        lambda X: X, input_names=("q",), output_names=("q",), state_names=("q",), dt=dt
+    )
+    log = load_log(folder, simulator)
+    assert log.dt == pytest.approx(dt, rel=1e-12)
+    np.testing.assert_allclose(log.time, (spacing or dt) * np.arange(39), atol=1e-9)
+    np.testing.assert_array_equal(log.X[:, 0], np.arange(39))
+    assert log.notes == ("LeRobot v2.1, 1 files", *([note] if note else []))
 
 
 # -- HDF5 and Minari ---------------------------------------------------------------------------------------------------
