@@ -3,10 +3,11 @@
 import json
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from skat.logs import LogError, load_log
-from skat.logs.readers import hdf5, lerobot, minari, parquet
+from skat.logs.readers import file_kind, folder_kind, hdf5, lerobot, minari, parquet, recording
 from skat.logs.readers.messages import FIRST_MESSAGES, messages_recording
 from skat.simulators import FunctionSimulator
 
@@ -344,3 +345,126 @@ def test_messages_without_numbers_are_told_with_their_topics(messages, types, to
     with pytest.raises(LogError) as caught:
         recorded(*messages, types=types)
     assert caught.value.problem == f"has no topic with messages that hold numbers; its topics: {told}."
+
+
+# -- which reader ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "head", "kind"),
+    [
+        ("a", b"PAR1....", "parquet"),
+        ("a.csv", b"PK\x03\x04....", "npz"),
+        ("a", b"PK\x05\x06....", "npz"),
+        ("a", b"\x89HDF\r\n\x1a\n..", "hdf5"),
+        ("a", b"SQLite format 3\x00..", "bags"),
+        ("a", b"#ROSBAG V2.0\n", "bags"),
+        ("a", b"\x89MCAP0\r\n..", "mcap"),
+        ("a", b"\x93NUMPY..", "npy"),
+        # What begins otherwise is damaged where its ending says what it should be.
+        ("a.MCAP", b"\0\0\0", "mcap"),
+        ("a.h5", b"time,q\n", "hdf5"),
+        ("a.h5", b"", "csv"),
+        ("a.txt", b"time,q\n", "csv"),
+        ("a.gz", b"\x1f\x8b\0\0", "csv"),
+    ],
+)
+def test_a_file_is_known_by_its_first_bytes(tmp_path, name, head, kind):
+    (tmp_path / name).write_bytes(head)
+    assert file_kind(tmp_path / name) == kind
+
+
+@pytest.mark.parametrize(
+    ("name", "head", "problem"),
+    [
+        ("a.pkl", b"time,q\n", "is a pickle"),
+        ("a", b"\x80\x04..", "is a pickle"),
+        ("a.csv", b"\x80\x02..", "is a pickle"),
+        ("a", "time,q".encode("utf-16"), "is text in UTF-16."),
+        ("a", b"\x7fELF\0\0", "is in no format that is read."),
+    ],
+)
+def test_a_file_of_no_format_is_told(tmp_path, name, head, problem):
+    (tmp_path / name).write_bytes(head)
+    with pytest.raises(LogError) as caught:
+        file_kind(tmp_path / name)
+    assert caught.value.problem.startswith(problem)
+
+
+@pytest.mark.parametrize(
+    ("inside", "kind"),
+    [
+        (["meta/info.json", "data/a.parquet"], "lerobot"),
+        (["data/metadata.json"], "minari"),
+        (["metadata.json"], "minari"),
+        (["metadata.yaml"], "bags"),
+        (["a.db3", "b.txt"], "bags"),
+        (["a.mcap"], "bags"),
+        (["data/chunk/a.parquet"], "has data/*.parquet but no meta/info.json"),
+        (
+            [f"{letter}.t" for letter in "gfedcba"],
+            "is a folder of no known kind; it holds a.t, b.t, c.t, d.t, e.t, f.t.",
+        ),
+        ([], "is a folder of no known kind; it holds nothing."),
+    ],
+)
+def test_a_folder_is_known_by_what_is_in_it(tmp_path, inside, kind):
+    for name in inside:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("")
+    if " " not in kind:
+        assert folder_kind(tmp_path) == kind
+        return
+    with pytest.raises(LogError) as caught:
+        folder_kind(tmp_path)
+    assert caught.value.problem.startswith(kind)
+
+
+def test_tables_in_a_folder_or_by_name_are_streams_with_the_names_of_their_files(tmp_path):
+    (tmp_path / "arm.csv").write_text("t,q\n0,1\n1,2\n")
+    write_parquet(tmp_path / "hand.v2.parquet", t=[0.0], u=[[5.0, 6.0]])
+    (tmp_path / "notes.txt").write_text("of no matter")
+    for source in (tmp_path, {"arm": tmp_path / "arm.csv", "hand": str(tmp_path / "hand.v2.parquet")}):
+        record = recording(source)
+        assert [stream.name for stream in record.streams] == ["arm", "hand"]
+        arm_table, hand = record.streams
+        assert numbers(arm_table) == {"arm.t": [0, 1], "arm.q": [1, 2]}
+        assert numbers(hand, ["hand.u[1]"]) == {"hand.u[1]": [6]}
+        assert hand.columns == ("hand.t", "hand.u[0]", "hand.u[1]")
+        assert arm_table.place(1) == "arm.csv, line 3"
+    (tmp_path / "more").mkdir()
+    for name in "ab":
+        (tmp_path / "more" / f"{name}.csv").write_text("t,q\n0,1\n")
+    with pytest.raises(LogError, match="holds 2 tables of the same columns"):
+        recording(tmp_path / "more")
+    both = {name: tmp_path / "more" / f"{name}.csv" for name in "ab"}
+    assert [stream.name for stream in recording(both).streams] == ["a", "b"]
+    (tmp_path / "more" / "b.csv").unlink()
+    assert [stream.name for stream in recording(tmp_path / "more").streams] == ["a"]
+    with pytest.raises(FileNotFoundError, match="There is no log"):
+        recording(tmp_path / "none.csv")
+    with pytest.raises(TypeError, match="got bytes"):
+        recording(b"log.csv")
+
+
+def test_arrays_by_name_are_columns_of_their_elements():
+    grid = np.arange(24.0).reshape(3, 2, 4)
+    source = {"q": grid[:, :, 0], "deep": grid, "one": 3.0, "short": np.zeros(2), "t": [0, 1, 2]}
+    source |= {"word": ["a", None, "b"], "cell": [b" 1.5", "", None]}
+    (stream,) = recording(source).streams
+    found = numbers(stream)
+    assert list(found) == [
+        "q[0]",
+        "q[1]",
+        *(f"deep[{place}]" for place in range(8)),
+        "t",
+        "word",
+        "cell",
+    ]
+    assert (found["q[1]"], found["deep[5]"], found["t"]) == ([4, 12, 20], [5, 13, 21], [0, 1, 2])
+    assert (found["word"], found["cell"]) == (["a", None, "b"], [1.5, None, None])
+    for nothing, problem in (({"q": np.zeros(0)}, "has no rows"), ({"q": 1.0}, "holds no array with rows")):
+        with pytest.raises(LogError, match=problem):
+            recording(nothing)
+    with pytest.raises(LogError, match="has two columns a"):
+        recording(pd.DataFrame([[1, 2]], columns=["a", "a"]))
