@@ -447,6 +447,15 @@ def test_tables_in_a_folder_or_by_name_are_streams_with_the_names_of_their_files
         recording(b"log.csv")
 
 
+def test_dates_and_durations_are_seconds_and_missing_ones_not_measured():
+    stamps = np.array(["2024-01-01T00:00:00", "NaT", "2024-01-01T00:00:01.5"], dtype="datetime64[ms]")
+    found = numbers(recording({"at": stamps, "since": stamps - stamps[0]}).streams[0])
+    assert found["since"] == [0.0, None, 1.5]
+    assert found["at"] == [1704067200.0, None, 1704067201.5]
+    frame = pd.DataFrame({"at": stamps, "q": [1, 2, 3]})
+    assert numbers(recording(frame).streams[0])["at"] == found["at"]
+
+
 def test_arrays_by_name_are_columns_of_their_elements():
     grid = np.arange(24.0).reshape(3, 2, 4)
     source = {"q": grid[:, :, 0], "deep": grid, "one": 3.0, "short": np.zeros(2), "t": [0, 1, 2]}
