@@ -321,6 +321,13 @@ def test_a_stamp_of_nought_is_none_and_a_time_of_the_messages_own_counts():
     assert "/arm.header.stamp" not in plain.columns
 
 
+def test_names_of_joints_are_those_of_arrays_as_long_as_they_also_further_down():
+    message = {"name": [], "joint_names": ["a", "b"], "actual": {"q": [1, 2], "one": [3]}, "n": np.int64(4)}
+    (stream,) = recorded(("/arm", RECEIVED, message)).streams
+    found = {"/arm.actual.q[a]": [1], "/arm.actual.q[b]": [2], "/arm.actual.one[0]": [3], "/arm.n": [4]}
+    assert numbers(stream) == found | {"/arm.time": [0]}
+
+
 def test_fields_are_those_of_the_first_messages_of_each_topic():
     messages = [
         ("/arm", RECEIVED + row, {"q": row} | ({"late": 1} if row == 20 else {})) for row in range(21)
@@ -330,7 +337,7 @@ def test_fields_are_those_of_the_first_messages_of_each_topic():
     assert stream.columns == ("/arm.q", "/arm.time")
     assert len(stream.read(["/arm.q"])["/arm.q"]) == 21
     early, late = recorded(*messages, ("/cmd", RECEIVED, {"u": 1})).streams
-    assert (early.name, late.columns) == ("/arm", ("/cmd.u", "/cmd.time"))
+    assert (early.columns, late.columns) == (("/arm.q", "/arm.time"), ("/cmd.u", "/cmd.time"))
 
 
 @pytest.mark.parametrize(
