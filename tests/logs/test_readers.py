@@ -82,6 +82,7 @@ def write_lerobot(folder, features, version="v2.1", **described):
         ({"motors": ["hip", "knee"]}, ["hip", "knee"]),
         ({"hip": 1, "knee": 0}, ["knee", "hip"]),
         ({"motors": {"hip": 1, "knee": 0}}, ["knee", "hip"]),
+        ({"motors": ["hip", "knee"], "size": 2}, ["hip", "knee"]),
         (["hip"], None),
         ({}, None),
         (None, None),
@@ -228,26 +229,26 @@ def steps(n_rows, first, **more):
 
 def test_episodes_of_a_minari_follow_each_other_and_its_actions_have_a_last_one(tmp_path):
     more = {
-        "infos__time": np.arange(3.0),
-        "infos__image": np.arange(12).reshape(3, 2, 2),
-        "infos__word": np.array([b"a", b"b", b"c"]),
+        "infos__time": np.arange(4.0),
+        "infos__image": np.arange(16).reshape(4, 2, 2),
+        "infos__word": np.array([b"a", b"b", b"c", b"d"]),
         "infos__short": np.zeros(7),
         "infos__single": 1.0,
-        "other": np.zeros(3),
+        "other": np.zeros(4),
     }
-    path = write_minari(tmp_path / "set", (10, steps(3, 100.0, **more)), (2, steps(3, 0.0, **more)))
+    path = write_minari(tmp_path / "set", (10, steps(4, 100.0, **more)), (2, steps(4, 0.0, **more)))
     record = minari.read(path)
     (stream,) = record.streams
     assert (record.source, record.rate, record.notes) == (str(path), None, ("Minari, 2 episodes",))
-    pixels = {f"infos.image[{place}]": 2 * [float(4 * row + place) for row in range(3)] for place in range(4)}
+    pixels = {f"infos.image[{place}]": 2 * [float(4 * row + place) for row in range(4)] for place in range(4)}
     assert (
         numbers(stream)
         == {
-            "observations.q[0]": [0, 2, 4, 100, 102, 104],
-            "observations.q[1]": [1, 3, 5, 101, 103, 105],
-            "actions": [0, -1, -1, 100, 99, 99],
-            "infos.time": [0, 1, 2, 0, 1, 2],
-            "episode": ["0", "0", "0", "1", "1", "1"],
+            "observations.q[0]": [0, 2, 4, 6, 100, 102, 104, 106],
+            "observations.q[1]": [1, 3, 5, 7, 101, 103, 105, 107],
+            "actions": [0, -1, -2, -2, 100, 99, 98, 98],
+            "infos.time": [0, 1, 2, 3, 0, 1, 2, 3],
+            "episode": ["0"] * 4 + ["1"] * 4,
         }
         | pixels
     )
