@@ -203,6 +203,7 @@ def test_the_barycentre_is_of_sources_by_their_weight_and_one_map_leads_from_it(
         ([2.5, -1.0, 7.0, -1.0, 2.5, -3.0] * 3, None, [2.5, 7.0]),
         ([1, 0, 2, 0, 1, 0] * 3, 0, [1, 2]),
         (["a", "lab", "b", "hall", "a", "lab"] * 3, ["lab", "hall"], ["a", "b"]),
+        (np.array([1, "target", "b", "real", 1, "measured"] * 3, dtype=object), None, [1, "b"]),
     ],
 )
 def test_target_rows_are_known_by_their_labels(labels, target_domain, sources):
