@@ -405,10 +405,11 @@ def _stepped(
             raise ValueError(
                 "The simulator has no dt, the seconds of a transition, to compare the log's times with."
             )
-        if dt > own_step * (1 + STEP_TOLERANCE):
+        taken = step if abs(dt / step - 1) <= SAME_RATE else dt
+        if taken > own_step * (1 + STEP_TOLERANCE):
             raise LogError(
                 record.source,
-                f"{dt:g} s from row to row, while a transition of the simulator takes {own_step:g} s (dt).",
+                f"{taken:g} s from row to row, while a transition of the simulator takes {own_step:g} s (dt).",
                 "Write the function for the log's step, or record faster.",
             )
         return simulator, own_step, notes

@@ -65,6 +65,7 @@ class Inputs:
     roots: tuple[str, ...]
     servos: Mapping[str, str]
     limits: Mapping[str, tuple[float, float]]
+    units: Mapping[str, str]
 
 
 def plan(
@@ -149,21 +150,25 @@ def simulator_inputs(simulator: Simulator) -> Inputs:
         keys[name] = [joint_key(own)]
     servos: dict[str, str] = {}
     limits: dict[str, tuple[float, float]] = {}
+    units = dict(simulator.units)
     roots: list[str] = []
     if model is not None:
         for actuator, name in enumerate(kinds["ctrl"]):
+            servos[name] = _servo(model, actuator)
+            if servos[name] == "effort":
+                units[name] = "N"
             if int(model.actuator_trntype[actuator]) == 0:
                 joint = int(model.actuator_trnid[actuator, 0])
                 driven = model.joint(joint).name or f"joint{joint}"
                 if joint_key(driven) not in keys[name]:
                     keys[name].append(joint_key(driven))
                 limits |= _range(model, joint, name)
-            servos[name] = _servo(model, actuator)
+                units.setdefault(name, units.get(f"{servos[name]}.{driven}", ""))
         for joint in range(model.njnt):
             named = model.joint(joint).name or f"joint{joint}"
             if int(model.jnt_type[joint]) >= 2:
                 limits |= _range(model, joint, f"qpos.{named}")
-            elif int(model.jnt_type[joint]) == 0 and int(model.body_parentid[model.jnt_bodyid[joint]]) == 0:
+            elif int(model.jnt_type[joint]) == 0:
                 mine = (f"qpos.{named}.", f"qvel.{named}.")
                 roots += [name for name in names if name.startswith(mine)]
     return Inputs(
@@ -173,6 +178,7 @@ def simulator_inputs(simulator: Simulator) -> Inputs:
         tuple(roots),
         servos,
         limits,
+        units,
     )
 
 
@@ -224,7 +230,7 @@ def _renamed(
         keys |= dict.fromkeys(names, (key,))
         del rest[ours]
         if unit:
-            rest |= {name: rest.get(name, f":{unit}") for name in names if _takes(name, unit, inputs)}
+            rest |= {name: rest.get(name, f":{unit}") for name in _meant(ours, names, unit, inputs)}
     return replace(inputs, keys=keys), rest
 
 
@@ -243,7 +249,7 @@ def _told(
         names = _ours(ours, inputs, recording)
         theirs, unit = without_unit(text, known)
         if unit:
-            units |= dict.fromkeys(names, unit)
+            units |= dict.fromkeys(_meant(ours, names, unit, inputs), unit)
         if theirs == "-" or (theirs == "" and not unit):
             left_out += names
             for name in names:
@@ -398,12 +404,11 @@ def _guessed(
             continue
         candidates = [one for one in columns if one.said.kind == kind and one.name not in taken]
         if kind == "ctrl":
-            fitting = [
+            candidates = [
                 one
                 for one in candidates
                 if not one.said.of or one.said.of == inputs.servos.get(joints[0], one.said.of)
             ]
-            candidates = fitting or ([] if any(one.said.of for one in candidates) else candidates)
         by_name = _by_key(joints, candidates, inputs, recording, kind)
         if len(by_name) < len(joints) and not by_name:
             by_name = _by_order(joints, candidates, recording)
@@ -575,17 +580,23 @@ def _units(
             found[pattern] = unit
             continue
         names = _ours(pattern, inputs, recording)
-        if pattern == "*":
-            names = [name for name in names if _takes(name, unit, inputs)]
-        found |= dict.fromkeys(names, unit)
+        found |= dict.fromkeys(_meant(pattern, names, unit, inputs), unit)
     return found | told
 
 
-def _takes(name: str, unit: str, inputs: Inputs) -> bool:
-    """Whether a unit for all channels is meant for this one."""
-    if name in inputs.roots:
-        return False
-    return name not in inputs.kinds["ctrl"] or inputs.servos.get(name, "effort") != "effort"
+def _meant(pattern: str, names: list[str], unit: str, inputs: Inputs) -> list[str]:
+    """Return the channels that a unit is meant for: of a pattern's, those that it measures, and of ``*`` no efforts."""
+    if "*" not in pattern:
+        return names
+    if pattern.startswith("*"):
+        efforts = [name for name in inputs.kinds["ctrl"] if inputs.servos.get(name, "effort") == "effort"]
+        names = [name for name in names if name not in (*inputs.roots, *efforts)]
+    try:
+        kind = parsed_unit(unit, limits=(0.0, 1.0)).kind
+    except ValueError:
+        return names
+    own = {"A": "rad", "L": "m"}.get(kind[:1], "")
+    return [name for name in names if (inputs.units.get(name) or own).startswith(own)] or names
 
 
 def _unit(text: str, name: str, inputs: Inputs, simulator: Simulator, recording: Recording) -> Unit:
@@ -623,18 +634,17 @@ def _times(
     """Return {stream: (column, unit)} of the clocks of the streams that are used."""
     if columns.get("time") == "-":
         return {}
-    if "time" in columns:
-        theirs, unit = without_unit(columns["time"], known)
-        theirs = theirs or next(
-            (name for name, one in known.items() if is_time(name, streams[one.stream].name)), ""
-        )
+    theirs, unit = without_unit(columns.get("time", ""), known)
+    told, shared = unit or told_units.get("time"), told_units.get("time")
+    own: dict[int, tuple[str, str | None]] = {}
+    if theirs:
         if theirs not in known:
             raise _no_column(theirs, "time", known, recording)
-        clock = {
-            known[theirs].stream: (theirs, unit or told_units.get("time") or named_unit(theirs)[1] or None)
-        }
-        if set(clock) >= used:
-            return clock
+        own = {known[theirs].stream: (theirs, told or named_unit(theirs)[1] or None)}
+        if set(own) >= used:
+            return own
+    else:
+        shared = told
     times: dict[int, tuple[str, str | None]] = {}
     message = [
         place
@@ -650,8 +660,8 @@ def _times(
         clocks = [column for column in stream.columns if is_time(column, stream.name)]
         plain = [column for column in clocks if column == "time"] or sorted(clocks, key=len)
         if plain:
-            times[place] = (plain[0], told_units.get("time") or named_unit(plain[0])[1] or None)
-    return times if "time" not in columns else times | clock
+            times[place] = (plain[0], shared or named_unit(plain[0])[1] or None)
+    return times | own
 
 
 def _episode(

@@ -118,8 +118,8 @@ EPISODES = (
     *("traj_id", "run", "run_id", "trial", "trial_id", "demo", "demo_id", "rollout", "rollout_id"),
 )
 UNIT = re.compile(
-    r"[_\s.\-\[(]+(deg(?:rees?)?(?:/s|_s|_per_s|ps)?|rad(?:ians?)?(?:/s|_s|_per_s|ps)?|rpm|rps|mrad|ms|us|ns|mm/s|mm|cm|"
-    r"m/s|m_s|N[_ ]?m|mNm|sec|seconds|milliseconds|microseconds|nanoseconds|s|m)[\])]?$"
+    r"[_\s.\-\[(]+((?:deg(?:rees?)?|rad(?:ians?)?)(?:/s|_s|_per_s|ps)?|(?:mm|cm|m)(?:/s|_s|_per_s)?|rpm|rps|mrad|"
+    r"ms|us|ns|N[_ ]?m|mNm|sec|seconds|milliseconds|microseconds|nanoseconds|s)[\])]?$"
 )
 WORDS = {
     "degree": "deg",
@@ -205,13 +205,8 @@ def reading(column: str, label: str = "", topic: str = "") -> Reading:
     inside = column.removeprefix(f"{topic}.") if topic else column
     element = ELEMENT.match(inside)
     base, part = (element[1], label or element[2]) if element else (inside, label)
-    unit = ""
-    if element:
-        base, unit = named_unit(base)
-        part_words = tokens(part)
-    else:
-        base, unit = named_unit(base)
-        part_words = ()
+    base, unit = named_unit(base)
+    part_words = tokens(part) if element else ()
     words = (*tokens(base), *part_words)
     kind, of = _kind(words)
     if not kind and topic:
@@ -223,8 +218,6 @@ def reading(column: str, label: str = "", topic: str = "") -> Reading:
         and not set(tokens(topic)) & STATE
     ):
         kind, of = "ctrl", kind
-    elif kind == "state" and topic:
-        kind = "state"
     dropped = POSITION | VELOCITY | COMMAND | EFFORT | FILLER
     key = tuple(word for word in words if word not in dropped)
     if element and not key:

@@ -133,10 +133,9 @@ def arrays_stream(
 def plain_array(values: Any) -> np.ndarray:
     """Return an array of numbers, texts, or of shape (n, k) for cells that hold lists."""
     array = np.asarray(values)
-    if array.dtype.kind == "M":
-        return array.astype("datetime64[ns]").astype(np.int64) / 1e9
-    if array.dtype.kind == "m":
-        return array.astype("timedelta64[ns]").astype(np.int64) / 1e9
+    if array.dtype.kind in "Mm":
+        kind = {"M": "datetime64[ns]", "m": "timedelta64[ns]"}[array.dtype.kind]
+        return np.where(np.isnat(array), np.nan, array.astype(kind).astype(np.int64) / 1e9)
     if array.dtype == object and array.ndim == 1 and len(array):
         first = array[0]
         if isinstance(first, list | tuple | np.ndarray):

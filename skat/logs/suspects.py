@@ -34,7 +34,8 @@ SHARE = 0.7
 KINDS = ("degrees", "sign", "swap", "shift")
 # Rows by which a clock may be apart from another.
 LAGS = (-2, -1, 1, 2)
-TINY = np.finfo(float).tiny
+# By which a repair of what is exact is divided, without an overflow.
+TINY = 1e-300
 
 
 @dataclass(frozen=True)

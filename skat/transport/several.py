@@ -130,7 +130,6 @@ class MultiSourceTransport(BaseTransport):
                 f"target rows and {len(sources)} sources."
             )
         members = {label: np.array([other == label for other in labels], dtype=bool) for label in sources}
-        self._stacked = True
         transport = AffineTransport() if self.transport is None else self.transport
         to_middle: dict[object, AffineMap | None] = dict.fromkeys(sources)
         if self.by == "barycentre":

@@ -98,3 +98,31 @@ def test_columns_of_one_kind_stay_it():
     mixed = csv._concatenated([floats, texts])
     assert (mixed.dtype, mixed.tolist()) == (object, [1.0, 2.0, "a"])
     assert csv._numbers(pd.Series([True, False])).tolist() == [1.0, 0.0]
+
+
+@pytest.mark.parametrize("is_compressed", [False, True])
+@pytest.mark.parametrize(
+    ("text", "advice"),
+    [
+        ("a,b\n1,2,3\n", "A CSV table has a line of names, and as many values in each row."),
+        (
+            "a,b;c\n1,2,3,4\n",
+            "The file seems to be separated by another mark than commas: write it with commas between columns, and "
+            "points in numbers.",
+        ),
+    ],
+)
+def test_a_table_that_is_ragged_is_told_so_also_where_it_is_compressed(tmp_path, text, advice, is_compressed):
+    path = tmp_path / "a.csv"
+    path.write_bytes(gzip.compress(text.encode()) if is_compressed else text.encode())
+    with pytest.raises(LogError) as caught:
+        csv.read(path).streams[0].read(["a"])
+    assert caught.value.problem.startswith("is not a CSV table: ")
+    assert caught.value.problem.endswith(".")
+    assert (caught.value.where, caught.value.advice) == (str(path), advice)
+
+
+def test_words_that_pandas_takes_for_nothing_are_words_in_a_column_of_words(tmp_path):
+    found = recorded(tmp_path / "a.csv", "a,b\nNA,1\nx,2\nn/a,\n").read(["a", "b"])
+    assert found["a"].tolist() == ["NA", "x", "n/a"]
+    np.testing.assert_array_equal(found["b"], [1, 2, np.nan])

@@ -356,13 +356,14 @@ def test_what_the_log_calls_a_joint_is_said_once_for_all_its_columns():
 
 
 def test_units_in_names_are_taken(table, cart):
-    theirs = table.rename(
-        columns={"qpos.rail": "rail_pos_mm", "qvel.rail": "rail_vel_mm_s", "time": "time_ms"}
-    )
-    theirs = theirs.rename(columns={"rail_vel_mm_s": "rail_vel [mm/s]"})
-    theirs[["rail_pos_mm", "rail_vel [mm/s]", "time_ms"]] *= 1000
+    names = {"qpos.rail": "rail_pos_mm", "qvel.rail": "rail_vel_mm_s", "time": "time_ms"}
+    theirs = table.rename(columns=names)
+    theirs[list(names.values())] *= 1000
     log = load_log(theirs, cart)
     np.testing.assert_allclose(log.X, load_log(table, cart).X, rtol=1e-12, atol=1e-15)
+    centimetres = theirs.rename(columns={"rail_vel_mm_s": "rail_vel [cm/s]"})
+    centimetres["rail_vel [cm/s]"] /= 10
+    np.testing.assert_allclose(load_log(centimetres, cart).X, log.X, rtol=1e-12, atol=1e-15)
 
 
 def test_a_map_comes_back_from_its_file(tmp_path, table, cart):

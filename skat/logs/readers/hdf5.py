@@ -65,6 +65,15 @@ def read(path: Path, topic: str | None = None) -> Recording:
     usual = max(set(lengths), key=lengths.count)
     parts = groups or [("", shapes)]
     names = [name for name, shape in parts[0][1].items() if shape[0] == usual]
+    for group, inside in groups:
+        odd = [name for name in names if inside[name] != (inside[names[0]][0], *groups[0][1][name][1:])]
+        if odd:
+            raise LogError(
+                f"{path}, {group}/{odd[0]}",
+                f"has the shape {inside[odd[0]]}; {names[0]} there has {inside[names[0]][0]} rows, and a row of "
+                f"{groups[0][0]}/{odd[0]} the shape {groups[0][1][odd[0]][1:]}.",
+                "Write as many rows of each in an episode, and as many numbers in each row.",
+            )
     wide = {name: int(np.prod(parts[0][1][name][1:])) if len(parts[0][1][name]) > 1 else 0 for name in names}
     columns: list[str] = []
     for name, width in wide.items():

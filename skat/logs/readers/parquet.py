@@ -114,10 +114,7 @@ def _column(parquet: ModuleType, path: Path, name: str, size: int) -> Any:
     column = parquet.ParquetFile(path).read(columns=[name]).column(0).combine_chunks()
     if not size:
         return as_numbers(plain_array(column.to_numpy(zero_copy_only=False)))
-    values = column.values if hasattr(column, "values") else column.flatten()
-    flat = column.flatten().to_numpy(zero_copy_only=False) if not column.null_count else None
-    if flat is None or len(flat) != size * len(column):
-        del values
+    if column.null_count or any(length != size for length in column.value_lengths().unique().to_pylist()):
         cells = column.to_pylist()
         lengths = [size if cell is None else len(cell) for cell in cells]
         if set(lengths) != {size}:
@@ -128,7 +125,7 @@ def _column(parquet: ModuleType, path: Path, name: str, size: int) -> Any:
                 "Leave the row out, or write as many numbers in each.",
             )
         return np.array([[np.nan] * size if cell is None else cell for cell in cells], dtype=float)
-    return flat.astype(float).reshape(-1, size)
+    return column.flatten().to_numpy(zero_copy_only=False).astype(float).reshape(-1, size)
 
 
 def _guarded(path: Path, read: Callable[[], T]) -> T:
