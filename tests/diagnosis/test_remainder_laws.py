@@ -289,6 +289,27 @@ def test_the_law_of_what_is_read_is_the_mean_in_each_bin_drawn_to_zero_by_its_si
     assert part.tried[0][0] == part.regressor == "a"
 
 
+def test_what_is_predictable_is_the_mean_product_of_what_two_halves_of_the_rows_predict():
+    """Each half is of every other row here; the mean of a bin is drawn to zero by the law's size."""
+    error, n = 0.5, 80
+    space, fitted = one_shot(n, 0, bent=1.0, error=error)
+    (part,) = find_remainder(space, fitted, random_state=np.random.RandomState(0)).parts
+    y, place = space.measured[:, 1, 0], np.searchsorted(part.law.edges, space.X[:, 0], side="right") - 1
+    place = np.clip(place, 0, len(part.law.mean) - 1)
+    counts = np.bincount(place)
+    half = (part.law.high - part.law.low) / 2
+    ridge = np.median((1.96 / half) ** 2 - counts / error**2)
+    means = []
+    for which in (0, 1):
+        own = np.arange(n) % 2 == which
+        sums = np.bincount(place[own], y[own], minlength=len(counts)) / error**2
+        means.append(sums / (np.bincount(place[own], minlength=len(counts)) / error**2 + ridge))
+    expected = np.sqrt(max(np.mean(means[0][place] * means[1][place]), 0.0))
+    assert part.regressor == "a"
+    assert expected > 0.1
+    assert part.predictable == pytest.approx(expected, rel=1e-3)
+
+
 def test_chance_makes_evidence_of_which_the_exponential_has_a_mean_of_one():
     """With the noise known, whatever was tried; the fewer rows, the less a law can win or lose."""
     found = []
