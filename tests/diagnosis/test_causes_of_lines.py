@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy import special
 
-from skat.diagnosis.causes import COARSE_ROWS, find_causes
+from skat.diagnosis.causes import COARSE_ROWS, _slopes, find_causes
 from skat.diagnosis.evidence import Gram, weigh
+from skat.diagnosis.fits import Fits
 from skat.diagnosis.fitting import priors_of
 from skat.diagnosis.statespace import state_space
 from skat.effects import Effect
@@ -190,3 +191,47 @@ def test_each_turn_is_told_and_a_search_goes_on_from_it_to_the_same_answer():
         again = found_in(X, y, resumed=state, checkpoint=later.append)
         assert again.values == found.values
         assert [one.turn for one in later] == list(range(state.turn + 1, len(states)))
+
+
+# -- what is not linear ----------------------------------------------------------------------------------------------
+
+
+def fits_of(function, effect, x, y, sigma=0.1):
+    """Return fits of one effect to readings of a one-shot simulation, and that of no cause."""
+    simulator = FunctionSimulator(function, input_names=("x",), output_names=("y",), effects=(effect,))
+    space = state_space(simulator, x[:, None], y[:, None], np.arange(len(x)), consecutive=False)
+    fits = Fits(space, (effect,), priors_of((effect,)), np.zeros(1), np.array([sigma]), 1.0)
+    return fits, fits.first()[-1]
+
+
+def test_slopes_are_tangents_where_these_explain_most_and_of_a_cause_over_what_is_not_known_of_it():
+    effect = Effect("e", unit="1", neutral=0.0, bounds=(-4.0, 4.0), typical=1.0)
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=60)
+    y = 0.1 * x + 5 * 0.1**3 * x**2 + 0.1 * rng.normal(size=60)
+    fits, nothing = fits_of(lambda X, e: X * e + 5 * X**2 * e**3, effect, x, y)
+    # Over a twentieth of the typical size.
+    np.testing.assert_allclose(_slopes(fits, nothing, [0])[:, 0, 0], x + 5 * x**2 * 0.05**2, atol=1e-9)
+    cause = fits.of((0,), np.array([0.3]), nothing)
+    at, width = cause.values["e"], max(float(cause.widths[0]), 0.05)
+    expected = x + 5 * x**2 * (3 * at**2 + width**2)
+    np.testing.assert_allclose(_slopes(fits, cause, [0])[:, 0, 0], expected, atol=1e-9)
+
+
+def test_what_has_no_slope_has_a_chord_to_where_it_explains_most():
+    """A limit that is never reached, as a factor: of ten chords to its bound, counted on the logarithm."""
+    effect = Effect("limit", unit="1", neutral=1.0, bounds=(0.2, 1.0), typical=0.1)
+    rng = np.random.default_rng(0)
+    x = rng.uniform(-2, 2, size=80)
+    y = np.clip(x, -1.2, 1.2) + 0.1 * rng.normal(size=80)
+    fits, nothing = fits_of(lambda X, limit: np.clip(X, -3 * limit, 3 * limit), effect, x, y)
+    places = np.log(0.2) * np.arange(1, 11) / 10
+    chords = [(np.clip(x, -3 * np.exp(place), 3 * np.exp(place)) - x) / place for place in places]
+    gains = []
+    for place, chord in zip(places, chords):
+        b, G = chord @ (y - x) / 0.01, max(chord @ chord / 0.01, 1e-300)
+        at = np.clip(b / G, place, 0)
+        gains.append(b * at - 0.5 * G * at**2)
+    best = int(np.argmax(gains))
+    assert gains[best] > 100
+    np.testing.assert_allclose(_slopes(fits, nothing, [0])[:, 0, 0], chords[best], atol=1e-9)
