@@ -6,9 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skat.diagnosis.doubts import doubts_about
+from skat.diagnosis.doubts import _stepped, doubts_about
 from skat.diagnosis.log import check_log
+from skat.diagnosis.velocities import noise_variance
 from skat.simulators import FunctionSimulator, MujocoSimulator
+from tests.diagnosis.test_doubts import LEGGED, walked
 
 
 def one_shot(function, *outputs):
@@ -143,6 +145,16 @@ def test_positions_are_beyond_a_range_by_more_than_its_width_in_more_than_a_few_
         assert found[0].size == pytest.approx((max(place, 0) - 3 if place > 0 else -1 - place) / 4)
         said = f"qpos.rail reaches {reach} where the joint allows -1 to 3 m: another unit"
         assert found[0].sentence.startswith(said)
+
+
+def test_a_joint_without_a_range_has_no_end():
+    text = SLIDER.replace('range="-1 3" limited="true"', "")
+    simulator, states = (
+        MujocoSimulator(text),
+        np.column_stack([np.linspace(0, 900, 101), np.full(101, np.nan)]),
+    )
+    log = check_log(simulator, np.column_stack([states[:-1], np.zeros(100)]), states[1:], np.zeros(100))
+    assert raised(simulator, log, "beyond") == []
 
 
 # -- degrees ---------------------------------------------------------------------------------------------------------
@@ -456,3 +468,31 @@ def test_the_order_of_a_quaternion_is_told_by_what_the_next_orientation_is_misse
         f"misses the next orientation by {after:.2g} rad instead of {before:.2g} in a typical"
         in doubt.sentence
     )
+
+
+# -- a solver that does not arrive ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+def test_what_a_cold_solver_misses_counts_in_units_of_noise_but_of_no_less_than_a_thousandth_of_the_spread(
+    noise,
+):
+    legged = MujocoSimulator(LEGGED.format(1, 4), frame_skip=2)
+    states, commands = walked(LEGGED.format(1, 4), 2, noise)
+    log = check_log(legged, np.hstack([states[:-1], commands]), states[1:], np.zeros(200))
+    (doubt,) = raised(legged, log, "cold")
+    warm, cold = (_stepped(legged.compiled(), log, 2, warm=one)[1:] for one in (True, False))
+    differences = np.sqrt(np.mean((warm - cold) ** 2, axis=0))
+    own = np.sqrt([noise_variance(one, np.zeros(200)) for one in states[1:].T])
+    sizes = differences / np.maximum(own, 1e-3 * states[1:].std(axis=0))
+    assert doubt.size == pytest.approx(sizes.max(), rel=1e-6)
+    worst = int(np.argmax(sizes))
+    unit = legged.units[legged.state_names[worst]]
+    assert (
+        f"by up to {differences[worst]:.2g} {unit} in a row (noise of that channel: {own[worst]:.2g})"
+        in doubt.sentence
+    )
+    assert doubt.sentence.startswith(
+        ", ".join(np.array(legged.state_names)[sizes > 0.3].tolist()) + " are not what"
+    )
+    assert "with at most 1 iterations" in doubt.sentence
