@@ -131,11 +131,9 @@ def test_a_typical_size_of_a_user_s_own_holds_a_value_as_its_prior_does():
 
 def test_an_effect_that_would_have_to_leave_its_bounds_is_no_cause():
     effects = effects_of(((-5.0, 5.0), (0.0, 0.5), (-5.0, 5.0)))
-    X, y = measured([1.0, 0.8, 0.0])
-    found = found_in(X, y, effects)
-    assert "b" not in found.values
-    inside = found_in(*measured([1.0, 0.4, 0.0]), effects)
-    assert list(inside.values) == ["a", "b"]
+    X, y = measured([1.0, 0.8, 0.0], n=60)
+    assert "b" not in found_in(X, y, effects).values
+    assert list(found_in(*measured([1.0, 0.4, 0.0], n=60), effects).values) == ["a", "b"]
 
 
 def test_noise_is_estimated_where_it_was_not_given():
@@ -180,7 +178,7 @@ def test_a_search_without_a_turn_left_has_not_come_to_rest():
 
 
 def test_each_turn_is_told_and_a_search_goes_on_from_it_to_the_same_answer():
-    X, y = measured([1.0, 0.5, -0.4])
+    X, y = measured([1.0, 0.5, -0.8], n=40)
     told, states = [], []
     found = found_in(X, y, checkpoint=states.append, progress=lambda *one: told.append(one))
     assert len(states) > 1

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from skat.diagnosis.archive import EffectRecord, digest
+from skat.diagnosis.fitting import settled
 from skat.diagnosis.log import Log
-from skat.diagnosis.saving import SavedSimulator, _with_plain_labels
+from skat.diagnosis.saving import SavedSimulator, _of_no_rows, _with_plain_labels
+from skat.diagnosis.statespace import state_space
 from skat.effects import Effect
 from skat.simulators import FunctionSimulator
 
@@ -151,3 +153,28 @@ def test_episodes_are_called_by_numbers_or_text_in_a_file():
     log = Log(np.zeros((4, 1)), np.zeros((4, 1)), np.arange(4), True, ("a", 1, 2.5, (3, "b")))
     assert _with_plain_labels(log).labels == ("a", 1, 2.5, "(3, 'b')")
     assert _with_plain_labels(replace(log, labels=None)).labels is None
+
+
+def test_of_a_fit_the_laws_of_its_noise_are_kept_and_no_row():
+    simulator = FunctionSimulator(lambda X: X, input_names=("a",), output_names=("b",))
+    X = np.random.default_rng(0).normal(size=(30, 1))
+    space = state_space(simulator, X, X + 0.1, np.arange(30), consecutive=False)
+    fitted = settled(space, {}, None, np.zeros(1))
+    kept = _of_no_rows(fitted)
+    noise, own = kept.estimate.noise, fitted.estimate.noise
+    for name in ("force", "error", "force_nu", "error_nu"):
+        np.testing.assert_array_equal(getattr(noise, name), getattr(own, name))
+    assert (kept.bound, kept.values) == (fitted.bound, fitted.values)
+    for part in (
+        kept.linear,
+        kept.linear.chains,
+        kept.chains,
+        noise,
+        kept.estimate.filtered,
+        kept.estimate.smoothed,
+    ):
+        arrays = [one for one in vars(part).values() if isinstance(one, np.ndarray) and one.ndim > 1]
+        assert arrays
+        assert all(len(one) == 0 for one in arrays)
+    assert len(kept.linear.valid) == 0
+    np.testing.assert_array_equal(kept.chains.prior, fitted.chains.prior)

@@ -7,6 +7,8 @@ import pytest
 
 from skat.diagnosis.changes import force_space
 from skat.diagnosis.changes.force_space import (
+    KEPT,
+    MOTION,
     Motion,
     Rows,
     _busy,
@@ -18,6 +20,7 @@ from skat.diagnosis.changes.force_space import (
 )
 from skat.diagnosis.changes.mixups import _mixed_up
 from skat.diagnosis.changes.motions import Half
+from skat.diagnosis.changes.smoothing import smooth_coordinate
 
 DT = 0.01
 
@@ -128,6 +131,28 @@ def test_forces_are_compared_up_to_twice_what_holds_most_of_a_motion(frequency, 
     for speeds, episodes in ((speed, np.zeros(1000)), (np.tile(speed, 2), np.repeat([0, 1], 1000))):
         assert _busy(speeds, episodes, DT, 0.95) == pytest.approx(2 * (20.0 if seen else frequency), rel=1e-6)
     assert np.isfinite(_busy(np.zeros(10), np.zeros(10), DT, 0.95))
+
+
+def test_a_joint_is_compared_up_to_where_it_is_kept_and_busy():
+    """The first is read with much noise, so that less is kept of it than it is fast; the second exactly."""
+    rng, time = np.random.default_rng(0), DT * np.arange(601)
+    q = np.column_stack(
+        [np.sin(30 * time) + 0.3 * rng.normal(size=601), np.sin(5 * time) + 1e-6 * rng.normal(size=601)]
+    )
+    X, y = (np.column_stack([one, np.full((600, 2), np.nan)]) for one in (q[:-1], q[1:]))
+    motion = smooth_motion(
+        machine(), np.column_stack([X, np.zeros((600, 2))]), y, np.zeros(600, int), window=1.0
+    )
+    smooth = [smooth_coordinate(one, np.zeros(601), DT) for one in q.T]
+    kept = [one.cutoff(KEPT, DT) for one in smooth]
+    busy = [_busy(one.velocity, np.zeros(601), DT, MOTION) for one in smooth]
+    assert kept[0] < busy[0]
+    assert kept[1] > busy[1]
+    np.testing.assert_allclose(motion.cutoff, np.minimum([kept[0], busy[1]], 0.5 / motion.duration))
+    np.testing.assert_allclose(motion.slip, [one.velocity_error for one in smooth])
+    assert motion.rows.shape[1] == max(
+        1, min(int(1 / (4 * DT * max(kept[0], busy[1]))), int(1.0 / (16 * DT)))
+    )
 
 
 def test_of_a_long_log_stretches_from_all_over_it_are_compared(monkeypatch):
