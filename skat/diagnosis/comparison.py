@@ -370,7 +370,7 @@ def _open_loop(simulator: Simulator, log: Log) -> Array:
             one[rows] = np.where(mask[rows] | ~np.isfinite(difference), difference, 0.0)
         return out
 
-    best = guess
+    best = guess.copy()
     horizon = 0
     while horizon < n_steps:
         horizon = min(int(np.ceil(GROWTH * max(horizon, 1))), n_steps)

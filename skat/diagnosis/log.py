@@ -371,6 +371,9 @@ def check_matrix(values: Any, what: str, names: Sequence[str], *, optional: Sequ
         values = np.reshape(values, (-1, 1))
     given = values
     try:
+        objects = np.asarray(values)
+        if objects.dtype == object and objects.ndim == 2:
+            values = np.where(pd.isna(objects), np.nan, objects)
         checked = check_array(
             values,
             dtype=np.float64,
@@ -418,11 +421,11 @@ def _or_nan(names: Sequence[str], optional: Sequence[str]) -> str:
 
 
 def _readable(value: Any) -> bool:
-    """Whether a value is a number that is finite, or missing."""
+    """Whether a value is a number that is finite, or NaN."""
     try:
         return not np.isinf(float(value))
     except (TypeError, ValueError):
-        return value is pd.NA or value is None
+        return False
 
 
 def _where_missing(values: Array, others: Array) -> Array:

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from skat.diagnosis.causes import (
     Rival,
@@ -38,7 +39,7 @@ from skat.diagnosis.fitting import (
     value_at,
 )
 from skat.diagnosis.noise import Noise
-from skat.diagnosis.posterior import Posterior
+from skat.diagnosis.posterior import CauseSet, Posterior
 from skat.diagnosis.search import Ranked
 from skat.diagnosis.statespace import state_space
 from skat.effects import Effect
@@ -417,6 +418,31 @@ def test_what_fits_leave_of_a_cause_is_left_of_all_sets_with_it():
     with_a = sum(share for names, share in sets.items() if "a" in names)
     assert with_a == pytest.approx(0.6, abs=0.01)
     assert sets["b", "c"] == pytest.approx(0.4, abs=0.01)
+
+
+def test_sets_that_are_less_likely_than_one_in_a_thousand_are_left_out():
+    search = found()
+    search.ranked = Ranked(
+        (a_set((0, 2), 50.0), a_set((1, 2), 50.0 - np.log(500)), a_set((0,), 50.0 - np.log(2000)))
+    )
+    search.values = {}
+    posterior = Posterior.of(search)
+    assert [one.names for one in posterior.sets] == [("a", "c"), ("b", "c")]
+    assert [one.probability for one in posterior.sets] == pytest.approx([500 / 501, 1 / 501])
+    np.testing.assert_array_equal(posterior.sets[0].mean, np.zeros(2))
+    assert posterior.sets[0].values == {"a": 0.0, "c": 0.0}
+
+
+def test_values_that_are_drawn_stay_within_bounds():
+    effect = Effect("gain", unit="1", neutral=1.0, bounds=(0.5, 2.0))
+    one = CauseSet(("gain",), 1.0, {"gain": 1.9}, np.array([np.log(1.9)]), np.array([[0.25]]))
+    draws = np.array([draw["gain"] for draw in Posterior((one,), (effect,)).sample(400, 0)])
+    assert (draws.min(), draws.max()) == (0.5, 2.0)
+    inside = draws[(draws > 0.5) & (draws < 2.0)]
+    # Factors are drawn on the logarithm: as far below as the bound cuts off above.
+    assert np.mean(draws == 2.0) == pytest.approx(stats.norm.sf(np.log(2 / 1.9) / 0.5), abs=0.06)
+    assert np.median(draws) == pytest.approx(1.9, abs=0.2)
+    assert len(inside) > 100
 
 
 def test_draws_are_of_sets_by_their_probability_with_values_of_their_law(tmp_path):

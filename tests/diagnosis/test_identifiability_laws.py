@@ -12,6 +12,7 @@ from skat.diagnosis.identifiability import (
     _separating,
     _shares_left,
     _steps,
+    from_neutral,
     identifiability,
     preflight,
 )
@@ -43,6 +44,10 @@ def test_at_the_smallest_size_the_expected_scores_just_reach_the_odds(alpha, inf
     scores = Gram(np.array([[information]]), np.array([information * place]), np.zeros(1))
     assert size > 0
     assert weigh(scores, one_prior(low, high), [0]).evidence == pytest.approx(-np.log(alpha), abs=0.01)
+
+
+def test_values_count_from_neutral():
+    assert [from_neutral(added(neutral=1.0), place) for place in (-0.25, 0.5)] == [0.75, 1.5]
 
 
 def test_the_side_on_which_less_is_needed_counts():

@@ -264,3 +264,40 @@ def test_variances_of_places_stay_and_those_of_turns_are_of_their_own_quaternion
     for name, value in told.items():
         parts = [given.get(f"{name[:-3]}.{part}") for part in ("qw", "qx", "qy", "qz")]
         assert value == pytest.approx(given[name] if name in given else np.sum(parts))
+
+
+@pytest.mark.parametrize("nothing", [None, pd.NA, np.nan])
+def test_what_lacks_is_not_named_where_something_else_is_no_number(nothing):
+    X, y, groups = counted([10])
+    X = X.astype(object)
+    X[1, 0], X[3, 1] = nothing, "fast"
+    with pytest.raises(
+        ValueError, match=r"X has fast in row 3, column 1 \(y\); every value must be a finite"
+    ):
+        check_log(counter(), X, y, groups)
+
+
+@pytest.mark.parametrize("nothing", [None, pd.NA, np.nan])
+def test_what_lacks_among_objects_was_not_measured(nothing):
+    X = np.array([[1.0, nothing], [2, 3.5]], dtype=object)
+    table = pd.DataFrame({"a": [1.0, 2.0], "b": pd.Series([nothing, 3.5], dtype=object)})
+    for rows in (X, X.tolist(), table):
+        checked = check_matrix(rows, "T", ("a", "b"), optional=("b",))
+        np.testing.assert_array_equal(checked, [[1.0, np.nan], [2.0, 3.5]])
+        with pytest.raises(ValueError, match=r"T has nan in row 0, column 1 \(b\)"):
+            check_matrix(rows, "T", ("a", "b"))
+
+
+def test_what_is_wrong_with_a_table_is_told_with_what_may_lack():
+    names = ("a", "b")
+    X = np.zeros((3, 2))
+    X[1, 1] = np.inf
+    for optional, told in (
+        ((), r"finite number\."),
+        (("a",), r"finite number, or, in a column of the state, NaN where nothing was measured\."),
+        (names, r"finite number, or NaN where nothing was measured\."),
+    ):
+        with pytest.raises(
+            ValueError, match=rf"T has inf in row 1, column 1 \(b\); every value must be a {told}"
+        ):
+            check_matrix(X, "T", names, optional=optional)

@@ -532,3 +532,39 @@ def test_the_episode_that_diverges_in_open_loop_is_named_as_its_user_does():
         )
     with pytest.raises(RuntimeError, match=r"diverges in episode 1:"):
         open_loop_gain(space, known(space, 0.1), {"push": 0.3}, random_state=random_state())
+
+
+def test_an_episode_that_diverges_in_its_last_row_alone_has_no_distance():
+    space = read([8, 8], simulator=resting(most=3.0), centres=[0.0, 2.0])
+    fitted = known(space, 0.1)
+    # From about 2 by .15 a row: beyond 3 behind the seventh.
+    space.measured[1, 0] = 2.0
+    with pytest.raises(RuntimeError, match=r"diverges in episode 1:"):
+        open_loop_gain(space, fitted, {"push": 0.15}, random_state=random_state())
+    assert open_loop_gain(space, fitted, {"push": 0.14}, random_state=random_state()).extended < 2
+
+
+def test_a_channel_that_was_measured_in_some_rows_is_compared_in_these():
+    space = read([10] * 6)
+    space.mask[:, 3:] = False
+    gain = open_loop_gain(space, known(space, 0.1), {}, outputs=["x"], random_state=random_state())
+    away = space.measured[:, 1:3, 0] - space.measured[:, :1, 0]
+    assert gain.nominal == pytest.approx(np.sqrt(np.mean(away**2)))
+    assert gain.channels["x"] == pytest.approx((gain.nominal, gain.nominal))
+
+
+def test_commands_from_before_a_window_act_in_it():
+    """What moves a place three rows late is known from the rows before each window of two."""
+    names, rng = ("x",), np.random.default_rng(0)
+    late = FunctionSimulator(
+        lambda X: X[:, :1] + X[:, 1:], input_names=("x", "u"), output_names=names, state_names=names, dt=DT
+    )
+    u = rng.normal(size=(6, 40, 1))
+    delay = {"delay[u]": 3 * DT}
+    states = late.rollout(np.zeros((6, 1)), u, n_steps=40, effects=delay)
+    states = states + 0.01 * rng.normal(size=states.shape)
+    X = np.concatenate([states[:, :-1], u], axis=2).reshape(240, 2)
+    space = state_space(late, X, states[:, 1:].reshape(240, 1), np.repeat(np.arange(6), 40), consecutive=True)
+    gain = predicted(space, known(space, 0.01), delay, horizon=2, random_state=random_state()).gain
+    assert gain.extended == pytest.approx(1.0, abs=0.4)
+    assert gain.nominal > 100

@@ -24,6 +24,7 @@ from skat.diagnosis.remainder import (
     _joint_scales,
     _past,
     _regressors,
+    _response,
     _single,
     _spectrum,
     _turned_back,
@@ -289,6 +290,27 @@ def test_the_law_of_what_is_read_is_the_mean_in_each_bin_drawn_to_zero_by_its_si
     assert part.tried[0][0] == part.regressor == "a"
 
 
+def test_what_is_predictable_is_the_mean_product_of_what_two_halves_of_the_rows_predict():
+    """Each half is of every other row here; the mean of a bin is drawn to zero by the law's size."""
+    error, n = 0.5, 80
+    space, fitted = one_shot(n, 0, bent=1.0, error=error)
+    (part,) = find_remainder(space, fitted, random_state=np.random.RandomState(0)).parts
+    y, place = space.measured[:, 1, 0], np.searchsorted(part.law.edges, space.X[:, 0], side="right") - 1
+    place = np.clip(place, 0, len(part.law.mean) - 1)
+    counts = np.bincount(place)
+    half = (part.law.high - part.law.low) / 2
+    ridge = np.median((1.96 / half) ** 2 - counts / error**2)
+    means = []
+    for which in (0, 1):
+        own = np.arange(n) % 2 == which
+        sums = np.bincount(place[own], y[own], minlength=len(counts)) / error**2
+        means.append(sums / (np.bincount(place[own], minlength=len(counts)) / error**2 + ridge))
+    expected = np.sqrt(max(np.mean(means[0][place] * means[1][place]), 0.0))
+    assert part.regressor == "a"
+    assert expected > 0.1
+    assert part.predictable == pytest.approx(expected, rel=1e-3)
+
+
 def test_chance_makes_evidence_of_which_the_exponential_has_a_mean_of_one():
     """With the noise known, whatever was tried; the fewer rows, the less a law can win or lose."""
     found = []
@@ -404,6 +426,24 @@ def test_a_force_that_sensors_hide_is_as_large_as_its_law_says_lasting_part_and_
     assert part.word == "none"
 
 
+def test_a_row_in_which_the_simulation_diverges_is_pushed_by_no_force():
+    space, fitted = resting([12])
+    valid = np.arange(12) != 5
+    seen = Seen(replace(fitted.linear, valid=valid), fitted.chains, fitted.estimate, fitted.shares)
+    own = _response(space, seen, np.ones((12, 1)), np.ones((12, 1)))
+    whole = Seen(fitted.linear, fitted.chains, fitted.estimate, fitted.shares)
+    expected = _response(space, whole, np.ones((12, 1)), valid[:, None].astype(float))
+    np.testing.assert_allclose(own, expected, atol=1e-12)
+
+
+def test_a_short_log_has_no_spectra():
+    space, fitted = resting([31])
+    frequencies, spectra = _white_spectra(
+        space, fitted, SimpleNamespace(names=("x", "z")), np.random.RandomState(0)
+    )
+    assert [len(one) for one in (frequencies, *spectra)] == [0, 0, 0]
+
+
 def test_an_acceleration_adds_ahead_what_it_moves_of_place_and_speed():
     """In h rows a speed gains h f dt, and a place h (h - 1) / 2 f dt^2, as the speed before a row moves it."""
     space = rolled([30, 40])
@@ -497,7 +537,9 @@ def test_a_vibration_holds_most_of_its_power_near_one_frequency():
     assert word(line((20, 0.3))) == "white"
     assert word(line((20, 0.31), (22.5, 0.29))) == "vibration at 21 Hz"
     assert word(line((20, 0.31), (25, 0.29))) == "white"
-    # Of few bins from zero, the two beside it belong to it.
+    # Of few bins from zero, the two beside it belong to it, and no more.
+    assert word(line((5.5, 0.31), (6.5, 0.29))) == "vibration at 6 Hz"
+    assert word(line((5.5, 0.31), (7.0, 0.29))) == "white"
     assert word(line((2.5, 0.3), (3.5, 0.29))) == "vibration at 3 Hz"
 
 

@@ -227,6 +227,22 @@ def test_a_row_that_diverges_says_nothing_and_may_end_anywhere(end):
     np.testing.assert_allclose(np.delete(slopes, [3, 7], axis=0)[:, 1, 0], np.delete(X[:, 2], [3, 7]))
 
 
+def test_a_row_that_diverges_at_one_end_of_a_chord_has_no_slope():
+    def step(X, gain=1.0, bend=0.0):
+        out = drifting(X, gain, bend)
+        out[(X[:, 2] > 0.5) & (gain > 1.05)] = np.nan
+        return out
+
+    X, y, groups = logged([12])
+    space = state_space(of_states(step, effects=EFFECTS), X, y, groups, consecutive=True)
+    linear = linearise(space, space.measured, {})
+    assert linear.valid.all()
+    for ends, there in (((1.0, 1.1), X[:, 2] <= 0.5), ((0.9, 1.0), np.ones(12, dtype=bool))):
+        slopes = derivatives(space, linear, {}, {"gain": ends})
+        np.testing.assert_allclose(slopes[:, 1, 0], np.where(there, X[:, 2], 0.0), atol=1e-9)
+    np.testing.assert_array_equal(linear.chains.prior, space.spread**2)
+
+
 @pytest.mark.parametrize("at_once", [1.0, 2e7])
 def test_slopes_by_effects_are_chords_between_the_values_given(monkeypatch, at_once):
     monkeypatch.setattr(statespace, "VALUES_AT_ONCE", at_once)

@@ -87,7 +87,7 @@ def smooth_motion(
     simulator : MujocoSimulator
         Of joints that turn or slide: each has one position and one speed.
     X, y : ndarray of shape (n_rows, n_inputs), (n_rows, n_outputs)
-        NaN in states where nothing was measured.
+        NaN in positions where nothing was measured; speeds do not count.
     groups : ndarray of shape (n_rows,)
     window : float
         About how long a stretch is, s.
@@ -97,9 +97,8 @@ def smooth_motion(
     ends = np.flatnonzero(np.r_[groups[1:] != groups[:-1], True])
     instants = np.insert(X[:, :n_states], ends + 1, y[ends], axis=0)
     episodes = np.insert(np.asarray(groups), ends + 1, groups[ends])
-    read = [(instants[:, joint], instants[:, nv + joint]) for joint in range(nv)]
     try:
-        smooth = [smooth_coordinate(*one, episodes, dt) for one in read]
+        smooth = [smooth_coordinate(instants[:, joint], episodes, dt) for joint in range(nv)]
     except ValueError:
         return None
     q, v = (np.column_stack([getattr(one, name) for one in smooth]) for name in ("position", "velocity"))

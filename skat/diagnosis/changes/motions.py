@@ -64,8 +64,6 @@ def half_of(simulator: MujocoSimulator, log: Log, name: str) -> Half:
             "diagnose the log after with extended_simulator_."
         )
     speeds = X[:, nv:n_states], y[:, nv:]
-    X, y = X.astype(float), y.astype(float)
-    X[:, nv:n_states], y[:, nv:] = np.nan, np.nan
     window = min(LONGEST, len(X) * simulator.dt / WINDOWS)
     motion = smooth_motion(simulator, X, y, groups, window=window)
     if motion is None:

@@ -1,9 +1,9 @@
-r"""Smooth position, velocity and acceleration of one coordinate from noisy readings: pure functions of arrays.
+r"""Smooth position, velocity and acceleration of one coordinate from noisy positions: pure functions of arrays.
 
-The coordinate is an integrated random walk, its jerk white noise, read with white noise of positions and, where they
-were measured, of velocities. The variances maximise the restricted likelihood; the smoothed state is the posterior
-mean. The information matrix of all states is banded, so that all of it is linear in the number of rows. In units of the
-row's duration h the states are :math:`(q, h v, h^2 a / 2)`, whose transition and covariance of a step hold no h at all:
+The coordinate is an integrated random walk, its jerk white noise, read with white noise. The variances maximise the
+restricted likelihood; the smoothed state is the posterior mean. The information matrix of all states is banded, so that
+all of it is linear in the number of rows. In units of the row's duration h the states are :math:`(q, h v, h^2 a / 2)`,
+whose transition and covariance of a step hold no h at all:
 
 .. math::
 
@@ -12,8 +12,7 @@ row's duration h the states are :math:`(q, h v, h^2 a / 2)`, whose transition an
     1/12 & 1/4 & 1/4 \end{pmatrix}\right).
 
 Of a motion at the angular frequency :math:`\Omega / h` the smoother keeps the share
-:math:`1 / (1 + \Omega^6 / (\lambda (1 + \Omega^2 / \rho)))`, with :math:`\sigma^2` and :math:`\rho \sigma^2 / h^2` the
-variances of positions and velocities.
+:math:`1 / (1 + \Omega^6 / \lambda)`, with :math:`\sigma^2` the variance of readings.
 
 References
 ----------
@@ -27,13 +26,13 @@ import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.optimize import minimize
 
-from skat.diagnosis.filtering import Array
+from skat.diagnosis.filtering import Array, Mask
 
 TRANSITION = np.array([[1.0, 1, 1], [0, 1, 2], [0, 0, 1]])
 STEP = np.linalg.inv(np.array([[1 / 20, 1 / 8, 1 / 12], [1 / 8, 1 / 3, 1 / 4], [1 / 12, 1 / 4, 1 / 4]]))
 BANDS = 6
-# Logarithms of the variances of jerk and of velocities, over that of positions: from a straight line to no noise.
-LOG_JERK, LOG_VELOCITY = (-30.0, 12.0), (-25.0, 12.0)
+# Logarithm of the variance of jerk over that of positions: from a straight line to no noise.
+LOG_JERK = (-30.0, 12.0)
 # Rows from which variances are estimated, at most.
 ROWS_FOR_VARIANCES = 4000
 
@@ -49,8 +48,8 @@ class Smooth:
         Standard deviation of the velocity given the readings, in the middle of the longest episode.
     position_noise : float
         Standard deviation of a position's reading.
-    jerk, velocity_noise : float
-        lambda and rho.
+    jerk : float
+        lambda.
     """
 
     position: Array
@@ -59,12 +58,11 @@ class Smooth:
     velocity_error: float
     position_noise: float
     jerk: float
-    velocity_noise: float
 
     def kept(self, frequency: Array, dt: float) -> Array:
         """Return which share of a motion at a frequency (Hz) is kept."""
         omega = 2 * np.pi * np.asarray(frequency) * dt
-        return 1 / (1 + omega**6 / (self.jerk * (1 + omega**2 / self.velocity_noise)))
+        return 1 / (1 + omega**6 / self.jerk)
 
     def cutoff(self, share: float, dt: float) -> float:
         """Return the frequency (Hz), Nyquist's at most, up to which at least a share of a motion is kept."""
@@ -73,12 +71,12 @@ class Smooth:
         return float(frequencies[lost[0] - 1] if lost.size else frequencies[-1])
 
 
-def smooth_coordinate(positions: Array, velocities: Array, episodes: Array, dt: float) -> Smooth:
+def smooth_coordinate(positions: Array, episodes: Array, dt: float) -> Smooth:
     """Return a smoothed coordinate, its variances estimated.
 
     Parameters
     ----------
-    positions, velocities : ndarray of shape (n_instants,)
+    positions : ndarray of shape (n_instants,)
         Evenly spaced within an episode; NaN where nothing was measured.
     episodes : ndarray of shape (n_instants,)
         Episode of each instant; those of one follow each other.
@@ -92,22 +90,16 @@ def smooth_coordinate(positions: Array, velocities: Array, episodes: Array, dt: 
     """
     joined = episodes[1:] == episodes[:-1]
     starts = np.r_[0, np.flatnonzero(~joined) + 1]
-    read = np.column_stack([positions, velocities * dt])
-    seen = np.isfinite(read)
-    if (np.add.reduceat(seen.sum(axis=1), starts) < 3).any():
+    seen = np.isfinite(positions)
+    if (np.add.reduceat(seen, starts, dtype=int) < 3).any():
         raise ValueError(
             "an episode holds fewer than 3 readings of a coordinate; it takes 3 to tell how it moves"
         )
-    if not seen[:, 0].any():
-        # Of velocities alone only differences of positions matter.
-        first = np.isin(np.arange(len(read)), starts)
-        read[first, 0], seen[first, 0] = 0.0, True
     part = slice(0, ROWS_FOR_VARIANCES)
-    log_jerk, log_velocity = _variances(read[part], seen[part], joined[: len(read[part]) - 1])
-    jerk, ratio = float(np.exp(log_jerk)), float(np.exp(log_velocity))
-    _, states, factor, scale = _posterior(read, seen, joined, jerk, ratio)
-    longest = int(np.argmax(np.diff(np.r_[starts, len(read)])))
-    middle = (starts[longest] + (np.r_[starts, len(read)][longest + 1])) // 2
+    jerk = _jerk(positions[part], seen[part], joined[: len(positions[part]) - 1])
+    _, states, factor, scale = _posterior(positions, seen, joined, jerk)
+    longest = int(np.argmax(np.diff(np.r_[starts, len(positions)])))
+    middle = (starts[longest] + (np.r_[starts, len(positions)][longest + 1])) // 2
     unit = np.zeros(states.size)
     unit[3 * middle + 1] = 1.0
     spread = cho_solve_banded((factor, True), unit)[3 * middle + 1] * scale
@@ -118,53 +110,33 @@ def smooth_coordinate(positions: Array, velocities: Array, episodes: Array, dt: 
         float(np.sqrt(spread) / dt),
         float(np.sqrt(scale)),
         jerk,
-        ratio,
     )
 
 
-def _variances(read: Array, seen: Array, joined: Array) -> tuple[float, float]:
-    """Return the logarithms of the variances of jerk and of velocities, over that of positions."""
-    both = bool(seen[:, 1].any())
+def _jerk(positions: Array, seen: Mask, joined: Mask) -> float:
+    """Return the variance of jerk, over that of positions."""
 
     def cost(parameters: Array) -> float:
         log_jerk = np.clip(parameters[0], *LOG_JERK)
-        log_velocity = np.clip(parameters[1], *LOG_VELOCITY) if both else 0.0
-        beyond = abs(parameters[0] - log_jerk) + (abs(parameters[1] - log_velocity) if both else 0.0)
-        return float(_posterior(read, seen, joined, np.exp(log_jerk), np.exp(log_velocity))[0] + beyond)
+        beyond = abs(parameters[0] - log_jerk)
+        return float(_posterior(positions, seen, joined, np.exp(log_jerk))[0] + beyond)
 
-    noise = _ratio_of_differences(read, seen, joined) if both else 0.0
-    grid = [np.array([jerk, noise][: 1 + both]) for jerk in np.arange(-24.0, 10.0, 3.0)]
-    start = min(grid, key=cost)
-    simplex = np.vstack([start, start + np.diag([1.5, 1.5])[: 1 + both, : 1 + both]])
-    options = {"xatol": 0.05, "fatol": 0.05, "initial_simplex": simplex, "maxfev": 40 if both else 15}
+    start = min((np.array([jerk]) for jerk in np.arange(-24.0, 10.0, 3.0)), key=cost)
+    simplex = np.array([start, start + 1.5])
+    options = {"xatol": 0.05, "fatol": 0.05, "initial_simplex": simplex, "maxfev": 15}
     found = minimize(cost, start, method="Nelder-Mead", options=options).x
-    return float(np.clip(found[0], *LOG_JERK)), float(np.clip(found[1], *LOG_VELOCITY)) if both else 0.0
+    return float(np.exp(np.clip(found[0], *LOG_JERK)))
 
 
-def _ratio_of_differences(read: Array, seen: Array, joined: Array) -> float:
-    """Return the log of the ratio of what fourth differences leave of velocities and of positions."""
-    left = []
-    for column in range(2):
-        whole = np.where(seen[:, column], read[:, column], np.nan)
-        whole = np.where(np.r_[True, joined], whole, np.nan)
-        squares = np.diff(whole, 4) ** 2
-        left.append(float(np.nanmedian(squares)) if np.isfinite(squares).any() else 0.0)
-    return float(np.clip(np.log(max(left[1], 1e-300) / max(left[0], 1e-300)), *LOG_VELOCITY))
-
-
-def _posterior(
-    read: Array, seen: Array, joined: Array, jerk: float, ratio: float
-) -> tuple[float, Array, Array, float]:
+def _posterior(positions: Array, seen: Mask, joined: Mask, jerk: float) -> tuple[float, Array, Array, float]:
     """Return -2 log of the restricted likelihood, the states (n, 3), the factor of their information, sigma^2."""
-    n = len(read)
-    weights = np.where(seen, [1.0, 1 / ratio], 0.0)
-    values = np.where(seen, read, 0.0)
+    n = len(positions)
+    values = np.where(seen, positions, 0.0)
     diagonal = np.zeros((n, 3, 3))
     inner = TRANSITION.T @ STEP @ TRANSITION / jerk
     diagonal[:-1] += joined[:, None, None] * inner
     diagonal[1:] += joined[:, None, None] * STEP / jerk
-    diagonal[:, 0, 0] += weights[:, 0]
-    diagonal[:, 1, 1] += weights[:, 1]
+    diagonal[:, 0, 0] += seen
     below = np.zeros((n, 3, 3))
     below[:-1] = joined[:, None, None] * (-STEP @ TRANSITION / jerk)
     shaped = np.zeros((BANDS, n, 3))
@@ -175,15 +147,15 @@ def _posterior(
             shaped[3 + row - column, :, column] += below[:, row, column]
     bands = shaped.reshape(BANDS, 3 * n)
     right = np.zeros((n, 3))
-    right[:, :2] = weights * values
+    right[:, 0] = values
     factor = cholesky_banded(bands, lower=True, check_finite=False)
     states = cho_solve_banded((factor, True), right.ravel(), check_finite=False).reshape(n, 3)
     pushes = (states[1:] - states[:-1] @ TRANSITION.T)[joined]
-    squares = float((weights * (values - states[:, :2]) ** 2).sum())
+    squares = float((seen * (values - states[:, 0]) ** 2).sum())
     squares += float(np.einsum("ti,ij,tj->", pushes, STEP, pushes)) / jerk
-    n_read, n_pushes = int(seen.sum()), 3 * int(joined.sum())
-    degrees = max(n_read - 3 * (n - int(joined.sum())), 1)
-    squares = max(squares, 1e-26 * float((weights * values**2).sum()) + 1e-300)
+    n_pushes = 3 * int(joined.sum())
+    degrees = max(int(seen.sum()) - 3 * (n - int(joined.sum())), 1)
+    squares = max(squares, 1e-26 * float((values**2).sum()) + 1e-300)
     cost = 2 * float(np.log(factor[0]).sum()) + n_pushes * np.log(jerk)
-    cost += int(seen[:, 1].sum()) * np.log(ratio) + degrees * np.log(squares / degrees)
+    cost += degrees * np.log(squares / degrees)
     return cost, states, factor, squares / degrees

@@ -58,15 +58,14 @@ def test_smoother_finds_noise_and_motion():
     speed = 2.4 * np.cos(4 * time) + 1.8 * np.cos(9 * time + 1)
     read = truth + 0.003 * rng.normal(size=1500)
     read[rng.random(1500) < 0.05] = np.nan
-    unread = np.full(1500, np.nan)
-    smooth = smooth_coordinate(read, unread, np.zeros(1500), 0.01)
+    smooth = smooth_coordinate(read, np.zeros(1500), 0.01)
     assert smooth.position_noise == pytest.approx(0.003, rel=0.08)
     assert np.std(smooth.velocity - speed) == pytest.approx(smooth.velocity_error, rel=0.5)
 
 
 def test_smoother_leaves_a_parabola_as_it_is():
     time = 0.01 * np.arange(60)
-    smooth = smooth_coordinate(1 + 2 * time + 3 * time**2, np.full(60, np.nan), np.zeros(60), 0.01)
+    smooth = smooth_coordinate(1 + 2 * time + 3 * time**2, np.zeros(60), 0.01)
     np.testing.assert_allclose(smooth.velocity, 2 + 6 * time, atol=1e-6)
     np.testing.assert_allclose(smooth.acceleration, 6.0, atol=1e-4)
 
@@ -262,7 +261,7 @@ def test_nothing_is_named_where_nothing_changed():
 
 
 def test_smoother_takes_three_readings_of_an_episode_and_no_fewer():
-    place, unread = np.array([0.0, 1.0, 4.0]), np.full(3, np.nan)
-    assert np.isfinite(smooth_coordinate(place, unread, np.zeros(3), 0.1).acceleration).all()
+    place = np.array([0.0, 1.0, 4.0])
+    assert np.isfinite(smooth_coordinate(place, np.zeros(3), 0.1).acceleration).all()
     with pytest.raises(ValueError, match="fewer than 3 readings"):
-        smooth_coordinate(place[:2], unread[:2], np.zeros(2), 0.1)
+        smooth_coordinate(place[:2], np.zeros(2), 0.1)

@@ -1,0 +1,205 @@
+"""What fits are made of, against least squares and the weighing of sets: evidence, noise beside effects, scores."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from skat.diagnosis.evidence import Gram, weigh
+from skat.diagnosis.filtering import kalman_filter
+from skat.diagnosis.fits import Fits
+from skat.diagnosis.fitting import (
+    Known,
+    _rough,
+    around,
+    gram_of,
+    noise_without,
+    priors_of,
+    response,
+    settled,
+    slopes_of,
+)
+from skat.diagnosis.noise import normal_noise
+from skat.diagnosis.statespace import linearise, state_space
+from skat.diagnosis.velocities import noise_variance
+from skat.effects import Effect
+from skat.simulators import FunctionSimulator, MujocoSimulator
+
+NAMES, SIGMA, POWER = tuple("abc"), 0.5, 0.7
+EFFECTS = tuple(Effect(name, unit="1", neutral=0.0, bounds=(-5.0, 5.0), typical=0.5) for name in NAMES)
+
+
+def logged(n=60, seed=0):
+    """Return the space of a one-shot sum of three inputs, each times an effect, its inputs and its readings."""
+    simulator = FunctionSimulator(
+        lambda X, **values: X @ [[values[name]] for name in NAMES],
+        input_names=("p", "q", "r"),
+        output_names=("y",),
+        effects=EFFECTS,
+    )
+    rng = np.random.default_rng(seed)
+    X = rng.normal(size=(n, 3))
+    y = X @ [1.0, 0.0, -0.4] + SIGMA * rng.normal(size=n)
+    return state_space(simulator, X, y[:, None], np.arange(n), consecutive=False), X, y
+
+
+@pytest.fixture(scope="module")
+def fits():
+    return Fits(logged()[0], EFFECTS, priors_of(EFFECTS), np.zeros(1), np.array([SIGMA]), POWER)
+
+
+# -- sets ------------------------------------------------------------------------------------------------------------
+
+
+def test_fits_of_what_is_linear_have_the_values_and_the_evidence_of_their_weighing(fits):
+    _, X, y = logged()
+    gram = Gram(X.T @ X / SIGMA**2, X.T @ y / SIGMA**2, np.zeros(3))
+    *_, nothing = fits.first()
+    assert nothing.evidence == pytest.approx(POWER * nothing.fitted.bound)
+    for members in ((0,), (1,), (0, 2)):
+        one = fits.of(members, np.full(len(members), 0.1), nothing)
+        weighed = weigh(gram, fits.priors, members, power=POWER)
+        assert one.members == members
+        np.testing.assert_allclose(
+            list(one.values.values()), weighed.values, atol=0.1 * weighed.deviations.min()
+        )
+        assert one.evidence - nothing.evidence == pytest.approx(weighed.evidence, abs=0.05)
+        np.testing.assert_allclose(fits.gram(one.fitted, range(3)).products, gram.products, rtol=1e-6)
+        np.testing.assert_allclose(fits.gram(one.fitted, range(3)).at_neutral, gram.projections, rtol=1e-6)
+
+
+def test_a_fit_without_a_member_is_that_of_the_others(fits):
+    *_, nothing = fits.first()
+    both = fits.of((0, 2), np.zeros(2), nothing)
+    for gone, left in ((0, (2,)), (2, (0,))):
+        rest, own = fits.without(both, {gone}), fits.of(left, np.zeros(1), nothing)
+        assert rest.members == left
+        assert rest.evidence == pytest.approx(own.evidence, abs=0.02)
+        assert list(rest.values) == [NAMES[left[0]]]
+    assert fits.without(both, (0, 2)).evidence == pytest.approx(nothing.evidence, abs=1e-6)
+
+
+# -- noise -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("given", [None, np.array([0.3])])
+def test_what_effects_explain_is_no_noise(given):
+    space, X, y = logged(200)
+    fitted = settled(space, {}, None, np.zeros(1), given=given)
+    slopes = slopes_of(space, fitted, EFFECTS, priors_of(EFFECTS))
+    np.testing.assert_allclose(slopes[:, 0], X, atol=1e-9)
+    moves = np.array([1.0, 0.0, -0.4])
+    without = noise_without(space, fitted, slopes, moves, np.zeros(1), given=given)
+    expected = 0.09 if given is not None else np.mean((y - X @ moves) ** 2)
+    assert without.estimate.noise.error[0] == pytest.approx(expected, rel=0.03)
+    # The fit stays about no effect: innovations are all of the readings.
+    z = without.estimate.filtered.whitened[without.chains.mask] * np.sqrt(without.estimate.noise.error[0])
+    if np.isinf(without.estimate.noise.error_nu[0]):
+        np.testing.assert_allclose(z, y, rtol=1e-6)
+    floored = noise_without(space, fitted, slopes, moves, np.array([9.0]))
+    assert floored.estimate.noise.error[0] == 9.0
+
+
+def test_scores_are_of_whitened_rows_in_blocks_of_time():
+    space, X, y = logged(120)
+    fitted = settled(space, {}, None, np.zeros(1), given=np.array([SIGMA]))
+    columns = gram_of(space, fitted, slopes_of(space, fitted, EFFECTS, priors_of(EFFECTS)), EFFECTS)
+    np.testing.assert_allclose(columns.columns, X / SIGMA, atol=1e-9)
+    np.testing.assert_allclose(columns.whitened, y / SIGMA, rtol=1e-9)
+    np.testing.assert_allclose(columns.gram.projections, X.T @ y / SIGMA**2, rtol=1e-9)
+    assert columns.blocks.tolist() == (np.arange(120) // 2).tolist()
+
+
+def test_responses_are_what_steps_take_from_innovations_beside_forces_of_memory():
+    """Of linear dynamics: the difference of two passes, one with more added in each step to the places alone."""
+    space, rng = walks(), np.random.default_rng(1)
+    chains = linearise(space, space.measured, {}).chains.with_memory(np.full(2, 0.8), np.ones(2))
+    slopes = rng.normal(size=(len(space.X), 2, 1))
+    drive = chains.drive.copy()
+    drive[..., :2] += space.padded(slopes[..., 0])
+    force, error = np.ones((*space.real.shape, 4)), np.ones(chains.mask.shape)
+    base, moved = (kalman_filter(one, force, error) for one in (chains, replace(chains, drive=drive)))
+    expected = base.whitened - moved.whitened
+    np.testing.assert_allclose(response(space, chains, base, slopes)[..., 0], expected, atol=1e-9)
+
+
+def walks():
+    """Return the log of two places that a command moves, read with much and with little noise."""
+    rng, names = np.random.default_rng(0), ("x", "z")
+    simulator = FunctionSimulator(
+        lambda X: X[:, :2] + X[:, 2:],
+        input_names=(*names, "u"),
+        output_names=names,
+        state_names=names,
+        dt=0.1,
+    )
+    X, y = [], []
+    for length in (150, 90):
+        u = 0.1 * np.sin(0.1 * np.arange(length))[:, None]
+        path = np.r_[np.zeros((1, 2)), np.cumsum(np.tile(u, 2), axis=0)] + [0.5, 0.01] * rng.normal(
+            size=(length + 1, 2)
+        )
+        X.append(np.c_[path[:-1], u])
+        y.append(path[1:])
+    return state_space(
+        simulator, np.concatenate(X), np.concatenate(y), np.repeat([0, 1], [150, 90]), consecutive=True
+    )
+
+
+def test_noise_begins_at_what_neighbouring_rows_show_of_each_channel():
+    space = walks()
+    rough = _rough(space)
+    episodes = np.repeat(np.arange(len(space.measured)), space.measured.shape[1])
+    for channel, error in enumerate((0.5, 0.01)):
+        series = np.where(space.mask[..., channel], space.measured[..., channel], np.nan).ravel()
+        assert rough[channel] == noise_variance(series, episodes)
+        assert 0.2 * error**2 < rough[channel] < 1.2 * error**2
+    space.mask[..., 0] = False
+    assert np.isinf(_rough(space)[0])
+
+
+def test_turns_show_no_noise_of_their_own():
+    ball = MujocoSimulator(
+        "<mujoco><worldbody><body><freejoint/><geom size='.1'/></body></worldbody></mujoco>"
+    )
+    states = np.tile(np.r_[np.zeros(3), 1.0, np.zeros(9)], (20, 1))
+    states[:, :3] += 0.01 * np.random.default_rng(0).normal(size=(20, 3))
+    space = state_space(ball, states[:-1], states[1:], np.zeros(19, dtype=int), consecutive=True)
+    rough = _rough(space)
+    assert np.isfinite(rough[:3]).all()
+    assert np.isinf(rough[3:6]).all()
+
+
+def test_of_forces_with_memory_nothing_is_known():
+    chains = linearise(walks(), walks().measured, {}).chains.with_memory(np.full(2, 0.8), np.ones(2))
+    known = Known(np.array([0.1, 0.2]), np.array([0.3, 0.4]))
+    assert known.least(chains).tolist() == [0.1, 0.2, 0.0, 0.0]
+    assert known.held(chains).tolist() == [True, True, False, False]
+    assert Known(np.zeros(2), None).held(chains) is None
+    real = np.ones(chains.drive.shape[:2], dtype=bool)
+    start = normal_noise(chains, np.full(4, 0.01), np.array([0.09, 0.16, 1.0, 1.0]))
+    assert known.estimated(chains, start, real).noise.error[:2].tolist() == [0.09, 0.16]
+
+
+def test_a_simulation_that_diverges_everywhere_has_no_fit():
+    names = ("x",)
+    lost = FunctionSimulator(
+        lambda X: np.full((len(X), 1), np.nan),
+        input_names=names,
+        output_names=names,
+        state_names=names,
+        dt=0.1,
+    )
+    X = np.random.default_rng(0).normal(size=(21, 1))
+    space = state_space(lost, X[:-1], X[1:], np.zeros(20, dtype=int), consecutive=True)
+    with pytest.raises(
+        RuntimeError, match=r"diverges in every row: check the units of the states and actions\."
+    ):
+        settled(space, {}, None, np.zeros(1))
+
+
+def test_values_to_both_sides_are_as_far_off_as_they_count_and_within_bounds():
+    gain = Effect("gain", unit="1", neutral=1.0, bounds=(0.25, 4.0))
+    assert around(gain, 1.0, np.log(2)) == pytest.approx((0.5, 2.0))
+    assert around(gain, 3.0, np.log(2)) == pytest.approx((1.5, 4.0))
+    assert around(EFFECTS[0], 1.0, 0.25) == pytest.approx((0.75, 1.25))

@@ -1,0 +1,192 @@
+"""What the noise is estimated by, against quadrature, dense normal laws and general optimisers."""
+
+import numpy as np
+import pytest
+from scipy import integrate, optimize, stats
+
+from skat.diagnosis.filtering import Chains
+from skat.diagnosis.noise import (
+    DEGREES_OF_FREEDOM,
+    FINEST,
+    Noise,
+    _best_scales,
+    _cost_of_scales,
+    _scales,
+    _step,
+    estimate_noise,
+    normal_noise,
+    passed,
+    precisions,
+)
+
+
+def walks(seed=0, *, n=3, steps=40, force=0.04, error=0.09, prior=4.0):
+    """Return the chains of random walks that are read with noise."""
+    rng = np.random.default_rng(seed)
+    start = np.sqrt(prior) * rng.normal(size=(n, 1))
+    path = np.c_[start, start + np.cumsum(np.sqrt(force) * rng.normal(size=(n, steps)), axis=1)]
+    return Chains(
+        np.ones((n, steps, 1, 1)),
+        np.zeros((n, steps, 1)),
+        np.zeros((n, steps, 1, 1)),
+        np.ones((n, steps, 1, 1)),
+        (path + np.sqrt(error) * rng.normal(size=path.shape))[..., None],
+        np.ones((n, steps + 1, 1), dtype=bool),
+        np.array([prior]),
+    )
+
+
+def likelihood(chains, force, error):
+    """Return the log density of random walks that are read with noise, from their covariance."""
+    steps = np.arange(chains.measured.shape[1])
+    covariance = chains.prior[0] + force * np.minimum.outer(steps, steps) + error * np.eye(len(steps))
+    law = stats.multivariate_normal(np.zeros(len(steps)), covariance)
+    return sum(law.logpdf(one) for one in chains.measured[..., 0])
+
+
+def test_normal_noise_has_even_weights_and_its_variances():
+    chains = walks(n=2, steps=5)
+    noise = normal_noise(chains, [0.3], [0.7])
+    assert noise.force_variances.shape == (2, 5, 1)
+    assert noise.error_variances.shape == (2, 6, 1)
+    assert (noise.force_variances == 0.3).all()
+    assert (noise.error_variances == 0.7).all()
+    assert np.isinf(np.r_[noise.force_nu, noise.error_nu]).all()
+
+
+@pytest.mark.parametrize(("force", "error"), [(0.04, 0.09), (1.0, 1e-3), (0.0, 0.5)])
+def test_the_bound_of_normal_noise_is_the_likelihood(force, error):
+    chains, real = walks(), np.ones((3, 40), dtype=bool)
+    estimate = passed(chains, normal_noise(chains, [force], [error]), real)
+    assert estimate.bound == pytest.approx(likelihood(chains, force, error), rel=1e-9)
+
+
+@pytest.mark.parametrize("start", [(1.0, 1.0), (1e-4, 1.0), (1.0, 1e-4)])
+def test_variances_are_those_of_the_largest_likelihood_wherever_they_begin(start):
+    chains, real = walks(seed=2, n=6, steps=15), np.ones((6, 15), dtype=bool)
+    found = estimate_noise(
+        chains,
+        normal_noise(chains, [start[0]], [start[1]]),
+        real,
+        floor=np.zeros(1),
+        heavy=False,
+        n_passes=200,
+        tolerance=1e-4,
+    )
+    best = optimize.minimize(
+        lambda logs: -likelihood(chains, *np.exp(logs)), np.log([0.04, 0.09]), method="Nelder-Mead", tol=1e-2
+    )
+    assert found.bound == pytest.approx(-best.fun, abs=0.02)
+    np.testing.assert_allclose([found.noise.force[0], found.noise.error[0]], np.exp(best.x), rtol=0.1)
+    assert found.smoothed.covariances.shape == (6, 16, 1, 1)
+
+
+def test_a_search_that_may_end_sooner_ends_lower_but_never_below_its_start():
+    chains, real = walks(steps=20), np.ones((3, 20), dtype=bool)
+    start = normal_noise(chains, [1e-3], [4.0])
+    bounds = [
+        estimate_noise(chains, start, real, floor=np.zeros(1), heavy=False, **options).bound
+        for options in ({"n_passes": 0}, {"n_passes": 2}, {"tolerance": 5.0}, {"tolerance": 1e-4})
+    ]
+    assert bounds[0] == pytest.approx(likelihood(chains, 1e-3, 4.0))
+    assert bounds[0] < bounds[1] < bounds[3] + 1e-9
+    assert bounds[0] < bounds[2] <= bounds[3] + 1e-9
+
+
+def test_no_noise_is_finer_than_any_sensor_or_below_its_floor():
+    chains = walks(force=0.0, error=0.0)
+    real = np.ones((3, 40), dtype=bool)
+    options = {"heavy": False, "tolerance": 1e-9, "n_passes": 200}
+    start = normal_noise(chains, [1e-20], [1e-20])
+    assert estimate_noise(chains, start, real, floor=np.zeros(1), **options).noise.error[0] >= FINEST * 4.0
+    assert estimate_noise(chains, start, real, floor=np.array([1e-4]), **options).noise.error[0] == 1e-4
+    # What was given stays below the floor.
+    held = estimate_noise(chains, start, real, floor=np.array([1e-4]), held=np.array([True]), **options)
+    assert held.noise.error[0] == 1e-20
+
+
+@pytest.mark.parametrize("nu", [3.0, 5.0])
+@pytest.mark.parametrize("mean", [0.2, 1.0, 1.4])
+def test_scales_cost_their_divergence_from_their_law_and_gain_the_mean_of_their_logarithm(nu, mean):
+    """By quadrature over a Gamma variable of shape (nu + 1) / 2 and that mean, against one of mean 1."""
+    own, law = (
+        stats.gamma((nu + 1) / 2, scale=2 * mean / (nu + 1)),
+        stats.gamma(nu / 2, scale=2 / nu),
+    )
+
+    def cost(w):
+        return own.pdf(w) * (0.5 * np.log(w) - own.logpdf(w) + law.logpdf(w))
+
+    expected, _ = integrate.quad(cost, 0, own.ppf(1 - 1e-14), limit=200)
+    weights = np.full((2, 3, 2), 7.0)
+    weights[..., 1] = mean
+    present = np.ones((2, 3, 1), dtype=bool)
+    present[0, 0] = False
+    told = _cost_of_scales(weights, np.array([np.inf, nu]), present)
+    # The normal likelihood at the expected precision has half of its logarithm already.
+    assert told == pytest.approx(5 * (expected - 0.5 * np.log(mean)), rel=1e-5)
+    assert _cost_of_scales(weights, np.full(2, np.inf), present) == 0.0
+
+
+def test_precisions_are_expected_ones_where_something_is():
+    squares = np.array([[[4.0, 4.0]], [[0.0, 1.0]]])
+    present = np.array([[[True, True]], [[True, False]]])
+    weights = precisions(squares, np.array([2.0, 0.5]), np.array([np.inf, 3.0]), present)
+    assert weights[..., 0].tolist() == [[1.0], [1.0]]
+    assert weights[:, 0, 1].tolist() == [(3 + 1) / (3 + 4 / 0.5), 1.0]
+
+
+def test_without_tails_the_likeliest_scale_is_the_mean_square_of_what_is_there():
+    squares = np.array([[1.0, 3.0], [2.0, 5.0], [100.0, 7.0]])
+    seen = np.array([[True, True], [True, True], [False, True]])
+    assert _best_scales(squares, seen, np.ones(2), np.inf).tolist() == [1.5, 5.0]
+    nothing = _best_scales(squares, np.zeros((3, 2), dtype=bool), np.ones(2), np.inf)
+    assert (nothing > 0).all()
+    assert (nothing < 1e-200).all()
+
+
+@pytest.mark.parametrize("nu", [3.0, np.inf])
+def test_degrees_of_freedom_are_the_likeliest_of_the_grid(nu):
+    rng = np.random.default_rng(1)
+    values = rng.standard_t(nu, size=(4, 250, 1)) if np.isfinite(nu) else rng.normal(size=(4, 250, 1))
+    found, _ = _scales(values**2, np.ones(1), np.ones(values.shape, dtype=bool))
+
+    def best(one):
+        law = stats.norm if np.isinf(one) else stats.t(one)
+        return optimize.minimize_scalar(
+            lambda log: -law.logpdf(values / np.exp(log)).sum() + values.size * log
+        ).fun
+
+    assert found[0] == min(DEGREES_OF_FREEDOM, key=best)
+
+
+def test_a_variance_is_multiplied_by_what_is_left_of_it_over_what_was_told():
+    """Of a force that was told exactly nothing is left of its variance: the mean square itself."""
+    rng = np.random.default_rng(0)
+    means, prior = rng.normal(size=(2, 30, 1)), np.full((2, 30, 1), 0.5)
+    present = np.ones((2, 30, 1), dtype=bool)
+    present[1, 10:] = False
+    known = _step(means, np.zeros((2, 30, 1)), prior, np.ones((2, 30, 1)), present, 1.0)
+    assert known[0] == pytest.approx(np.mean(means[present] ** 2) / 0.5)
+    half = _step(means, np.zeros((2, 30, 1)), prior, np.ones((2, 30, 1)), present, 0.5)
+    assert half[0] == pytest.approx(np.sqrt(known[0]))
+    # Of what was told half, squares count for as much less.
+    told = _step(means, prior / 2, prior, np.ones((2, 30, 1)), present, 1.0)
+    assert told[0] == pytest.approx(2 * known[0])
+    # What nothing tells of stays, and no step is longer than a thousandfold.
+    assert _step(means, prior, prior, np.ones((2, 30, 1)), present, 1.0)[0] == 1.0
+    assert _step(1e3 * means, 0 * prior, prior, np.ones((2, 30, 1)), present, 1.0)[0] == 1e3
+    assert _step(1e-3 * means, 0 * prior, prior, np.ones((2, 30, 1)), present, 1.0)[0] == 1e-3
+    # A sample of twice the precision has half of the variance.
+    weights = np.where(np.arange(30) % 2, 2.0, 1.0)[None, :, None] * np.ones((2, 1, 1))
+    even = _step(means / np.sqrt(weights), 0 * prior, prior / weights, weights, present, 1.0)
+    assert even[0] == pytest.approx(known[0])
+
+
+def test_a_noise_of_samples_with_weights_has_their_variances():
+    one = np.ones((1, 2, 1))
+    noise = Noise(
+        np.array([4.0]), np.array([9.0]), np.array([3.0]), np.array([5.0]), 2 * one, np.ones((1, 3, 1)) / 3
+    )
+    assert noise.force_variances.ravel().tolist() == [2.0, 2.0]
+    np.testing.assert_allclose(noise.error_variances.ravel(), 27.0)
