@@ -25,6 +25,8 @@ from skat.simulators import MujocoSimulator
 
 # Rows by which commands may come late, or early: of a row that a smoothed motion and a time step blur.
 LATE_IN_BOTH = tuple(0.25 * one for one in range(-4, 33))
+# Of what something is to explain, that it explains at least.
+MOST = 0.5
 # Of the force on a joint, that a typical size of an effect exerts at least if logs show it: below, there is rounding.
 SHOWN = 1e-9
 
@@ -63,6 +65,23 @@ class Question:
     sides: tuple[Rows, Rows]
     law: Law
     held_out: Mask
+
+    def describes_a_machine(self) -> bool:
+        """Return whether the first log's machine may be the model with all that is common in it.
+
+        It is none where most of the missing force is said to be explained by what no machine has, as damping below
+        zero, or by effects so large that their slopes say nothing of them: with as much of it as there can be in it the
+        model then lacks more force than it does as it is.
+        """
+        rows, noise, value = self.sides[0], self.law.noise[0], self.law.value
+        about = model_about(self.base, self.effects, self.sizes, value)
+        forces = lacking_forces(self.simulator, self.halves[0], [about])
+        within = coefficients_of(self.halves[0], forces)[0][:, 0]
+        as_it_is, promised, kept = (
+            float(np.sum((left / noise) ** 2))
+            for left in (rows.target, rows.target - rows.columns @ value, within)
+        )
+        return kept < as_it_is or as_it_is - promised < MOST * as_it_is
 
     def left(self, value: Array, differences: Array) -> tuple[Array, Array]:
         """Return what values (n_effects,) and differences (n_candidates,) leave of the rows of both logs, (n_rows,)."""
@@ -249,7 +268,8 @@ def model_about(base: Model, effects: Sequence[Effect], sizes: Array, value: Arr
     """Return a model with what is common, (n_effects,) in units of sizes, in it, as far as a machine may have it."""
     values = dict(base.values)
     for effect, size, one in zip(effects, sizes, value):
-        values[effect.name] = _within(effect, values.get(effect.name, effect.neutral) + size * one)
+        further = Candidate(effect, 1.0, {}).told(size * one) - effect.neutral
+        values[effect.name] = _within(effect, values.get(effect.name, effect.neutral) + further)
     return replace(base, values=values)
 
 

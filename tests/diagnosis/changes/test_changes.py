@@ -6,6 +6,7 @@ import pytest
 from skat.diagnosis import SimulationDiagnosis
 from skat.diagnosis.changes.candidates import LATER, _between
 from skat.diagnosis.changes.motions import _later
+from skat.diagnosis.changes.question import Question
 from skat.simulators import FunctionSimulator, MujocoSimulator
 from tests.diagnosis.changes.test_force_space import ARM, log_of
 
@@ -77,6 +78,14 @@ def test_swapped_columns_are_told_and_nothing_is_named():
     with pytest.warns(UserWarning, match=r"ctrl\.shoulder and ctrl\.elbow are swapped"):
         found = asked(log_of(4, **WRONG), (X, y, groups))
     assert (found.verdict_, found.changes_) == ("unexplained", [])
+
+
+def test_a_simulation_that_is_too_far_off_is_refused_with_a_remedy(monkeypatch):
+    monkeypatch.setattr(Question, "describes_a_machine", lambda question: False)
+    with pytest.warns(UserWarning, match=r"too far off to say what changed.*extended_simulator_"):
+        found = asked(log_of(4, rows=400), log_of(5, rows=400))
+    assert (found.verdict_, found.changes_, found.gain_) == ("unexplained", [], None)
+    assert set(found.common_) == {"qvel.shoulder", "qvel.elbow"}
 
 
 def test_what_has_no_forces_on_joints_is_refused_with_a_remedy():

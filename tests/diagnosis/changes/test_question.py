@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skat.diagnosis.changes.candidates import Candidate, Model
+from skat.diagnosis.changes.candidates import WEAKEST, Candidate, Model
 from skat.diagnosis.changes.force_space import Rows
 from skat.diagnosis.changes.motions import (
     _later,
@@ -21,9 +21,10 @@ from skat.diagnosis.changes.question import (
     _of_motors,
     _shares,
     _with_friction,
+    model_about,
     question_of,
 )
-from tests.diagnosis.changes.arm import arm, effect_of
+from tests.diagnosis.changes.arm import arm, effect_of, question_about
 from tests.diagnosis.changes.test_force_space import log_of
 
 
@@ -168,3 +169,37 @@ def test_columns_are_in_units_of_what_typically_is_exerted(simulator):
 def test_windows_that_are_held_out_are_spread_and_leave_two(n, share, held):
     stretch = np.repeat(np.arange(n), 3)
     assert np.unique(stretch[_held_out(stretch, share)]).tolist() == held
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "has"),
+    [
+        # One over a gain, and over what a sensor scales, is what rows are linear in.
+        ("gain[elbow]", 0.2, 1.25),
+        ("gain[elbow]", -1.0, 0.5),
+        ("scale[qpos.elbow]", 0.2, 1.25),
+        ("mass[lower]", 0.25, 1.25),
+        ("mass[lower]", -1.5, WEAKEST),
+        ("damping[elbow]", 0.25, 0.25),
+        ("damping[elbow]", -0.25, 0.0),
+    ],
+)
+def test_a_model_about_what_is_common_is_one_that_a_machine_may_have(simulator, name, value, has):
+    found = model_about(Model({}, 2.0), [effect_of(simulator, name)], np.array([0.5]), np.array([2 * value]))
+    assert found == Model({name: pytest.approx(has)}, 2.0)
+
+
+def test_it_is_no_machine_whose_missing_force_is_mostly_explained_by_what_none_has(simulator):
+    logs = (log_of(seed, damping=(0.0, 0.3), rows=400) for seed in (4, 5))
+    question = question_about(simulator, *logs, effects=("damping[elbow]",))
+    assert question.describes_a_machine()
+
+    def told(value, target):
+        first, second = question.sides
+        sides = replace(first, target=first.columns @ target), second
+        return replace(question, sides=sides, law=replace(question.law, value=value))
+
+    # Its joint is driven by what it rubs at.
+    driven = -0.9 * question.law.value
+    assert not told(driven, driven).describes_a_machine()
+    assert told(0.2 * driven, driven).describes_a_machine()
