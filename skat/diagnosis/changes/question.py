@@ -79,7 +79,7 @@ class Question:
         within = coefficients_of(self.halves[0], forces)[0][:, 0]
         as_it_is, promised, kept = (
             float(np.sum((left / noise) ** 2))
-            for left in (rows.target, rows.target - rows.columns @ value, within)
+            for left in (rows.nominal, rows.target - rows.columns @ value, within)
         )
         return kept < as_it_is or as_it_is - promised < MOST * as_it_is
 

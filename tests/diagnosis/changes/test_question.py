@@ -196,7 +196,8 @@ def test_it_is_no_machine_whose_missing_force_is_mostly_explained_by_what_none_h
 
     def told(value, target):
         first, second = question.sides
-        sides = replace(first, target=first.columns @ target), second
+        missing = first.columns @ target
+        sides = replace(first, target=missing, nominal=missing), second
         return replace(question, sides=sides, law=replace(question.law, value=value))
 
     # Its joint is driven by what it rubs at.
