@@ -317,6 +317,12 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         )
         if found.mistake:
             warnings.warn(f"The log after reads as if {found.mistake}.", stacklevel=2)
+        if found.far_off:
+            warnings.warn(
+                "The simulation is too far off to say what changed: no machine has all that it gets wrong by the log "
+                "before. Fit the log before, and pass extended_simulator_.",
+                stacklevel=2,
+            )
         self.changes_, self.verdict_ = list(found.changes), found.verdict
         self.gain_, self.common_ = found.gain, found.common
         return self

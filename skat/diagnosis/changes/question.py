@@ -25,6 +25,10 @@ from skat.simulators import MujocoSimulator
 
 # Rows by which commands may come late, or early: of a row that a smoothed motion and a time step blur.
 LATE_IN_BOTH = tuple(0.25 * one for one in range(-4, 33))
+# Turns of what is common, and the accelerations at which slopes are taken.
+TURNS = 2
+# Of what something is to explain, that it explains at least.
+MOST = 0.5
 # Of the force on a joint, that a typical size of an effect exerts at least if logs show it: below, there is rounding.
 SHOWN = 1e-9
 
@@ -63,6 +67,23 @@ class Question:
     sides: tuple[Rows, Rows]
     law: Law
     held_out: Mask
+
+    def describes_a_machine(self) -> bool:
+        """Return whether the first log's machine may be the model with what is common in it.
+
+        It is none where most of the missing force is said to be explained by what no machine has, as damping below
+        zero, or by effects so large that their slopes say nothing of them: with as much of it as there can be in it the
+        model then lacks more force than it does as it is.
+        """
+        rows, noise, value = self.sides[0], self.law.noise[0], self.law.value
+        about = model_about(self.base, self.effects, self.sizes, value)
+        forces = lacking_forces(self.simulator, self.halves[0], [about])
+        within = coefficients_of(self.halves[0], forces)[0][:, 0]
+        as_it_is, promised, kept = (
+            float(np.sum((left / noise) ** 2))
+            for left in (rows.target, rows.target - rows.columns @ value, within)
+        )
+        return kept < as_it_is or as_it_is - promised < MOST * as_it_is
 
     def left(self, value: Array, differences: Array) -> tuple[Array, Array]:
         """Return what values (n_effects,) and differences (n_candidates,) leave of the rows of both logs, (n_rows,)."""
@@ -113,18 +134,26 @@ def question_of(
     sides = [replace(side, columns=side.columns[:, shown] * units) for side in sides]
     sides = [_with_friction(simulator, *one, common, sizes) for one in zip(halves, sides)]
     base, other = _bases(simulator, halves, sides, common, sizes, needed)
-    sides = [rows_about(simulator, half, base, common, sizes) for half in halves]
-    own = sides if other == base else [sides[0], rows_about(simulator, halves[1], other, common, sizes)]
-    law = with_misfit(own, settled_law(own))
+    about, further = base, other
+    for _ in range(TURNS):
+        sides = [rows_about(simulator, half, base, common, sizes, about=about) for half in halves]
+        own = sides
+        if other != base:
+            own = [sides[0], rows_about(simulator, halves[1], other, common, sizes, about=further)]
+        law = settled_law(own)
+        about, further = (model_about(one, common, sizes, law.value) for one in (base, other))
+    law = with_misfit(own, law)
     offered, scales = offered_candidates(simulator, effects, common, sizes, typical)
-    columns = columns_of(simulator, halves[1], base, offered, scales)
-    # A sensor reads all of the forces that the machine has otherwise, not those of the model alone.
-    sensed = [place for place, one in enumerate(offered) if one.effect.family in ("scale", "bias")]
-    if sensed:
-        about = model_about(base, common, sizes, law.value)
-        some = [offered[place] for place in sensed]
-        columns[:, sensed] = columns_of(simulator, halves[1], about, some, scales[sensed])
-    columns = _of_motors(offered, columns, sides[1], law.value, scales)
+    columns = columns_of(simulator, halves[1], base, offered, scales, about=about)
+    # A sensor reads all of the forces that the machine has otherwise, not those of the model alone; and a motor is so
+    # many times as strong as it was.
+    some = [place for place, one in enumerate(offered) if one.effect.family in ("scale", "bias", *MOTORS)]
+    if some:
+        chosen = [offered[place] for place in some]
+        units = [
+            about.values.get(one.effect.name, 1.0) if one.effect.family in MOTORS else 1.0 for one in chosen
+        ]
+        columns[:, some] = columns_of(simulator, halves[1], about, chosen, scales[some]) * units
     noise = law.noise[1]
     whitened = columns / noise[:, None]
     offered, kept = distinct(offered, whitened)
@@ -229,34 +258,21 @@ def _told(
     return np.asarray(-0.5 * np.diag(left)[k:]), np.asarray(values.T)
 
 
-def _of_motors(
-    offered: Sequence[Candidate], columns: Array, rows: Rows, value: Array, scales: Array
-) -> Array:
-    r"""Return columns with those of motors acting on all that is common.
-
-    In units of what its motor exerts a joint lacks :math:`\lambda f - u`, f all of its force and :math:`\lambda` one
-    over the gain; nearly u is what a change of :math:`\lambda` multiplies, whatever the model says of f.
-    """
-    columns, explained = columns.copy(), rows.columns @ value
-    for place, one in enumerate(offered):
-        if one.effect.family in MOTORS:
-            felt = [joint for joint in np.unique(rows.joint) if np.any(columns[rows.joint == joint, place])]
-            columns[:, place] -= np.isin(rows.joint, felt) * explained * scales[place]
-    return columns
-
-
 def model_about(base: Model, effects: Sequence[Effect], sizes: Array, value: Array) -> Model:
     """Return a model with what is common, (n_effects,) in units of sizes, in it, as far as a machine may have it."""
     values = dict(base.values)
     for effect, size, one in zip(effects, sizes, value):
-        values[effect.name] = _within(effect, values.get(effect.name, effect.neutral) + size * one)
+        further = Candidate(effect, 1.0, {}).told(size * one) - effect.neutral
+        values[effect.name] = _within(effect, values.get(effect.name, effect.neutral) + further)
     return replace(base, values=values)
 
 
 def _within(effect: Effect, value: float) -> float:
     """Return a value within the bounds; no factor so small that a machine would not be one."""
     low, high = effect.bounds
-    return float(np.clip(value, max(low, WEAKEST) if effect.neutral == 1 else low, high))
+    if effect.neutral == 1 and effect.family not in MOTORS:
+        low = max(low, WEAKEST)
+    return float(np.clip(value, low, high))
 
 
 def _held_out(stretch: NDArray[np.intp], share: float) -> Mask:

@@ -8,7 +8,7 @@ import numpy as np
 from skat.diagnosis.changes.candidates import MOTORS, Candidate, priors_of, rivals_of
 from skat.diagnosis.changes.mixups import mistake_of
 from skat.diagnosis.changes.motions import Log, half_of
-from skat.diagnosis.changes.question import Question, question_of
+from skat.diagnosis.changes.question import MOST, Question, question_of
 from skat.diagnosis.changes.strengths import Logs, OverStrengths, Places
 from skat.diagnosis.changes.telling import Changes, causes_of, gain_of, sizes_of
 from skat.diagnosis.changes.windows import Windows
@@ -18,8 +18,6 @@ from skat.diagnosis.search import FEW, without_weak
 from skat.effects import Effect
 from skat.simulators import MujocoSimulator, Simulator
 
-# Of what logs differ by on windows that were held out, that changes explain at least.
-MOST = 0.5
 # Log odds of what is not named, and the share of its range from neutral that a value keeps to.
 NEVER, INSIDE = -1e6, 1 - 1e-6
 
@@ -70,6 +68,8 @@ def find_changes(
     question = question_of(
         simulator, halves, effects, typical=typical or {}, test_size=test_size, needed=needed
     )
+    if not question.describes_a_machine():
+        return Changes((), "unexplained", None, sizes_of(question, question.law.value), far_off=True)
     priors = priors_of(question.candidates, question.scales, simulator.dt)
     logs = _logs(question)
     while True:

@@ -36,6 +36,8 @@ class Changes:
         and what is left with all that is common in it, N or N m.
     mistake : str
         How columns of the second log seem to be mixed up; empty if they do not.
+    far_off : bool
+        Whether the model is so far off that nothing was searched for: no machine is as the first log says.
     """
 
     changes: tuple[Cause, ...]
@@ -43,6 +45,7 @@ class Changes:
     gain: Gain | None
     common: dict[str, tuple[float, float]]
     mistake: str = ""
+    far_off: bool = False
 
 
 def causes_of(

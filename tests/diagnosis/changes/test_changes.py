@@ -79,6 +79,22 @@ def test_swapped_columns_are_told_and_nothing_is_named():
     assert (found.verdict_, found.changes_) == ("unexplained", [])
 
 
+def test_logs_of_what_no_machine_does_are_refused_with_a_remedy():
+    # Its joints are driven by what they rub at.
+    with pytest.warns(UserWarning, match="too far off to say what changed.*extended_simulator_"):
+        found = asked(log_of(4, damping=(-0.2, -0.1)), log_of(5, damping=(-0.2, -0.1), gain=(1.0, 1.25)))
+    assert (found.verdict_, found.changes_, found.gain_) == ("unexplained", [], None)
+    for missing, left in found.common_.values():
+        assert np.isnan(missing) or left <= missing
+
+
+@pytest.mark.parametrize("drive", [0.0, 0.0002])
+def test_logs_of_what_is_hardly_no_machine_are_asked(drive):
+    logs = (log_of(seed, damping=(-drive, -drive), gain=gain) for seed, gain in ((4, (1, 1)), (5, (1, 1.25))))
+    found = asked(*logs)
+    assert [change.name for change in found.changes_] == ["gain[elbow]"]
+
+
 def test_what_has_no_forces_on_joints_is_refused_with_a_remedy():
     X, y, groups = log_of(4, rows=60)
     function = FunctionSimulator(
