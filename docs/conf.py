@@ -53,6 +53,6 @@ html_theme_options = {
     "secondary_sidebar_items": ["page-toc"],
     "show_toc_level": 2,
 }
-html_sidebars = {"index": [], "reference": []}
+html_sidebars = {"index": [], "reference": [], "numbers": []}
 
 warnings.filterwarnings("error", module="skat")

@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 
 from skat.cli import app
 from tests.diagnosis.pages import blank_frames
+from tests.stated_defaults import modules_of, untrue_defaults
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -150,6 +151,17 @@ def test_docstrings_of_the_reference_are_valid_numpydoc(name):
     for target in (f"skat.{name}", *(f"skat.{name}.{part}" for part in parts)):
         errors = [error for error in validate(target)["errors"] if error[0] not in NOT_ASKED]
         assert not errors, f"{target}: {errors}"
+
+
+# Whose own tests say so.
+FOLDERS = "datasets|diagnosis|experiments|gaussian|logs|metrics|replay|simulators|transport"
+
+
+@pytest.mark.parametrize(
+    "module", [name for name in modules_of("skat") if not re.match(rf"skat\.({FOLDERS})\b", name)]
+)
+def test_defaults_are_those_of_the_docstrings(module):
+    assert not untrue_defaults(module)
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "examples").glob("plot_*.py")), ids=lambda path: path.name)

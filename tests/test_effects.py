@@ -1,5 +1,6 @@
 """Effects: their names, bounds, values and sentences."""
 
+import math
 import pickle
 
 import pytest
@@ -7,6 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skat.effects import FAMILIES, Effect, checked_values
+from tests.numbers_page import PAGE, misses
+from tests.stated_defaults import untrue_defaults
 
 
 def effect(name="mass[torso]", **changes):
@@ -261,3 +264,21 @@ def test_close_names_are_few_and_alike():
     assert "Close names" not in str(refused.value)
     assert "Targets of" not in str(refused.value)
     assert checked_values(known, None) == {}
+
+
+def test_numbers_and_defaults_are_those_of_the_documentation():
+    assert not misses("skat.effects")
+    assert not untrue_defaults("skat.effects")
+
+
+def test_the_table_of_priors_is_that_of_the_records():
+    table = (PAGE.parent / "simulators.rst").read_text("utf-8").partition(":class: prior-table\n\n")[2]
+    lines = table.partition("\n\n")[0].splitlines()
+    rows = {name: rest for name, *rest in ([cell.strip() for cell in line.split(",")] for line in lines)}
+    assert list(rows) == list(FAMILIES)
+    for name, record in FAMILIES.items():
+        neutral = "the model's" if math.isnan(record.neutral) else f"{record.neutral:g}"
+        typical = "rule" if record.typical is None else f"{record.typical:g}"
+        share = "" if record.force_share is None else f"{record.force_share:g}"
+        expected = [neutral, "force" if share else typical, share, f"{record.odds:g}", str(record.order)]
+        assert rows[name] == expected, f"docs/simulators.rst, {name}: write there what is meant"

@@ -109,8 +109,10 @@ def repeated_strikes_error(
     Parameters
     ----------
     puck : {"blue", "red"}
-    n_strikes, n_repeats : int
-        Different strikes, and times that each is repeated.
+    n_strikes : int, default=10
+        Different strikes.
+    n_repeats : int, default=20
+        Times that each is repeated.
     random_state : int, RandomState instance or None, default=0
 
     Returns

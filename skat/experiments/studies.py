@@ -197,9 +197,9 @@ def study_cube_tosses(
 
     Parameters
     ----------
-    n_fit, n_test : int
+    n_fit : int, default=5
+    n_test : int, default=50
         Numbers of tosses, drawn at random from the 570.
-
     data_home, random_state, progress, **parameters
         See `fetch_cube_tosses` and `SimulationDiagnosis`.
 

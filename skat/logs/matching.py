@@ -13,7 +13,6 @@ from skat.logs.units import Unit, parsed_unit
 from skat.simulators import Simulator
 
 KINDS = ("qpos", "qvel", "ctrl")
-LEFT_OUT = ("-", "")
 GUESSED_NAME, GUESSED_ORDER = "by its name", "by order"
 
 

@@ -134,8 +134,6 @@ WORDS = {
     "N_m": "Nm",
     "N m": "Nm",
 }
-# A prefix of sensor's and simulator's names alike.
-PREFIXES = ("qpos.", "qvel.", "ctrl.")
 
 
 @dataclass(frozen=True)

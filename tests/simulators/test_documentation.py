@@ -41,17 +41,6 @@ def test_every_effect_family_is_documented():
     assert not [family for family in {*families, *FAMILIES} if f"``{family}" not in text]
 
 
-def test_the_table_of_priors_is_that_of_the_records():
-    text = PAGE.read_text(encoding="utf-8")
-    lines = text.partition(":class: prior-table\n\n")[2].partition("\n\n")[0].splitlines()
-    rows = {name: rest for name, *rest in ([cell.strip() for cell in line.split(",")] for line in lines)}
-    assert list(rows) == list(FAMILIES)
-    for name, record in FAMILIES.items():
-        typical = "rule" if record.typical is None else f"{record.typical:g}"
-        expected = ["force" if record.force_share is not None else typical, f"{record.odds:g}"]
-        assert rows[name] == expected, name
-
-
 @pytest.mark.parametrize("name", MACHINES)
 def test_machines_are_documented_with_their_transition(name):
     rows = [line.split(",") for line in PAGE.read_text(encoding="utf-8").splitlines()]
