@@ -26,7 +26,7 @@ from skat.simulators import MujocoSimulator
 # Rows by which commands may come late, or early: of a row that a smoothed motion and a time step blur.
 LATE_IN_BOTH = tuple(0.25 * one for one in range(-4, 33))
 # Turns of what is common, and the accelerations at which slopes are taken.
-TURNS = 2
+TURNS = int(__import__('os').environ.get('TURNS','2'))
 # Of what something is to explain, that it explains at least.
 MOST = 0.5
 # Of the force on a joint, that a typical size of an effect exerts at least if logs show it: below, there is rounding.
@@ -134,26 +134,31 @@ def question_of(
     sides = [replace(side, columns=side.columns[:, shown] * units) for side in sides]
     sides = [_with_friction(simulator, *one, common, sizes) for one in zip(halves, sides)]
     base, other = _bases(simulator, halves, sides, common, sizes, needed)
-    about, further = base, other
+    about = base, base
     for _ in range(TURNS):
-        sides = [rows_about(simulator, half, base, common, sizes, about=about) for half in halves]
+        sides = [
+            rows_about(simulator, half, base, common, sizes, about=one) for half, one in zip(halves, about)
+        ]
         own = sides
         if other != base:
-            own = [sides[0], rows_about(simulator, halves[1], other, common, sizes, about=further)]
+            late = replace(about[1], late=other.late)
+            own = [sides[0], rows_about(simulator, halves[1], other, common, sizes, about=late)]
         law = settled_law(own)
-        about, further = (model_about(one, common, sizes, law.value) for one in (base, other))
+        about = (
+            model_about(base, common, sizes, law.value),
+            model_about(base, common, sizes, law.second),
+        )
     law = with_misfit(own, law)
     offered, scales = offered_candidates(simulator, effects, common, sizes, typical)
-    columns = columns_of(simulator, halves[1], base, offered, scales, about=about)
-    # A sensor reads all of the forces that the machine has otherwise, not those of the model alone; and a motor is so
-    # many times as strong as it was.
-    some = [place for place, one in enumerate(offered) if one.effect.family in ("scale", "bias", *MOTORS)]
+    columns = columns_of(simulator, halves[1], base, offered, scales, about=about[1])
+    # A sensor reads all of the forces that the machine has, and a factor is how many times it is of what it was in it.
+    some = [place for place, one in enumerate(offered) if one.is_factor or one.effect.family == "bias"]
     if some:
         chosen = [offered[place] for place in some]
-        units = [
-            about.values.get(one.effect.name, 1.0) if one.effect.family in MOTORS else 1.0 for one in chosen
-        ]
-        columns[:, some] = columns_of(simulator, halves[1], about, chosen, scales[some]) * units
+        units = [about[0].values.get(one.effect.name, 1.0) if one.is_factor else 1.0 for one in chosen]
+        columns[:, some] = (
+            columns_of(simulator, halves[1], about[0], chosen, scales[some], about=about[1]) * units
+        )
     noise = law.noise[1]
     whitened = columns / noise[:, None]
     offered, kept = distinct(offered, whitened)
