@@ -137,12 +137,12 @@ def question_of(
     about = base, base
     for _ in range(TURNS):
         sides = [
-            rows_about(simulator, half, base, common, sizes, about=one) for half, one in zip(halves, about)
+            _linearised(simulator, half, base, one, common, sizes) for half, one in zip(halves, about)
         ]
         own = sides
         if other != base:
             late = replace(about[1], late=other.late)
-            own = [sides[0], rows_about(simulator, halves[1], other, common, sizes, about=late)]
+            own = [sides[0], _linearised(simulator, halves[1], other, late, common, sizes)]
         law = settled_law(own)
         about = (
             model_about(base, common, sizes, law.value),
@@ -177,6 +177,18 @@ def question_of(
         law=law,
         held_out=_held_out(sides[1].stretch, test_size),
     )
+
+
+def _linearised(simulator, half, base, about, effects, sizes):
+    rows = rows_about(simulator, half, base, effects, sizes, about=about)
+    there = np.array(
+        [
+            (about.values.get(one.name, one.neutral) - base.values.get(one.name, one.neutral)) / size
+            for one, size in zip(effects, sizes)
+        ]
+    )
+    left = coefficients_of(half, lacking_forces(simulator, half, [about]))[0][:, 0]
+    return replace(rows, target=left + rows.columns @ there)
 
 
 def _shares(rows: Rows) -> Array:
