@@ -15,14 +15,11 @@ from skat.simulators import MujocoSimulator
 # Families that a machine does not change from one log to another, and those that forces do not show.
 FIXED = ("gravity", "tilt", "length", "wind", "air_drag", "position_friction", "inertia")
 UNSEEN = ("force_limit", "lag", "timestep", "backlash", "lag_torque", "payload")
-# Factors that all of a joint's force is divided by, in units of what its motor exerts.
+# Factors of what motors exert: by commands, which have no noise. They may turn the other way.
 MOTORS = ("gain", "kp")
-# Of factors: in units of the commands a motor that does nothing cannot be told.
+# Of other factors, at least.
 WEAKEST = 0.2
-# By how much one over a gain may fall: by 2, a motor turns the other way; a value at the end of what is possible would
-# be taken for the sign of another cause.
-TURNED = 2.5
-# One over a gain at least, of what is told: beyond, all of a force is the motor's.
+# One over what a sensor reads at least, of what is told.
 LEAST_TOLD = 1e-3
 # Places along each side of a body at which a weight is tried; those that act alike are one: by the cosine between
 # what they exert, and by how much the larger may exert more.
@@ -74,14 +71,8 @@ class Candidate:
         """Whether values are told as multiples."""
         return self.effect.neutral == 1
 
-    def told(self, value: float, about: float | None = None) -> float:
-        """Return a difference, in the effect's unit, as it is told: of a factor, how many times what it was.
-
-        Where it is an end of an interval `about` another, a factor does not pass through infinity to the other sign.
-        """
-        if self.effect.family in MOTORS or self.effect.name.startswith("scale[qpos."):
-            sign = math.copysign(1.0, 1 - (value if about is None else about))
-            return sign / max(sign * (1 - value), LEAST_TOLD)
+    def told(self, value: float) -> float:
+        """Return a difference, in the effect's unit, as it is told: of a factor, how many times what it was."""
         return value + self.is_factor
 
     def moved(self, model: Model, value: float, dt: float) -> Model | None:
@@ -223,13 +214,12 @@ def priors_of(candidates: Sequence[Candidate], scales: Array, dt: float) -> Prio
     high = np.array([one.effect.bounds[1] - one.effect.neutral for one in candidates])
     low = np.array(
         [
-            max(one.effect.bounds[0] - 1, WEAKEST - 1) if one.is_factor else -most
+            (one.effect.bounds[0] if one.effect.family in MOTORS else max(one.effect.bounds[0], WEAKEST)) - 1
+            if one.is_factor
+            else -most
             for one, most in zip(candidates, high)
         ]
     )
-    # One over a gain is searched for: from 1 / WEAKEST to 1 - TURNED.
-    motors = np.array([one.effect.family in MOTORS for one in candidates], dtype=bool)
-    low, high = np.where(motors, 1 - 1 / WEAKEST, low), np.where(motors, TURNED, high)
     # A chord is a delay at its end alone: a mean of commands of two times is none.
     nearest = dt * np.array([_between(one.late) if one.late else (0, 0) for one in candidates])
     late = np.array([bool(one.late) for one in candidates])

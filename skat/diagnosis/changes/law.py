@@ -33,6 +33,8 @@ class Law:
         Precision of what is common.
     value : ndarray of shape (n_effects,)
         What is common, if nothing changed.
+    second : ndarray of shape (n_effects,)
+        What the second log tells if every effect changed.
     alike : ndarray of shape (n_joints, n_effects)
         Precision with which each joint, or speed that was measured, tells an effect if all of its noise looks like it.
     """
@@ -41,6 +43,7 @@ class Law:
     spread: Array
     weights: Array
     value: Array
+    second: Array
     alike: Array
 
 
@@ -93,7 +96,7 @@ def settled_law(sides: Sequence[Rows]) -> Law:
             spread = (moments + PSEUDO * APART_AT_LEAST**2) / (np.maximum(told, 0) + PSEUDO)
             weights = 2 / (1 + solved**2)
         noise = noise_of(together, squares, flat=turn < NOISE_TURNS)
-    return Law((noise[first], noise[~first]), spread, weights[:k], solved[:k], np.zeros((0, k)))
+    return Law((noise[first], noise[~first]), spread, weights[:k], solved[:k], maps[1] @ solved, np.zeros((0, k)))
 
 
 def with_misfit(sides: Sequence[Rows], law: Law) -> Law:

@@ -71,7 +71,7 @@ def mistake_of(question: Question, differences: Array, alone: Array, *, price: f
     mended = [misfit(as_is[measured], np.isfinite(one)) - misfit(one, np.isfinite(one)) for one in others]
     best = int(np.argmax(mended))
     name, half = mixed[best]
-    otherwise, seen = _in_another_order(question, 1, half)
+    otherwise, seen = _in_another_order(question, 1, half, model)
     explained = rows.columns[:, len(question.effects) :] @ differences
     given = replace(rows, target=rows.target - explained, columns=rows.columns[:, : len(question.effects)])
 
@@ -84,18 +84,20 @@ def mistake_of(question: Question, differences: Array, alone: Array, *, price: f
     if odds + price + np.log(MIXED_UP / len(mixed)) <= needed:
         return ""
     # What as well mends the first log is the model's matter.
-    both, seen = _in_another_order(question, 0, _mixed_up(simulator, question.halves[0])[best][1])
+    both, seen = _in_another_order(question, 0, _mixed_up(simulator, question.halves[0])[best][1], model)
     first, mended_first = whole(0, question.sides[0], seen), whole(0, both, seen)
     as_well = Logs(mended_first, mended_second, law).level() > Logs(first, mended_second, law).level()
     return "" if as_well else name
 
 
-def _in_another_order(question: Question, side: int, half: Half) -> tuple[Rows, Mask]:
-    """Return the rows of a log with columns in another order, and which of its rows there are in both."""
+def _in_another_order(question: Question, side: int, half: Half, machine: Model) -> tuple[Rows, Mask]:
+    """Return the rows of a log with columns in another order about a machine, and which of its rows are in both."""
     own, rows = question.halves[side], question.sides[side]
     cutoff = half.motion.cutoff
     half = replace(half, motion=replace(half.motion, cutoff=own.motion.cutoff))
-    found = rows_about(question.simulator, half, question.base, question.effects, question.sizes)
+    found = rows_about(
+        question.simulator, half, question.base, question.effects, question.sizes, machine=machine
+    )
     here, there = (
         np.isfinite(whole_coefficients_of(one, lacking_forces(question.simulator, one, [Model({})]))[0][:, 0])
         for one in (own, half)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from skat.diagnosis.changes.candidates import MOTORS, WEAKEST, Candidate, Model
+from skat.diagnosis.changes.candidates import Candidate, Model
 from skat.diagnosis.changes.force_space import Motion, Rows, smooth_motion, transformed
 from skat.diagnosis.filtering import Array
 from skat.effects import Effect
@@ -19,8 +19,8 @@ Log = tuple[Array, Array, NDArray[Any]]
 WINDOWS, LONGEST = 8, 2.0
 # Of its typical size, over which the slope of an effect's force is taken.
 STEP = 0.01
-# Blocks from which the strength of commands is told.
-ROWS_FOR_ANCHORS = 200
+import os
+COLS = int(os.environ.get('COLS','1'))
 
 
 @dataclass(frozen=True)
@@ -76,10 +76,35 @@ def half_of(simulator: MujocoSimulator, log: Log, name: str) -> Half:
     return Half(motion, 0.5 * sum(one[motion.rows].mean(axis=1) for one in speeds))
 
 
+def driven(simulator: MujocoSimulator, half: Half, model: Model) -> Half:
+    """Return a log with the accelerations that a model has in its states under its commands, not those that it shows.
+
+    Of what is smoothed noise is in accelerations most. A slope that had it too would explain noise by noise: of motors
+    that do nothing and bodies that weigh nothing no force is missing.
+    """
+    motion, nv = half.motion, len(half.motion.slip)
+
+    def lacking(accelerations: Array) -> Array:
+        moved = replace(half, motion=replace(motion, accelerations=accelerations))
+        return lacking_forces(simulator, moved, [model])[0, :, :nv]
+
+    missing = lacking(motion.accelerations)
+    # Forces are linear in accelerations.
+    inertia = np.stack([lacking(motion.accelerations + one) - missing for one in np.eye(nv)], axis=2)
+    further = np.linalg.solve(inertia, missing[:, :, None])[:, :, 0]
+    return replace(half, motion=replace(motion, accelerations=motion.accelerations - further))
+
+
 def rows_about(
-    simulator: MujocoSimulator, half: Half, base: Model, effects: Sequence[Effect], sizes: Array
+    simulator: MujocoSimulator,
+    half: Half,
+    base: Model,
+    effects: Sequence[Effect],
+    sizes: Array,
+    *,
+    machine: Model | None = None,
 ) -> Rows:
-    """Return the rows of a log about a model, with the columns of effects in units of their sizes.
+    """Return the rows of a log, with the columns of effects in units of their sizes.
 
     Parameters
     ----------
@@ -91,34 +116,42 @@ def rows_about(
         The columns: by how much typical sizes of them lessen what is lacking.
     sizes : ndarray of shape (n_effects,)
         Each in its effect's unit.
+    machine : Model, optional
+        About which both are linear; the base by default.
 
     Returns
     -------
     Rows
         First forces, N or N m, of degrees of freedom 0 to nv - 1; those of nv and on are measured speeds, m/s or rad/s.
     """
+    machine = machine or base
     candidates = [Candidate(effect, 1.0, {}, float(effect.family == "delay")) for effect in effects]
-    forces, steps = _steps(simulator, half, base, candidates, sizes)
-    whole = np.concatenate([forces[:1], (forces[0] - forces[1:]) / steps[:, None, None]])
-    nominal = lacking_forces(simulator, half, [Model({})])
-    coefficients, joint, frequency, stretch = coefficients_of(half, np.concatenate([whole, nominal]))
-    return Rows(coefficients[:, 0], coefficients[:, 1:-1], joint, frequency, stretch, coefficients[:, -1])
+    lacking = lacking_forces(simulator, half, [machine, Model({})])
+    columns = columns_of(simulator, half, candidates, sizes, machine=machine if COLS else base, at=machine)
+    coefficients, joint, frequency, stretch = coefficients_of(half, lacking)
+    target, nominal = coefficients.T
+    away = [
+        (machine.values.get(one.name, one.neutral) - base.values.get(one.name, one.neutral)) / size
+        for one, size in zip(effects, sizes)
+    ]
+    return Rows(target + columns @ np.array(away), columns, joint, frequency, stretch, nominal)
 
 
 def columns_of(
     simulator: MujocoSimulator,
     half: Half,
-    base: Model,
     candidates: Sequence[Candidate],
     scales: Array,
     *,
+    machine: Model,
+    at: Model | None = None,
     share: float = STEP,
 ) -> Array:
     """Return the columns of candidates, in units of their scales, (n_rows, n_candidates): rows are `rows_about`'s.
 
-    ``share`` of a scale is the step over which slopes are taken.
+    Slopes are those about a machine, where it is driven; ``share`` of a scale is the step over which they are taken.
     """
-    forces, steps = _steps(simulator, half, base, candidates, scales, share)
+    forces, steps = _steps(simulator, driven(simulator, half, at or machine), machine, candidates, scales, share)
     return coefficients_of(half, (forces[0] - forces[1:]) / steps[:, None, None])[0]
 
 
@@ -147,9 +180,6 @@ def lacking_forces(simulator: MujocoSimulator, half: Half, models: Sequence[Mode
     """Return the force that models lack for a motion, and by how much measured speeds differ, (n, n_blocks, 2 nv).
 
     Forces are in N or N m, speeds in m/s or rad/s, and NaN where they were not measured.
-
-    The force of motors counts as it is: a model of motors that do nothing and bodies that weigh nothing would lack no
-    force. So forces are over the factor by which a model scales what commands exert on a joint.
     """
     motion, nv = half.motion, len(half.motion.slip)
     found = np.empty((len(models), len(motion.states), 2 * nv))
@@ -166,10 +196,7 @@ def lacking_forces(simulator: MujocoSimulator, half: Half, models: Sequence[Mode
             acting = simulator.acting_commands(sent, [values[one] for one in own], groups=motion.episodes)
             commands[own] = acting[:, motion.rows].mean(axis=2)
         states, moved = motion.states / np.tile(scale, 2), motion.accelerations / scale
-        forces = simulator.missing_forces(states, moved, commands, values, slip=motion.slip)
-        found[places, :, :nv] = (
-            forces / _strengths(simulator, motion, states, moved, commands, values)[:, None]
-        )
+        found[places, :, :nv] = simulator.missing_forces(states, moved, commands, values, slip=motion.slip)
         found[places, :, nv:] = half.speeds - states[:, nv:]
         for place in places:
             one = models[place].values
@@ -204,34 +231,6 @@ def _later(commands: Array, episodes: NDArray[np.intp], late: float) -> Array:
         for column in range(commands.shape[1]):
             moved[own, column] = np.interp(places - late, places, commands[own, column])
     return moved
-
-
-def _strengths(
-    simulator: MujocoSimulator,
-    motion: Motion,
-    states: Array,
-    moved: Array,
-    commands: Array,
-    values: Sequence[Mapping[str, float]],
-) -> Array:
-    """Return by which factor models scale what commands exert on each joint, (n, nv); 1 where no motor drives it."""
-    found = np.ones((len(values), len(motion.slip)))
-    names = [{name for name in one if name.partition("[")[0] in MOTORS} for one in values]
-    changed = [place for place, one in enumerate(names) if one]
-    if not changed:
-        return found
-    some = np.unique(np.linspace(0, len(states) - 1, ROWS_FOR_ANCHORS).astype(int))
-    plain = {name: value for name, value in values[0].items() if name not in names[0]}
-    whole = [plain, *(values[place] for place in changed)]
-    sent = np.concatenate([commands[:1, some], commands[changed][:, some]])
-    held = np.repeat(sent.mean(axis=1, keepdims=True), len(some), axis=1)
-    force = simulator.missing_forces
-    exerted = force(states[some], moved[some], sent, whole) - force(states[some], moved[some], held, whole)
-    sizes = np.sqrt(np.mean(exerted**2, axis=1))
-    found[changed] = np.where(sizes[0] > 0, np.maximum(sizes[1:], WEAKEST * sizes[0]), 1.0) / np.where(
-        sizes[0] > 0, sizes[0], 1.0
-    )
-    return found
 
 
 def coefficients_of(half: Half, forces: Array) -> tuple[Array, NDArray[np.intp], Array, NDArray[np.intp]]:

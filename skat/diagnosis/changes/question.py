@@ -27,6 +27,9 @@ from skat.simulators import MujocoSimulator
 LATE_IN_BOTH = tuple(0.25 * one for one in range(-4, 33))
 # Of what something is to explain, that it explains at least.
 MOST = 0.5
+# Turns of what is common, and the machines about which forces are taken.
+import os
+TURNS = int(os.environ.get('TURNS','2')); DBG = os.environ.get('DBG')
 # Of the force on a joint, that a typical size of an effect exerts at least if logs show it: below, there is rounding.
 SHOWN = 1e-9
 
@@ -131,19 +134,25 @@ def question_of(
     sizes = sizes * units
     sides = [replace(side, columns=side.columns[:, shown] * units) for side in sides]
     sides = [_with_friction(simulator, *one, common, sizes) for one in zip(halves, sides)]
-    base, other = _bases(simulator, halves, sides, common, sizes, needed)
-    sides = [rows_about(simulator, half, base, common, sizes) for half in halves]
-    own = sides if other == base else [sides[0], rows_about(simulator, halves[1], other, common, sizes)]
-    law = with_misfit(own, settled_law(own))
+    base, late = _bases(simulator, halves, sides, common, sizes, needed)
+    machines = base, base
+    for _ in range(TURNS):
+        base = machines[0]
+        sides = own = [
+            rows_about(simulator, half, base, common, sizes, machine=machine)
+            for half, machine in zip(halves, machines)
+        ]
+        if late != base.late:
+            moved = replace(machines[1], late=late)
+            own = [sides[0], rows_about(simulator, halves[1], base, common, sizes, machine=moved)]
+        law = settled_law(own)
+        if DBG: print("turn", {e.name: (round(float(base.values.get(e.name,e.neutral)+z*v),3), round(float(base.values.get(e.name,e.neutral)+z*w),3)) for e,z,v,w in zip(common,sizes,law.value,law.second) if abs(v)>1 or abs(w)>1 or e.family in ("mass","gain","damping")})
+        machines = tuple(model_about(base, common, sizes, value) for value in (law.value, law.second))
+    law = with_misfit(own, law)
     offered, scales = offered_candidates(simulator, effects, common, sizes, typical)
-    columns = columns_of(simulator, halves[1], base, offered, scales)
-    # A sensor reads all of the forces that the machine has otherwise, not those of the model alone.
-    sensed = [place for place, one in enumerate(offered) if one.effect.family in ("scale", "bias")]
-    if sensed:
-        about = model_about(base, common, sizes, law.value)
-        some = [offered[place] for place in sensed]
-        columns[:, sensed] = columns_of(simulator, halves[1], about, some, scales[sensed])
-    columns = _of_motors(offered, columns, sides[1], law.value, scales)
+    # A factor is told as how many times it is of what is common.
+    units = [base.values.get(one.effect.name, 1.0) if one.is_factor else 1.0 for one in offered]
+    columns = columns_of(simulator, halves[1], offered, scales, machine=machines[1]) * units
     noise = law.noise[1]
     whitened = columns / noise[:, None]
     offered, kept = distinct(offered, whitened)
@@ -181,7 +190,7 @@ def _with_friction(
         return rows
     columns = rows.columns.copy()
     candidates = [Candidate(effects[place], 1.0, {}) for place in dry]
-    columns[:, dry] = columns_of(simulator, half, Model({}), candidates, sizes[dry], share=1.0)
+    columns[:, dry] = columns_of(simulator, half, candidates, sizes[dry], machine=Model({}), share=1.0)
     return replace(rows, columns=columns)
 
 
@@ -192,7 +201,7 @@ def _bases(
     effects: Sequence[Effect],
     sizes: Array,
     needed: float,
-) -> tuple[Model, Model]:
+) -> tuple[Model, float]:
     """Return the models about which forces are taken, for each log: with dry friction, and commands as late as there.
 
     Rows are not linear in either: MuJoCo's dry friction is softer the larger it is, and of how late commands come a
@@ -226,8 +235,8 @@ def _bases(
         every, *without = told(place, [Model(values, LATE_IN_BOTH[late]) for values in some])[0]
         gains += every - np.array(without)
     kept = {name: value for (name, value), gain in zip(friction.items(), gains) if gain > needed}
-    one, other = (Model(kept, LATE_IN_BOTH[late]) for late in own)
-    return one, other
+    one, other = (LATE_IN_BOTH[late] for late in own)
+    return Model(kept, one), other
 
 
 def _told(
@@ -248,35 +257,20 @@ def _told(
     return np.asarray(-0.5 * np.diag(left)[k:]), np.asarray(values.T)
 
 
-def _of_motors(
-    offered: Sequence[Candidate], columns: Array, rows: Rows, value: Array, scales: Array
-) -> Array:
-    r"""Return columns with those of motors acting on all that is common.
-
-    In units of what its motor exerts a joint lacks :math:`\lambda f - u`, f all of its force and :math:`\lambda` one
-    over the gain; nearly u is what a change of :math:`\lambda` multiplies, whatever the model says of f.
-    """
-    columns, explained = columns.copy(), rows.columns @ value
-    for place, one in enumerate(offered):
-        if one.effect.family in MOTORS:
-            felt = [joint for joint in np.unique(rows.joint) if np.any(columns[rows.joint == joint, place])]
-            columns[:, place] -= np.isin(rows.joint, felt) * explained * scales[place]
-    return columns
-
-
 def model_about(base: Model, effects: Sequence[Effect], sizes: Array, value: Array) -> Model:
     """Return a model with what is common, (n_effects,) in units of sizes, in it, as far as a machine may have it."""
     values = dict(base.values)
     for effect, size, one in zip(effects, sizes, value):
-        further = Candidate(effect, 1.0, {}).told(size * one) - effect.neutral
-        values[effect.name] = _within(effect, values.get(effect.name, effect.neutral) + further)
+        values[effect.name] = _within(effect, values.get(effect.name, effect.neutral) + size * one)
     return replace(base, values=values)
 
 
 def _within(effect: Effect, value: float) -> float:
     """Return a value within the bounds; no factor so small that a machine would not be one."""
     low, high = effect.bounds
-    return float(np.clip(value, max(low, WEAKEST) if effect.neutral == 1 else low, high))
+    if effect.neutral == 1 and effect.family not in MOTORS:
+        low = max(low, WEAKEST)
+    return float(np.clip(value, low, high))
 
 
 def _held_out(stretch: NDArray[np.intp], share: float) -> Mask:

@@ -77,7 +77,7 @@ def causes_of(
         total = 1 + sum(aliases.values()) + float(np.exp(-nats[place]))
         unit = question.scales[place]
         centre = float(one.told(value * unit))
-        low, high = (float(one.told((value + side * half) * unit, value * unit)) for side in (-1, 1))
+        low, high = (float(one.told((value + side * half) * unit)) for side in (-1, 1))
         found.append(
             Cause(
                 name=one.effect.name,
