@@ -1,7 +1,6 @@
 """What may have changed: effects, weights at places on bodies, later commands; how likely it is, and by how much."""
 
 import itertools
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -15,12 +14,8 @@ from skat.simulators import MujocoSimulator
 # Families that a machine does not change from one log to another, and those that forces do not show.
 FIXED = ("gravity", "tilt", "length", "wind", "air_drag", "position_friction", "inertia")
 UNSEEN = ("force_limit", "lag", "timestep", "backlash", "lag_torque", "payload")
-# Factors of what motors exert: by commands, which have no noise. They may turn the other way.
-MOTORS = ("gain", "kp")
-# Of other factors, at least.
-WEAKEST = 0.2
-# One over what a sensor reads at least, of what is told.
-LEAST_TOLD = 1e-3
+# Of factors, at least; and of those of motors, which may do nothing: with a sign that is turned they are as strong.
+WEAKEST, MOTORS, NEARLY_TURNED = 0.2, ("gain", "kp"), -0.5
 # Places along each side of a body at which a weight is tried; those that act alike are one: by the cosine between
 # what they exert, and by how much the larger may exert more.
 PLACES, ALIKE, AS_MUCH = 3, 0.9995, 0.1
@@ -85,6 +80,11 @@ class Candidate:
         return (
             replace(model, values={**model.values, **self.beside, name: new}) if low <= new <= high else None
         )
+
+
+def units_of(candidates: Sequence[Candidate], base: Model) -> Array:
+    """Return in which units of their effects differences are told: of a factor, what it is in both logs; (n,)."""
+    return np.array([base.values.get(one.effect.name, 1.0) if one.is_factor else 1.0 for one in candidates])
 
 
 def offered_candidates(
@@ -214,7 +214,7 @@ def priors_of(candidates: Sequence[Candidate], scales: Array, dt: float) -> Prio
     high = np.array([one.effect.bounds[1] - one.effect.neutral for one in candidates])
     low = np.array(
         [
-            (one.effect.bounds[0] if one.effect.family in MOTORS else max(one.effect.bounds[0], WEAKEST)) - 1
+            max(one.effect.bounds[0], NEARLY_TURNED if one.effect.family in MOTORS else WEAKEST) - 1
             if one.is_factor
             else -most
             for one, most in zip(candidates, high)

@@ -96,7 +96,9 @@ def settled_law(sides: Sequence[Rows]) -> Law:
             spread = (moments + PSEUDO * APART_AT_LEAST**2) / (np.maximum(told, 0) + PSEUDO)
             weights = 2 / (1 + solved**2)
         noise = noise_of(together, squares, flat=turn < NOISE_TURNS)
-    return Law((noise[first], noise[~first]), spread, weights[:k], solved[:k], maps[1] @ solved, np.zeros((0, k)))
+    return Law(
+        (noise[first], noise[~first]), spread, weights[:k], solved[:k], maps[1] @ solved, np.zeros((0, k))
+    )
 
 
 def with_misfit(sides: Sequence[Rows], law: Law) -> Law:

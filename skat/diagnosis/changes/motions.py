@@ -1,6 +1,6 @@
 """The motion of a log from positions alone, the forces that models lack for it, and what effects exert of them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,8 +19,6 @@ Log = tuple[Array, Array, NDArray[Any]]
 WINDOWS, LONGEST = 8, 2.0
 # Of its typical size, over which the slope of an effect's force is taken.
 STEP = 0.01
-import os
-COLS = int(os.environ.get('COLS','1'))
 
 
 @dataclass(frozen=True)
@@ -103,6 +101,7 @@ def rows_about(
     sizes: Array,
     *,
     machine: Model | None = None,
+    driven_by: Model | None = None,
 ) -> Rows:
     """Return the rows of a log, with the columns of effects in units of their sizes.
 
@@ -118,6 +117,8 @@ def rows_about(
         Each in its effect's unit.
     machine : Model, optional
         About which both are linear; the base by default.
+    driven_by : Model, optional
+        By which the machine moves where slopes are taken, if there is more in it.
 
     Returns
     -------
@@ -127,7 +128,7 @@ def rows_about(
     machine = machine or base
     candidates = [Candidate(effect, 1.0, {}, float(effect.family == "delay")) for effect in effects]
     lacking = lacking_forces(simulator, half, [machine, Model({})])
-    columns = columns_of(simulator, half, candidates, sizes, machine=machine if COLS else base, at=machine)
+    columns = columns_of(simulator, half, candidates, sizes, machine=machine, driven_by=driven_by)
     coefficients, joint, frequency, stretch = coefficients_of(half, lacking)
     target, nominal = coefficients.T
     away = [
@@ -144,14 +145,15 @@ def columns_of(
     scales: Array,
     *,
     machine: Model,
-    at: Model | None = None,
+    driven_by: Model | None = None,
     share: float = STEP,
 ) -> Array:
     """Return the columns of candidates, in units of their scales, (n_rows, n_candidates): rows are `rows_about`'s.
 
     Slopes are those about a machine, where it is driven; ``share`` of a scale is the step over which they are taken.
     """
-    forces, steps = _steps(simulator, driven(simulator, half, at or machine), machine, candidates, scales, share)
+    moved = driven(simulator, half, driven_by or machine)
+    forces, steps = _steps(simulator, moved, machine, candidates, scales, share)
     return coefficients_of(half, (forces[0] - forces[1:]) / steps[:, None, None])[0]
 
 

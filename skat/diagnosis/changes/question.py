@@ -14,6 +14,7 @@ from skat.diagnosis.changes.candidates import (
     Model,
     distinct,
     offered_candidates,
+    units_of,
 )
 from skat.diagnosis.changes.force_space import Rows, joined
 from skat.diagnosis.changes.law import Law, settled_law, with_misfit
@@ -27,9 +28,8 @@ from skat.simulators import MujocoSimulator
 LATE_IN_BOTH = tuple(0.25 * one for one in range(-4, 33))
 # Of what something is to explain, that it explains at least.
 MOST = 0.5
-# Turns of what is common, and the machines about which forces are taken.
-import os
-TURNS = int(os.environ.get('TURNS','2')); DBG = os.environ.get('DBG')
+# Turns of what is wrong in both logs, or was found to differ, and of the machines about which forces are linear.
+TURNS = 2
 # Of the force on a joint, that a typical size of an effect exerts at least if logs show it: below, there is rounding.
 SHOWN = 1e-9
 
@@ -85,6 +85,36 @@ class Question:
             for left in (rows.nominal, rows.target - rows.columns @ value, within)
         )
         return kept < as_it_is or as_it_is - promised < MOST * as_it_is
+
+    def about(self, value: Array, differences: Array) -> "Question":
+        """Return the same regression, linear about what the second log's machine is with such differences in it.
+
+        Parameters
+        ----------
+        value : ndarray of shape (n_effects,)
+            What is common, in units of sizes.
+        differences : ndarray of shape (n_candidates,)
+            In units of scales.
+        """
+        simulator, half, rows = self.simulator, self.halves[1], self.sides[1]
+        scales = self.scales * units_of(self.candidates, self.base)
+        machine = moved = model_about(self.base, self.effects, self.sizes, value)
+        further = np.zeros(len(differences))
+        for place in np.flatnonzero(differences):
+            one, step = self.candidates[place], differences[place] * scales[place]
+            moved = one.moved(moved, step, simulator.dt) or moved
+            # Forces are linear in a weight; of how late commands come a chord tells, no slope.
+            if not one.late and not one.beside and (more := one.moved(machine, step, simulator.dt)):
+                machine = more
+                further[place] = 0.0 if one.effect in self.effects else differences[place]
+        new = rows_about(
+            simulator, half, self.base, self.effects, self.sizes, machine=machine, driven_by=moved
+        )
+        columns = columns_of(simulator, half, self.candidates, scales, machine=machine, driven_by=moved)
+        second = replace(
+            rows, target=new.target + columns @ further, columns=np.column_stack([new.columns, columns])
+        )
+        return replace(self, sides=(self.sides[0], second))
 
     def left(self, value: Array, differences: Array) -> tuple[Array, Array]:
         """Return what values (n_effects,) and differences (n_candidates,) leave of the rows of both logs, (n_rows,)."""
@@ -146,13 +176,11 @@ def question_of(
             moved = replace(machines[1], late=late)
             own = [sides[0], rows_about(simulator, halves[1], base, common, sizes, machine=moved)]
         law = settled_law(own)
-        if DBG: print("turn", {e.name: (round(float(base.values.get(e.name,e.neutral)+z*v),3), round(float(base.values.get(e.name,e.neutral)+z*w),3)) for e,z,v,w in zip(common,sizes,law.value,law.second) if abs(v)>1 or abs(w)>1 or e.family in ("mass","gain","damping")})
-        machines = tuple(model_about(base, common, sizes, value) for value in (law.value, law.second))
+        first, second = (model_about(base, common, sizes, value) for value in (law.value, law.second))
+        machines = first, second
     law = with_misfit(own, law)
     offered, scales = offered_candidates(simulator, effects, common, sizes, typical)
-    # A factor is told as how many times it is of what is common.
-    units = [base.values.get(one.effect.name, 1.0) if one.is_factor else 1.0 for one in offered]
-    columns = columns_of(simulator, halves[1], offered, scales, machine=machines[1]) * units
+    columns = columns_of(simulator, halves[1], offered, scales * units_of(offered, base), machine=machines[1])
     noise = law.noise[1]
     whitened = columns / noise[:, None]
     offered, kept = distinct(offered, whitened)

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skat.diagnosis.changes.candidates import MOTORS, Candidate, priors_of, rivals_of
+from skat.diagnosis.changes.candidates import MOTORS, Candidate, priors_of, rivals_of, units_of
 from skat.diagnosis.changes.mixups import mistake_of
 from skat.diagnosis.changes.motions import Log, half_of
-from skat.diagnosis.changes.question import MOST, Question, question_of
+from skat.diagnosis.changes.question import MOST, TURNS, Question, question_of
 from skat.diagnosis.changes.strengths import Logs, OverStrengths, Places
 from skat.diagnosis.changes.telling import Changes, causes_of, gain_of, sizes_of
 from skat.diagnosis.changes.windows import Windows
@@ -70,8 +70,61 @@ def find_changes(
     )
     if not question.describes_a_machine():
         return Changes((), "unexplained", None, sizes_of(question, question.law.value), far_off=True)
-    priors = priors_of(question.candidates, question.scales, simulator.dt)
-    logs = _logs(question)
+    found = _searched(question, needed)
+    for _ in range(TURNS):
+        if not found.best.members:
+            break
+        question, last = question.about(found.value, found.differences), found
+        found = _searched(question, needed)
+        if found.best.members == last.best.members:
+            break
+    best, worth, differences, value = found.best, found.worth, found.differences, found.value
+    price = worth.price(best.members)
+    mistake = mistake_of(question, differences, found.common.alone, price=price, needed=needed)
+    if mistake:
+        return Changes((), "unexplained", None, sizes_of(question, found.common.level), mistake)
+    causes = causes_of(question, best, worth, found.nats)
+    verdict = "nothing changed" if not causes else "named"
+    if any(cause.aliases for cause in causes):
+        verdict = "ambiguous"
+    gain = gain_of(question, value, differences)
+    if causes and gain is not None and gain.nominal > gain.floor and gain.explained < MOST:
+        # On windows that were not used the logs differ by something else.
+        causes, verdict = (), "unexplained"
+    if not causes and worth.logs.differ_beyond_misfit(needed):
+        verdict = "unexplained"
+    return Changes(causes, verdict, gain, sizes_of(question, value))
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What a search found.
+
+    Attributes
+    ----------
+    best : Weighed
+        The set that is named; its values are in units of scales.
+    worth : OverStrengths
+    nats : mapping from place to float
+        What each member is worth.
+    differences : ndarray of shape (n_candidates,)
+        In units of scales.
+    common : _Common
+    value : ndarray of shape (n_effects,)
+        What is common beside the differences, in units of sizes.
+    """
+
+    best: Weighed
+    worth: OverStrengths
+    nats: Mapping[int, float]
+    differences: Array
+    common: "_Common"
+    value: Array
+
+
+def _searched(question: Question, needed: float) -> _Found:
+    """Return the likeliest set of changes that a machine may have."""
+    priors, logs = priors_of(question.candidates, question.scales, question.simulator.dt), _logs(question)
     while True:
         worth = OverStrengths(logs, priors, rivals_of(question.candidates))
         best, nats = _named(worth, needed)
@@ -81,25 +134,10 @@ def find_changes(
         value = common.level - common.slopes @ differences
         absurd = [*_at_bounds(best, question.candidates, priors), *_impossible(best, question, value)]
         if not absurd:
-            break
+            return _Found(best, worth, nats, differences, common, value)
         log_odds = priors.log_odds.copy()
         log_odds[absurd] = NEVER
         priors = replace(priors, log_odds=log_odds)
-    price = worth.price(best.members)
-    mistake = mistake_of(question, differences, common.alone, price=price, needed=needed)
-    if mistake:
-        return Changes((), "unexplained", None, sizes_of(question, common.level), mistake)
-    causes = causes_of(question, best, worth, nats)
-    verdict = "nothing changed" if not causes else "named"
-    if any(cause.aliases for cause in causes):
-        verdict = "ambiguous"
-    gain = gain_of(question, value, differences)
-    if causes and gain is not None and gain.nominal > gain.floor and gain.explained < MOST:
-        # On windows that were not used the logs differ by something else.
-        causes, verdict = (), "unexplained"
-    if not causes and logs.differ_beyond_misfit(needed):
-        verdict = "unexplained"
-    return Changes(causes, verdict, gain, sizes_of(question, value))
 
 
 @dataclass(frozen=True)
@@ -169,9 +207,9 @@ def _impossible(best: Weighed, question: Question, value: Array) -> list[int]:
     Beyond their errors; ``value`` (n_effects,) is what is common, in units of sizes. Motors may turn the other way, and
     of a weight that is taken off the model knows nothing.
     """
-    found = []
+    found, scales = [], question.scales * units_of(question.candidates, question.base)
     for place, difference, half in zip(best.members, best.values, best.half_widths):
-        one, scale = question.candidates[place], question.scales[place]
+        one, scale = question.candidates[place], scales[place]
         if one.late or one.effect.family in MOTORS:
             continue
         for effect, size, common in zip(question.effects, question.sizes, value):
