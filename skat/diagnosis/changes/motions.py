@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from skat.diagnosis.changes.candidates import Candidate, Model
+from skat.diagnosis.changes.candidates import MOTORS, WEAKEST, Candidate, Model
 from skat.diagnosis.changes.force_space import Motion, Rows, smooth_motion, transformed
 from skat.diagnosis.filtering import Array
 from skat.effects import Effect
@@ -19,6 +19,8 @@ Log = tuple[Array, Array, NDArray[Any]]
 WINDOWS, LONGEST = 8, 2.0
 # Of its typical size, over which the slope of an effect's force is taken.
 STEP = 0.01
+# An acceleration, rad/s^2 or m/s^2, beside whose force all friction is as nothing.
+FAST = 1e8
 
 
 @dataclass(frozen=True)
@@ -74,23 +76,33 @@ def half_of(simulator: MujocoSimulator, log: Log, name: str) -> Half:
     return Half(motion, 0.5 * sum(one[motion.rows].mean(axis=1) for one in speeds))
 
 
-def driven(simulator: MujocoSimulator, half: Half, model: Model) -> Half:
-    """Return a log with the accelerations that a model has in its states under its commands, not those that it shows.
+def driven(simulator: MujocoSimulator, half: Half, model: Model) -> tuple[Half, Array]:
+    """Return a log as a model moves in its states under its commands, and what the model lacks there, N or N m.
 
-    Of what is smoothed noise is in accelerations most. A slope that had it too would explain noise by noise: of motors
-    that do nothing and bodies that weigh nothing no force is missing.
+    What was measured holds noise, and what unknown forces did: it moves with what models lack, and a slope taken there
+    would explain the one by the other; of motors that do nothing and bodies that weigh nothing no force is missing. Of
+    what the model does instead, as of an instrument [1]_, as much is taken as measured accelerations have of it.
+
+    References
+    ----------
+    .. [1] Janot, Vandanjon, Gautier (2014). A generic instrumental variable approach for industrial robot
+       identification. IEEE Trans. Control Syst. Technol. 22(1).
     """
     motion, nv = half.motion, len(half.motion.slip)
+    measured = motion.accelerations
+
+    def at(accelerations: Array) -> Half:
+        return replace(half, motion=replace(motion, accelerations=accelerations))
 
     def lacking(accelerations: Array) -> Array:
-        moved = replace(half, motion=replace(motion, accelerations=accelerations))
-        return lacking_forces(simulator, moved, [model])[0, :, :nv]
+        return lacking_forces(simulator, at(accelerations), [model])[0, :, :nv]
 
-    missing = lacking(motion.accelerations)
-    # Forces are linear in accelerations.
-    inertia = np.stack([lacking(motion.accelerations + one) - missing for one in np.eye(nv)], axis=2)
-    further = np.linalg.solve(inertia, missing[:, :, None])[:, :, 0]
-    return replace(half, motion=replace(motion, accelerations=motion.accelerations - further))
+    missing = lacking(measured)
+    inertia = np.stack([(lacking(measured + one) - missing) / FAST for one in FAST * np.eye(nv)], axis=2)
+    own = measured - np.linalg.solve(inertia, missing[:, :, None])[:, :, 0]
+    share = np.sum(own * measured, axis=0) / np.maximum(np.sum(own**2, axis=0), 1e-300)
+    moved = np.maximum(share, 0) * own
+    return at(moved), lacking(moved)
 
 
 def rows_about(
@@ -102,6 +114,7 @@ def rows_about(
     *,
     machine: Model | None = None,
     driven_by: Model | None = None,
+    as_measured: bool = False,
 ) -> Rows:
     """Return the rows of a log, with the columns of effects in units of their sizes.
 
@@ -119,6 +132,8 @@ def rows_about(
         About which both are linear; the base by default.
     driven_by : Model, optional
         By which the machine moves where slopes are taken, if there is more in it.
+    as_measured : bool, default=False
+        Whether slopes are taken at accelerations as they were measured: of a model that is far off.
 
     Returns
     -------
@@ -128,7 +143,9 @@ def rows_about(
     machine = machine or base
     candidates = [Candidate(effect, 1.0, {}, float(effect.family == "delay")) for effect in effects]
     lacking = lacking_forces(simulator, half, [machine, Model({})])
-    columns = columns_of(simulator, half, candidates, sizes, machine=machine, driven_by=driven_by)
+    columns = columns_of(
+        simulator, half, candidates, sizes, machine=machine, driven_by=driven_by, as_measured=as_measured
+    )
     coefficients, joint, frequency, stretch = coefficients_of(half, lacking)
     target, nominal = coefficients.T
     away = [
@@ -146,15 +163,25 @@ def columns_of(
     *,
     machine: Model,
     driven_by: Model | None = None,
+    as_measured: bool = False,
     share: float = STEP,
 ) -> Array:
     """Return the columns of candidates, in units of their scales, (n_rows, n_candidates): rows are `rows_about`'s.
 
     Slopes are those about a machine, where it is driven; ``share`` of a scale is the step over which they are taken.
     """
-    moved = driven(simulator, half, driven_by or machine)
+    if as_measured:
+        moved, left = half, lacking_forces(simulator, half, [machine])[0, :, : len(half.motion.slip)]
+    else:
+        moved, left = driven(simulator, half, driven_by or machine)
     forces, steps = _steps(simulator, moved, machine, candidates, scales, share)
-    return coefficients_of(half, (forces[0] - forces[1:]) / steps[:, None, None])[0]
+    columns = (forces[0] - forces[1:]) / steps[:, None, None]
+    # Of what is lacking in units of what its motor exerts: nothing is explained by less of all there is.
+    for column, one, scale in zip(columns[:, :, : left.shape[1]], candidates, scales):
+        if one.effect.family in MOTORS:
+            driven_joints = np.any(column, axis=0)
+            column += driven_joints * left * scale / max(machine.values.get(one.effect.name, 1.0), WEAKEST)
+    return coefficients_of(half, columns)[0]
 
 
 def _steps(

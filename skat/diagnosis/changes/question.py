@@ -28,7 +28,7 @@ from skat.simulators import MujocoSimulator
 LATE_IN_BOTH = tuple(0.25 * one for one in range(-4, 33))
 # Of what something is to explain, that it explains at least.
 MOST = 0.5
-# Turns of what is wrong in both logs, or was found to differ, and of the machines about which forces are linear.
+# Turns of the machines about which forces are linear, and of what is wrong in both logs or was found to differ.
 TURNS = 2
 # Of the force on a joint, that a typical size of an effect exerts at least if logs show it: below, there is rounding.
 SHOWN = 1e-9
@@ -151,7 +151,7 @@ def question_of(
     seen = [effect for effect in effects if effect.family not in UNSEEN]
     common = [effect for effect in seen if effect.target != "all"]
     sizes = np.array([typical.get(effect.name, effect.typical) for effect in common])
-    sides = [rows_about(simulator, half, Model({}), common, sizes) for half in halves]
+    sides = [rows_about(simulator, half, Model({}), common, sizes, as_measured=True) for half in halves]
     shares = _shares(joined(sides))
     shown = np.flatnonzero(shares > SHOWN)
     common, sizes, shares = [common[place] for place in shown], sizes[shown], shares[shown]
@@ -165,16 +165,20 @@ def question_of(
     sides = [replace(side, columns=side.columns[:, shown] * units) for side in sides]
     sides = [_with_friction(simulator, *one, common, sizes) for one in zip(halves, sides)]
     base, late = _bases(simulator, halves, sides, common, sizes, needed)
+    # At first about the model, of whose motion nothing is to be taken if it is far off.
     machines = base, base
-    for _ in range(TURNS):
+    for turn in range(1 + TURNS):
         base = machines[0]
         sides = own = [
-            rows_about(simulator, half, base, common, sizes, machine=machine)
+            rows_about(simulator, half, base, common, sizes, machine=machine, as_measured=not turn)
             for half, machine in zip(halves, machines)
         ]
         if late != base.late:
             moved = replace(machines[1], late=late)
-            own = [sides[0], rows_about(simulator, halves[1], base, common, sizes, machine=moved)]
+            own = [
+                sides[0],
+                rows_about(simulator, halves[1], base, common, sizes, machine=moved, as_measured=not turn),
+            ]
         law = settled_law(own)
         first, second = (model_about(base, common, sizes, value) for value in (law.value, law.second))
         machines = first, second
@@ -218,7 +222,9 @@ def _with_friction(
         return rows
     columns = rows.columns.copy()
     candidates = [Candidate(effects[place], 1.0, {}) for place in dry]
-    columns[:, dry] = columns_of(simulator, half, candidates, sizes[dry], machine=Model({}), share=1.0)
+    columns[:, dry] = columns_of(
+        simulator, half, candidates, sizes[dry], machine=Model({}), as_measured=True, share=1.0
+    )
     return replace(rows, columns=columns)
 
 
