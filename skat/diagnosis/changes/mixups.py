@@ -96,7 +96,13 @@ def _in_another_order(question: Question, side: int, half: Half, machine: Model)
     cutoff = half.motion.cutoff
     half = replace(half, motion=replace(half.motion, cutoff=own.motion.cutoff))
     found = rows_about(
-        question.simulator, half, question.base, question.effects, question.sizes, machine=machine
+        question.simulator,
+        half,
+        question.base,
+        question.effects,
+        question.sizes,
+        machine=machine,
+        driven_by=machine,
     )
     here, there = (
         np.isfinite(whole_coefficients_of(one, lacking_forces(question.simulator, one, [Model({})]))[0][:, 0])

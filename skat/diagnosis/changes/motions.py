@@ -76,8 +76,8 @@ def half_of(simulator: MujocoSimulator, log: Log, name: str) -> Half:
     return Half(motion, 0.5 * sum(one[motion.rows].mean(axis=1) for one in speeds))
 
 
-def driven(simulator: MujocoSimulator, half: Half, model: Model) -> tuple[Half, Array]:
-    """Return a log as a model moves in its states under its commands, and what the model lacks there, N or N m.
+def driven(simulator: MujocoSimulator, half: Half, model: Model) -> Half:
+    """Return a log with the accelerations that a model has in its states under its commands.
 
     What was measured holds noise, and what unknown forces did: it moves with what models lack, and a slope taken there
     would explain the one by the other; of motors that do nothing and bodies that weigh nothing no force is missing. Of
@@ -101,8 +101,7 @@ def driven(simulator: MujocoSimulator, half: Half, model: Model) -> tuple[Half, 
     inertia = np.stack([(lacking(measured + one) - missing) / FAST for one in FAST * np.eye(nv)], axis=2)
     own = measured - np.linalg.solve(inertia, missing[:, :, None])[:, :, 0]
     share = np.sum(own * measured, axis=0) / np.maximum(np.sum(own**2, axis=0), 1e-300)
-    moved = np.maximum(share, 0) * own
-    return at(moved), lacking(moved)
+    return at(np.maximum(share, 0) * own)
 
 
 def rows_about(
@@ -114,7 +113,6 @@ def rows_about(
     *,
     machine: Model | None = None,
     driven_by: Model | None = None,
-    as_measured: bool = False,
 ) -> Rows:
     """Return the rows of a log, with the columns of effects in units of their sizes.
 
@@ -131,9 +129,7 @@ def rows_about(
     machine : Model, optional
         About which both are linear; the base by default.
     driven_by : Model, optional
-        By which the machine moves where slopes are taken, if there is more in it.
-    as_measured : bool, default=False
-        Whether slopes are taken at accelerations as they were measured: of a model that is far off.
+        By which the machine moves where slopes are taken; by default as it was measured.
 
     Returns
     -------
@@ -143,9 +139,7 @@ def rows_about(
     machine = machine or base
     candidates = [Candidate(effect, 1.0, {}, float(effect.family == "delay")) for effect in effects]
     lacking = lacking_forces(simulator, half, [machine, Model({})])
-    columns = columns_of(
-        simulator, half, candidates, sizes, machine=machine, driven_by=driven_by, as_measured=as_measured
-    )
+    columns = columns_of(simulator, half, machine, candidates, sizes, driven_by=driven_by)
     coefficients, joint, frequency, stretch = coefficients_of(half, lacking)
     target, nominal = coefficients.T
     away = [
@@ -158,29 +152,28 @@ def rows_about(
 def columns_of(
     simulator: MujocoSimulator,
     half: Half,
+    base: Model,
     candidates: Sequence[Candidate],
     scales: Array,
     *,
-    machine: Model,
     driven_by: Model | None = None,
-    as_measured: bool = False,
     share: float = STEP,
 ) -> Array:
     """Return the columns of candidates, in units of their scales, (n_rows, n_candidates): rows are `rows_about`'s.
 
-    Slopes are those about a machine, where it is driven; ``share`` of a scale is the step over which they are taken.
+    ``share`` of a scale is the step over which slopes are taken, about a base and as the machine moves by a model; by
+    default as it was measured. What is lacking counts in units of what motors exert: else all of it would be explained
+    by motors that do nothing and bodies that weigh nothing.
     """
-    if as_measured:
-        moved, left = half, lacking_forces(simulator, half, [machine])[0, :, : len(half.motion.slip)]
-    else:
-        moved, left = driven(simulator, half, driven_by or machine)
-    forces, steps = _steps(simulator, moved, machine, candidates, scales, share)
+    moved = half if driven_by is None else driven(simulator, half, driven_by)
+    forces, steps = _steps(simulator, moved, base, candidates, scales, share)
     columns = (forces[0] - forces[1:]) / steps[:, None, None]
-    # Of what is lacking in units of what its motor exerts: nothing is explained by less of all there is.
-    for column, one, scale in zip(columns[:, :, : left.shape[1]], candidates, scales):
+    nv = len(half.motion.slip)
+    left = lacking_forces(simulator, moved, [driven_by or base])[0, :, :nv]
+    for column, one, scale in zip(columns[:, :, :nv], candidates, scales):
         if one.effect.family in MOTORS:
-            driven_joints = np.any(column, axis=0)
-            column += driven_joints * left * scale / max(machine.values.get(one.effect.name, 1.0), WEAKEST)
+            gain = max(base.values.get(one.effect.name, 1.0), WEAKEST)
+            column += np.any(column, axis=0) * left * scale / gain
     return coefficients_of(half, columns)[0]
 
 

@@ -110,7 +110,7 @@ class Question:
         new = rows_about(
             simulator, half, self.base, self.effects, self.sizes, machine=machine, driven_by=moved
         )
-        columns = columns_of(simulator, half, self.candidates, scales, machine=machine, driven_by=moved)
+        columns = columns_of(simulator, half, machine, self.candidates, scales, driven_by=moved)
         second = replace(
             rows, target=new.target + columns @ further, columns=np.column_stack([new.columns, columns])
         )
@@ -151,7 +151,7 @@ def question_of(
     seen = [effect for effect in effects if effect.family not in UNSEEN]
     common = [effect for effect in seen if effect.target != "all"]
     sizes = np.array([typical.get(effect.name, effect.typical) for effect in common])
-    sides = [rows_about(simulator, half, Model({}), common, sizes, as_measured=True) for half in halves]
+    sides = [rows_about(simulator, half, Model({}), common, sizes) for half in halves]
     shares = _shares(joined(sides))
     shown = np.flatnonzero(shares > SHOWN)
     common, sizes, shares = [common[place] for place in shown], sizes[shown], shares[shown]
@@ -164,27 +164,11 @@ def question_of(
     sizes = sizes * units
     sides = [replace(side, columns=side.columns[:, shown] * units) for side in sides]
     sides = [_with_friction(simulator, *one, common, sizes) for one in zip(halves, sides)]
-    base, late = _bases(simulator, halves, sides, common, sizes, needed)
-    # At first about the model, of whose motion nothing is to be taken if it is far off.
-    machines = base, base
-    for turn in range(1 + TURNS):
-        base = machines[0]
-        sides = own = [
-            rows_about(simulator, half, base, common, sizes, machine=machine, as_measured=not turn)
-            for half, machine in zip(halves, machines)
-        ]
-        if late != base.late:
-            moved = replace(machines[1], late=late)
-            own = [
-                sides[0],
-                rows_about(simulator, halves[1], base, common, sizes, machine=moved, as_measured=not turn),
-            ]
-        law = settled_law(own)
-        first, second = (model_about(base, common, sizes, value) for value in (law.value, law.second))
-        machines = first, second
-    law = with_misfit(own, law)
+    bases = _bases(simulator, halves, sides, common, sizes, needed)
+    base, machine, sides, law = _about_machines(simulator, halves, *bases, common, sizes)
     offered, scales = offered_candidates(simulator, effects, common, sizes, typical)
-    columns = columns_of(simulator, halves[1], offered, scales * units_of(offered, base), machine=machines[1])
+    units = scales * units_of(offered, base)
+    columns = columns_of(simulator, halves[1], machine, offered, units, driven_by=machine)
     noise = law.noise[1]
     whitened = columns / noise[:, None]
     offered, kept = distinct(offered, whitened)
@@ -205,6 +189,39 @@ def question_of(
     )
 
 
+def _about_machines(
+    simulator: MujocoSimulator,
+    halves: Sequence[Half],
+    base: Model,
+    late: float,
+    effects: Sequence[Effect],
+    sizes: Array,
+) -> tuple[Model, Model, list[Rows], Law]:
+    """Return the machines of the first log and the second, and rows about them, and their law.
+
+    ``late`` is by how many rows commands come late in the second log, if nothing else differs.
+    """
+    machines = base, base
+    for turn in range(1 + TURNS):
+        base = machines[0]
+        rows = []
+        for half, machine in zip(halves, machines):
+            for one in dict.fromkeys([machine.late, late if half is halves[1] else machine.late]):
+                moved = replace(machine, late=one)
+                # At first the model may be far off: no machine moves as it does.
+                driven_by = moved if turn else None
+                rows.append(
+                    rows_about(simulator, half, base, effects, sizes, machine=moved, driven_by=driven_by)
+                )
+        own = [rows[0], rows[-1]]
+        law = settled_law(own)
+        machines = (
+            model_about(base, effects, sizes, law.value),
+            model_about(base, effects, sizes, law.second),
+        )
+    return base, machines[1], rows[:2], with_misfit(own, law)
+
+
 def _shares(rows: Rows) -> Array:
     """Return what a typical size of each effect exerts, over the force on the joint that feels it most."""
     joints = [rows.joint == joint for joint in np.unique(rows.joint)]
@@ -222,9 +239,7 @@ def _with_friction(
         return rows
     columns = rows.columns.copy()
     candidates = [Candidate(effects[place], 1.0, {}) for place in dry]
-    columns[:, dry] = columns_of(
-        simulator, half, candidates, sizes[dry], machine=Model({}), as_measured=True, share=1.0
-    )
+    columns[:, dry] = columns_of(simulator, half, Model({}), candidates, sizes[dry], share=1.0)
     return replace(rows, columns=columns)
 
 
@@ -236,7 +251,7 @@ def _bases(
     sizes: Array,
     needed: float,
 ) -> tuple[Model, float]:
-    """Return the models about which forces are taken, for each log: with dry friction, and commands as late as there.
+    """Return a model with dry friction, and commands as late as in the first log; and how late they are in the second.
 
     Rows are not linear in either: MuJoCo's dry friction is softer the larger it is, and of how late commands come a
     slope tells little. Each log tells by its own rows, so that what differs between them is no noise. What makes them
