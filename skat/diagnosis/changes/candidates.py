@@ -14,8 +14,10 @@ from skat.simulators import MujocoSimulator
 # Families that a machine does not change from one log to another, and those that forces do not show.
 FIXED = ("gravity", "tilt", "length", "wind", "air_drag", "position_friction", "inertia")
 UNSEEN = ("force_limit", "lag", "timestep", "backlash", "lag_torque", "payload")
-# Of factors, at least; and of those of motors, which may do nothing: with a sign that is turned they are as strong.
-WEAKEST, MOTORS, NEARLY_TURNED = 0.2, ("gain", "kp"), -0.5
+# Factors of what motors exert. They may do nothing, which errors may tell as less; the other way they turn by a sign.
+MOTORS, NEARLY_TURNED = ("gain", "kp"), -0.5
+# Of other factors, at least.
+WEAKEST = 0.2
 # Places along each side of a body at which a weight is tried; those that act alike are one: by the cosine between
 # what they exert, and by how much the larger may exert more.
 PLACES, ALIKE, AS_MUCH = 3, 0.9995, 0.1

@@ -174,7 +174,7 @@ def columns_of(
         if one.effect.family in MOTORS:
             gain = max(base.values.get(one.effect.name, 1.0), WEAKEST)
             column += np.any(column, axis=0) * left * scale / gain
-    return coefficients_of(half, columns)[0]
+    return coefficients_of(half, np.concatenate([forces[:1], columns]))[0][:, 1:]
 
 
 def _steps(

@@ -26,7 +26,7 @@ def question_of_rows(simulator, *, windows=5, n=8, differences=(0.0, 0.0, 0.0)):
     names = ["mass[lower]", "damping[elbow]", "gain[elbow]"]
     candidates = tuple(Candidate(effect_of(simulator, name), 1.0, {}) for name in names)
     effects = tuple(one.effect for one in candidates[:K])
-    law = Law(noise, SPREAD, WEIGHTS, np.zeros(K), ALIKE)
+    law = Law(noise, SPREAD, WEIGHTS, np.zeros(K), np.zeros(K), ALIKE)
     held_out = sides[1].stretch == 2
     return Question(
         simulator, (), Model({}), effects, candidates, np.ones(K), np.ones(M), tuple(sides), law, held_out

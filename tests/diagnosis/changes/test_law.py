@@ -72,7 +72,7 @@ def test_windows_that_tell_nothing_leave_the_least_that_they_differ_by():
 
 
 def with_noise(noise):
-    return Law(noise, np.zeros(3), np.ones(3), np.zeros(3), np.zeros((0, 3)))
+    return Law(noise, np.zeros(3), np.ones(3), np.zeros(3), np.zeros(3), np.zeros((0, 3)))
 
 
 def test_misfit_looks_like_an_effect_as_much_as_noise_at_its_frequencies_does():

@@ -22,7 +22,7 @@ def made_up(simulator, names, scales, *, sides=(None, None), noise=(None, None),
         Candidate(effect_of(simulator, name), 1.0, (beside or {}).get(name, {})) for name in names
     )
     k = 0 if sides[0] is None else sides[0].columns.shape[1]
-    law = Law(noise, np.zeros(k), np.ones(k), np.zeros(k), np.zeros((0, k)))
+    law = Law(noise, np.zeros(k), np.ones(k), np.zeros(k), np.zeros(k), np.zeros((0, k)))
     effects = tuple(effect_of(simulator, "damping[elbow]") for _ in range(k))
     return Question(
         simulator, (), Model({}), effects, candidates, np.ones(k), np.array(scales), sides, law, held_out
@@ -49,7 +49,7 @@ def test_values_and_intervals_are_told_in_units_of_effects(simulator):
     error = 1 / np.sqrt(np.diag(best.curvature))
     ends = np.array([-1.96, 0.0, 1.96])
     damping, mass, gain = (value + ends * one for value, one in zip(best.values, error))
-    for cause, told in zip(found, (1 + 0.2 * mass, 1 / (1 - 0.1 * gain), 0.3 * damping), strict=True):
+    for cause, told in zip(found, (1 + 0.2 * mass, 1 + 0.1 * gain, 0.3 * damping), strict=True):
         np.testing.assert_allclose([cause.interval[0], cause.value, cause.interval[1]], told, rtol=1e-9)
         assert cause.aliases == ()
     assert [cause.probability for cause in found] == pytest.approx([1.0, 1.0, 1.0])
