@@ -4,11 +4,11 @@ The commit's hash draws the lines and what becomes of each: a comparison, an ope
 Each changed line meets the tests of its own folder, the long ones left out, in a copy of the commit; the tree itself
 stays as it is. A run that fails, or takes much longer than that of the commit, has caught the change. Of a folder only
 those files are run of which some test reaches the line, as a run of the commit with coverage tells; the quick ones
-first, and with ``--seconds`` no slower ones than fit into so much: what these would notice counts as not noticed. Some
-changes are none, as ``<`` for ``<=`` where equality has no chance: look at the survivors before adding a
-test.
+first, and with ``--seconds`` no slower ones than fit into so much: what these would notice counts as not noticed. A run
+is a fork of this process, which has loaded the libraries, but never skat: loading them takes longer than most tests.
+Some changes are none, as ``<`` for ``<=`` where equality has no chance: look at the survivors before adding a test.
 
-    python benchmarks/mutations.py --output FILE        # 50 lines; an hour or two; ended by anybody, it goes on
+    python benchmarks/mutations.py --output FILE        # 50 lines; an hour or so; ended by anybody, it goes on
     python benchmarks/mutations.py --lines 5 --only transport
 """
 
@@ -16,6 +16,7 @@ import argparse
 import ast
 import contextlib
 import copy
+import importlib
 import io
 import itertools
 import json
@@ -27,11 +28,11 @@ import subprocess
 import sys
 import tarfile
 import tempfile
+import time
+import traceback
 import xml.etree.ElementTree as ET
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from queue import Queue
 
 ROOT = Path(__file__).resolve().parent.parent
 # Beside these is what shows and reads: it has tests of its own kind.
@@ -67,7 +68,23 @@ OTHER_NAME = {
     "maximum": "minimum",
 }
 CAUGHT, SURVIVED = "caught  ", "SURVIVED"
-RUNNING = set()
+# No plugin of pytest is among them: pytest rewrites the asserts of those as it loads them.
+LIBRARIES = (
+    "numpy",
+    "scipy.optimize",
+    "scipy.signal",
+    "scipy.spatial",
+    "scipy.stats",
+    "sklearn.model_selection",
+    "sklearn.pipeline",
+    "pandas",
+    "mujoco",
+    "pytest",
+)
+ALONE = {"PYTHONDONTWRITEBYTECODE": "1", "OMP_NUM_THREADS": "1", "MPLBACKEND": "agg"}
+TOO_LONG = 124
+PAUSE = 0.02
+ENDINGS = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
 @dataclass(frozen=True)
@@ -168,8 +185,7 @@ def reached(place, tests):
         data, times, told = (Path(folder) / name for name in ("coverage", "times.xml", "told.txt"))
         options = ["--cov=skat", "--cov-context=test", "--cov-report=", f"--junitxml={times}"]
         options += ["--cov-fail-under=0", "-o", "junit_family=xunit1"]
-        with told.open("w") as output:
-            code = _run(place, [tests, *options], 7200, output, COVERAGE_FILE=str(data))
+        code = Run(place, [tests, *options], 7200, told, COVERAGE_FILE=str(data)).wait()
         if code:
             last = "\n".join(told.read_text("utf-8").splitlines()[-60:])
             raise SystemExit(f"{last}\n{tests} fails (exit code {code}) before anything is changed.")
@@ -201,13 +217,141 @@ def drawn(root, seed, n_lines, only=None):
     return [generator.choice(line) for line in generator.sample(candidates, min(n_lines, len(candidates)))]
 
 
+def tried(chosen, places, begun):
+    """Yield each mutation and the exit code of its tests, as they end.
+
+    Parameters
+    ----------
+    chosen : list of Mutation
+    places : list of Path
+        Copies of the commit; in each, one mutation at a time.
+    begun : callable
+        Of a mutation and the place that has it, returns a `Run`.
+    """
+    waiting, free, running = [*reversed(chosen)], [*places], {}
+    try:
+        while waiting or running:
+            while waiting and free:
+                place, mutation = free.pop(), waiting.pop()
+                source = (place / mutation.path).read_text("utf-8")
+                (place / mutation.path).write_text(mutation.source, "utf-8")
+                running[place] = mutation, source, begun(mutation, place)
+            time.sleep(PAUSE)
+            for place, (mutation, source, run) in [*running.items()]:
+                if run.ended():
+                    (place / mutation.path).write_text(source, "utf-8")
+                    free.append(place)
+                    del running[place]
+                    yield mutation, run.code
+    finally:
+        for _, _, run in running.values():
+            run.end()
+
+
+class Run:
+    """Tests at work in a copy of a commit, in a fork of this process with a group of its own.
+
+    Attributes
+    ----------
+    code : int or None
+        How it ended, `TOO_LONG` where its limit in seconds did it; none while it is at work.
+    """
+
+    def __init__(self, place, tests, limit, output=os.devnull, **environment):
+        self.code, self._own_code, self._last = None, None, time.monotonic() + limit
+        sys.stdout.flush()
+        self._process = os.fork()
+        if not self._process:
+            _test(place, tests, output, environment)
+        os.setpgid(self._process, self._process)
+
+    def ended(self):
+        """Return whether it has ended, and with it all that the tests have started; past its limit, it is ended."""
+        if self.code is None and (self._is_over() or time.monotonic() > self._last):
+            self.code = TOO_LONG if self._own_code is None else self._own_code
+            self.end()
+        return self.code is not None
+
+    def wait(self):
+        """Return its exit code, once it has ended."""
+        try:
+            while not self.ended():
+                time.sleep(PAUSE)
+        finally:
+            if self.code is None:
+                self.end()
+        return self.code
+
+    def end(self):
+        """End it, with all that the tests have started."""
+        # Joblib's workers are asked to end first: its trackers, which do not heed that, then tidy up after them.
+        for number in (signal.SIGTERM, signal.SIGKILL):
+            until = time.monotonic() + 1
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self._process, number)
+                while time.monotonic() < until:
+                    time.sleep(PAUSE)
+                    self._is_over()
+                    os.killpg(self._process, 0)
+
+    def _is_over(self):
+        if self._own_code is None:
+            process, status = os.waitpid(self._process, os.WNOHANG)
+            if process:
+                self._own_code = os.waitstatus_to_exitcode(status)
+        return self._own_code is not None
+
+
+def _test(place, tests, output, environment):
+    """Run tests in a copy of a commit and end this process, a fork, with their exit code."""
+    code = 1
+    try:
+        os.setpgid(0, 0)
+        for number in ENDINGS:
+            signal.signal(number, signal.SIG_DFL)
+        _write_to(output)
+        os.chdir(place)
+        os.environ.update(ALONE, PYTHONPATH=str(place), **environment)
+        sys.dont_write_bytecode = True
+        own = ROOT, ROOT / "benchmarks"
+        sys.path[:] = [str(place), *(entry for entry in sys.path if Path(entry).resolve() not in own)]
+        options = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:randomly", "-m", "not long"]
+        code = int(importlib.import_module("pytest").main([*options, *tests]))
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        # Nothing of the process that was forked is left for this one to tidy up.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+
+
+def _write_to(output):
+    """Let this process, and what it starts, read nothing and write to a file."""
+    with open(os.devnull) as nothing, open(output, "w") as file:
+        os.dup2(nothing.fileno(), 0)
+        os.dup2(file.fileno(), 1)
+        os.dup2(file.fileno(), 2)
+
+
+def _load_libraries():
+    os.environ.update(ALONE)
+    for name in LIBRARIES:
+        importlib.import_module(name)
+
+
 def main():
     """Draw, try and list; what the file of the output has of this commit already is not tried again."""
     arguments = _arguments()
+    if not hasattr(os, "fork"):
+        raise SystemExit(
+            "The runs of changed lines are forked, which Windows cannot: run this on Linux, as in WSL."
+        )
     commit = _git("rev-parse", arguments.commit).decode().strip()
     report = Report(arguments.output, f"commit {commit}")
-    for number in (signal.SIGTERM, signal.SIGHUP) if os.name == "posix" else (signal.SIGTERM,):
+    for number in ENDINGS:
         signal.signal(number, _ended)
+    _load_libraries()
     with tempfile.TemporaryDirectory() as folder:
         places = [_checked_out(commit, Path(folder) / str(number)) for number in range(arguments.jobs)]
         chosen = drawn(places[0], commit, arguments.lines, arguments.only)
@@ -221,34 +365,18 @@ def main():
             _keep(arguments.output, commit, known)
             report.say(f"{tests} unchanged: {sum(known[tests].seconds.values()):.0f} s")
 
-        copies = Queue()
-        for place in places:
-            copies.put(place)
+        files_of = {each: known[tests_of[each]].files(each, arguments.seconds) for each in left}
+        for each in left:
+            if not files_of[each]:
+                report.say(f"{SURVIVED} {each}")
 
-        def caught(mutation):
-            place, tests = copies.get(), tests_of[mutation]
-            file = place / mutation.path
-            source = file.read_text("utf-8")
-            try:
-                file.write_text(mutation.source, "utf-8")
-                files = known[tests].files(mutation, arguments.seconds)
-                # Some changes make a loop endless: that is noticed, too.
-                return (
-                    bool(files)
-                    and _run(place, files, 60 + 3 * sum(known[tests].seconds[file] for file in files)) != 0
-                )
-            finally:
-                file.write_text(source, "utf-8")
-                copies.put(place)
+        def begun(mutation, place):
+            seconds = sum(known[tests_of[mutation]].seconds[file] for file in files_of[mutation])
+            # Some changes make a loop endless: that is noticed, too.
+            return Run(place, files_of[mutation], 60 + 3 * seconds)
 
-        pool = ThreadPoolExecutor(arguments.jobs)
-        try:
-            for mutation, noticed in zip(left, pool.map(caught, left)):
-                report.say(f"{CAUGHT if noticed else SURVIVED} {mutation}")
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
-            _end_tests()
-            pool.shutdown()
+        for mutation, code in tried([each for each in left if files_of[each]], places, begun):
+            report.say(f"{CAUGHT if code else SURVIVED} {mutation}")
     n_caught = sum(f"{CAUGHT} {each}" in report.lines for each in chosen)
     report.say(f"{n_caught} of {len(chosen)} caught ({n_caught / len(chosen):.0%})")
     sys.exit(n_caught < arguments.least * len(chosen))
@@ -322,44 +450,6 @@ def _keep(output, commit, known):
     if output:
         told = {tests: {"seconds": one.seconds, "lines": one.lines} for tests, one in known.items()}
         Path(f"{output}.reached.json").write_text(json.dumps({commit: told}), "utf-8")
-
-
-def _run(place, tests, limit, output=subprocess.DEVNULL, **environment):
-    options = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:randomly", "-m", "not long"]
-    command = [sys.executable, "-m", "pytest", *options, *tests]
-    environment = {
-        **os.environ,
-        **environment,
-        "PYTHONPATH": str(place),
-        "PYTHONDONTWRITEBYTECODE": "1",
-        "OMP_NUM_THREADS": "1",
-        "MPLBACKEND": "agg",
-    }
-    # A session of its own: what a test has started is ended with it.
-    process = subprocess.Popen(
-        command, cwd=place, env=environment, start_new_session=True, stdout=output, stderr=output
-    )
-    RUNNING.add(process)
-    try:
-        return process.wait(limit)
-    except subprocess.TimeoutExpired:
-        return 124
-    finally:
-        _end(process)
-        RUNNING.discard(process)
-
-
-def _end(process):
-    if os.name == "posix":
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGKILL)
-    process.kill()
-    process.wait()
-
-
-def _end_tests():
-    for process in list(RUNNING):
-        _end(process)
 
 
 def _ended(number, frame):

@@ -1,7 +1,10 @@
 """The script that changes lines changes one at a time, and draws them by the commit."""
 
 import ast
+import json
+import os
 import runpy
+import subprocess
 import sys
 from pathlib import Path
 
@@ -52,6 +55,17 @@ def test_every_module_of_the_core_has_tests(script):
         assert (ROOT / script["folder_of_tests"](each.path, ROOT)).exists()
 
 
+def run_in_script(code):
+    """Return what lines print as JSON that are run as those of the script, in a process that may be forked."""
+    path = ROOT / "benchmarks" / "mutations.py"
+    head = f"import runpy\nglobals().update(runpy.run_path({str(path)!r}))\n"
+    told = subprocess.run([sys.executable, "-c", head + code], capture_output=True, text=True, timeout=300)
+    assert told.returncode == 0, told.stderr
+    return json.loads(told.stdout)
+
+
+forks = pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork on Windows")
+
 MODULE = """SHIFT = 2
 
 
@@ -68,6 +82,7 @@ def other(x):
 """
 
 
+@forks
 def test_files_that_reach_a_line_are_found_quick_ones_first(script, tmp_path):
     (tmp_path / "skat").mkdir()
     (tmp_path / "skat" / "__init__.py").write_text("")
@@ -80,7 +95,12 @@ def test_files_that_reach_a_line_are_found_quick_ones_first(script, tmp_path):
         "import time\n\nfrom skat.moves import shifted\n\n\n"
         "def test_up_and_down():\n    time.sleep(0.3)\n    assert shifted(2) == 4\n    assert shifted(-1) == -3\n"
     )
-    reached = script["reached"](tmp_path, "tests")
+    reached = script["Reached"](
+        **run_in_script(
+            f"reached = reached(Path({str(tmp_path)!r}), 'tests')\n"
+            "print(json.dumps({'seconds': reached.seconds, 'lines': reached.lines}))"
+        )
+    )
     drawn = script["mutations"]("skat/moves.py", MODULE)
 
     def files(line, **limit):
@@ -111,7 +131,7 @@ def test_a_run_goes_on_from_what_its_file_has_and_refuses_that_of_another_commit
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are looked up in /proc")
-def test_what_outlasts_its_limit_is_ended_with_all_that_it_started(script, tmp_path):
+def test_what_outlasts_its_limit_is_ended_with_all_that_it_started(tmp_path):
     (tmp_path / "test_it.py").write_text(
         "import subprocess, sys, time\n"
         "def test_it():\n"
@@ -119,6 +139,25 @@ def test_what_outlasts_its_limit_is_ended_with_all_that_it_started(script, tmp_p
         "    open('child', 'w').write(str(child.pid))\n"
         "    time.sleep(300)\n"
     )
-    assert script["_run"](tmp_path, ["test_it.py"], 10) == 124
+    assert run_in_script(f"print(Run(Path({str(tmp_path)!r}), ['test_it.py'], 10).wait())") == 124
     child = Path("/proc") / (tmp_path / "child").read_text()
     assert not child.exists() or "Z" in (child / "stat").read_text().split()[2]
+
+
+@forks
+def test_each_run_loads_the_changed_module_anew_and_the_copy_is_left_as_it_was(tmp_path):
+    (tmp_path / "skat").mkdir()
+    (tmp_path / "skat" / "__init__.py").write_text("")
+    (tmp_path / "skat" / "moves.py").write_text(MODULE)
+    (tmp_path / "test_it.py").write_text(
+        "from skat.moves import other\n\n\ndef test_it():\n    assert other(2) == 6\n"
+    )
+    code = (
+        f"place = Path({str(tmp_path)!r})\n"
+        "by_line = mutations('skat/moves.py', (place / 'skat/moves.py').read_text())\n"
+        "chosen = [by_line[line][0] for line in (9, 13, 1)]\n"
+        "begun = lambda mutation, place: Run(place, ['test_it.py'], 100)\n"
+        "print(json.dumps([(each.line, code) for each, code in tried(chosen, [place], begun)]))"
+    )
+    assert run_in_script(code) == [[9, 0], [13, 1], [1, 0]]
+    assert (tmp_path / "skat" / "moves.py").read_text() == MODULE

@@ -16,6 +16,7 @@ from skat.diagnosis.evidence import (
     posterior_mode,
     weigh,
 )
+from skat.diagnosis.search import _likely_losses
 
 K = 4
 SCALES = np.array([0.3, 1.0, 2.0, 0.1])
@@ -86,6 +87,14 @@ def test_scores_that_scatter_have_the_likelihood_of_their_own_law(units):
     np.testing.assert_allclose(same.projections / scale, b / scale, rtol=1e-6, atol=1e-9)
 
 
+def test_scores_scatter_alike_in_whatever_units_effects_are_told():
+    N, z = drawn()
+    excess, units = np.array([0.0, 3.0, 0.5, 10.0]), np.array([1e-9, 1.0, 1e6, 3.0])
+    own, other = gram_of(N, z).scattered(excess), gram_of(N * units, z).scattered(excess)
+    np.testing.assert_allclose(other.products, own.products * units * units[:, None], rtol=1e-9)
+    np.testing.assert_allclose(other.projections, own.projections * units, rtol=1e-9)
+
+
 def test_scores_of_effects_that_act_the_same_scatter_once():
     N, z = drawn()
     N = np.column_stack([N[:, 0], -2 * N[:, 0], N[:, 1]])
@@ -96,6 +105,18 @@ def test_scores_of_effects_that_act_the_same_scatter_once():
 
 
 # -- one set ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_member_is_worth_what_least_squares_lose_without_it():
+    N, z = drawn()
+    wide = Priors(tuple("abcd"), np.full(K, 1e6), ODDS, np.full(K, -1e9), np.full(K, 1e9))
+
+    def loss(columns):
+        return np.linalg.lstsq(N[:, columns], z)[1][0] / 2
+
+    others = [loss([one for one in range(K) if one != gone]) for gone in range(K)]
+    losses = _likely_losses(weigh(gram_of(N, z), wide, range(K)))
+    np.testing.assert_allclose(losses, others - loss(range(K)), rtol=1e-6)
 
 
 def log_posterior(theta, N, z, scales):

@@ -1,10 +1,12 @@
 """Fits of sets of causes: going on from one loses nothing, chains go their own ways, sets are compared by both fits."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from skat.diagnosis.causes import Seen
-from skat.diagnosis.fits import Fit, Fits
+from skat.diagnosis.fits import Fit, Fits, _lowest
 from skat.diagnosis.fitting import Fitted, _blocks, priors_of, settled
 from skat.diagnosis.statespace import linearise, of_chains, state_space, with_chains
 from skat.simulators import MujocoSimulator
@@ -79,6 +81,12 @@ def test_going_on_from_a_fit_that_rests_loses_nothing(space):
     assert second.bound > first.bound - 0.1
     assert second.restless < 0.1
     assert isinstance(second, Fitted)
+
+
+def test_a_fit_is_known_to_no_better_than_its_most_restless_chain_loses(space):
+    fitted = settled(space, {}, None, np.zeros(space.d))
+    restless = replace(fitted, losses=np.array([0.0, 7.0, 2.0]))
+    assert _lowest(restless) == pytest.approx(_lowest(replace(fitted, losses=np.zeros(3))) - 7.0)
 
 
 def test_a_set_is_fitted_to_where_its_slopes_move_it_no_more(fits, nothing):

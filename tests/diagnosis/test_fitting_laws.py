@@ -1,6 +1,7 @@
 """What fits are made of, against least squares and the weighing of sets: evidence, noise beside effects, scores."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,8 +10,10 @@ from skat.diagnosis.evidence import Gram, weigh
 from skat.diagnosis.filtering import kalman_filter
 from skat.diagnosis.fits import Fits
 from skat.diagnosis.fitting import (
+    MEMORIES,
     Known,
     _rough,
+    _with_best_memory,
     around,
     gram_of,
     noise_without,
@@ -179,6 +182,26 @@ def test_of_forces_with_memory_nothing_is_known():
     real = np.ones(chains.drive.shape[:2], dtype=bool)
     start = normal_noise(chains, np.full(4, 0.01), np.array([0.09, 0.16, 1.0, 1.0]))
     assert known.estimated(chains, start, real).noise.error[:2].tolist() == [0.09, 0.16]
+
+
+@pytest.mark.parametrize("last", [0, 2])
+def test_a_memory_is_sought_from_the_last_one_on(last, monkeypatch):
+    """Between two memories that fit there is one that does not: each of the two stays where it was the last one."""
+    space, bounds = walks(), [50.0, 20.0, 60.0]
+    linear = linearise(space, space.measured, {})
+    memories = [np.full(2, np.exp(-1 / rows)) for rows in MEMORIES[:3]]
+    monkeypatch.setattr("skat.diagnosis.fitting._remembering", lambda space, linear, shares: shares)
+    monkeypatch.setattr("skat.diagnosis.fitting._worth_of_memories", lambda chains, estimate: bounds)
+
+    def estimated(chains, noise, real):
+        told = [bound for one, bound in zip(memories, bounds) if np.array_equal(chains, one)]
+        return SimpleNamespace(bound=told[0] if told else 0.0)
+
+    known = SimpleNamespace(given=np.ones(2), estimated=estimated)
+    noise = normal_noise(linear.chains, np.ones(2), np.ones(2))
+    estimate, shares = _with_best_memory(space, linear, noise, memories[last], known)
+    assert estimate.bound == bounds[last]
+    np.testing.assert_array_equal(shares, memories[last])
 
 
 def test_a_simulation_that_diverges_everywhere_has_no_fit():

@@ -236,6 +236,24 @@ def test_what_is_not_known_of_a_state_is_what_its_readings_leave_of_what_was_pre
         np.testing.assert_allclose(ahead[step], np.minimum(np.diag(M), most) + errors, rtol=1e-5)
 
 
+def test_a_log_is_looked_at_about_the_mean_over_what_is_not_known_of_its_states(monkeypatch):
+    monkeypatch.setattr("skat.diagnosis.prediction.TURNS", 30)  # until path and covariances are each other's
+    names = ("x",)
+    bent = FunctionSimulator(
+        lambda X: 0.5 + 0.8 * (X - 0.5) + 0.3 * (X - 0.5) ** 2,
+        input_names=names,
+        output_names=names,
+        state_names=names,
+        dt=DT,
+    )
+    space = read([30, 20], error=0.3, simulator=bent, centres=[0.5, 0.5])
+    seen = look(space, known(space, 0.3, 0.01), {})
+    spread = seen.estimate.smoothed.covariances
+    mean, point = (linearise(space, seen.linear.path, {}, one) for one in (spread, None))
+    np.testing.assert_allclose(seen.chains.drive, mean.chains.drive, atol=1e-6)
+    assert np.abs(mean.chains.drive - point.chains.drive).max() > 1e-3
+
+
 def test_random_steps_add_up_ahead_of_a_start_until_two_motions_have_nothing_in_common():
     space, error, force = read([40, 40]), 0.1, 0.3
     seen = look(space, known(space, error, force), {})

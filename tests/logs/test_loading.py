@@ -203,6 +203,15 @@ def test_velocities_are_interpolated_with_the_corners_that_held_commands_make(
     assert missed[1] < np.nanmean((plain[:, 0] - truth[:, 1]) ** 2) / 10
 
 
+@pytest.mark.parametrize("dt", [1e-3, 5.0])
+def test_nothing_is_interpolated_beyond_the_samples_by_more_than_their_jitter(dt):
+    times, values = 3 + dt * np.arange(10), np.arange(10.0)[:, None]
+    at = np.r_[times[0] - np.array([0.3, 0.005]) * dt, times[-1] + np.array([0.005, 0.3]) * dt]
+    found, _ = interpolated(times, values, at, dt)
+    assert np.isnan(found[:, 0]).tolist() == [True, False, False, True]
+    np.testing.assert_allclose(found[1:3, 0], [-0.005, 9.005], atol=1e-9)
+
+
 def test_lost_rows_are_not_measured_and_commands_are_held(table, cart):
     log = load_log(table.drop(index=[10, 11]), cart)
     assert len(log) == 48

@@ -1,8 +1,11 @@
+import contextlib
+import itertools
 import json
 import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -15,7 +18,7 @@ from skat.cli import app
 from skat.replay import Motion, NoOpenGL, frames, motion, write_film
 from skat.replay.film import lettered
 from skat.replay.frames import backend, visual_model
-from skat.replay.viewer import check_display
+from skat.replay.viewer import check_display, show
 from skat.simulators import MujocoSimulator
 
 ARM = """
@@ -168,6 +171,38 @@ def test_without_a_display_a_film_is_offered(monkeypatch):
         monkeypatch.delenv(name, raising=False)
     with pytest.raises(NoOpenGL, match=r"no display .*--film out\.gif"):
         check_display()
+
+
+def test_in_a_window_space_pauses_and_tab_changes_the_simulation(arm, monkeypatch):
+    keys, said = pytest.importorskip("glfw"), []
+    pressed = {2: keys.KEY_SPACE, 4: keys.KEY_SPACE, 6: keys.KEY_TAB}
+
+    def launched(model, data, *, key_callback, **options):
+        def is_running():
+            if len(said) in pressed:
+                key_callback(pressed[len(said)])
+            return len(said) < 8
+
+        window = SimpleNamespace(
+            is_running=is_running,
+            lock=contextlib.nullcontext,
+            user_scn=mujoco.MjvScene(model, 100),
+            set_texts=lambda texts: said.append(texts[2]),
+            sync=lambda: None,
+        )
+        return contextlib.nullcontext(window)
+
+    tenths = itertools.count()  # The clock is asked twice a picture, a tenth of a second apart.
+    clock = SimpleNamespace(monotonic=lambda: next(tenths) / 10, sleep=lambda seconds: None)
+    monkeypatch.setattr("skat.replay.viewer.time", clock)
+    monkeypatch.setattr("skat.replay.viewer.check_display", lambda: None)
+    monkeypatch.setattr(mujoco, "viewer", SimpleNamespace(launch_passive=launched), raising=False)
+    poses = np.zeros((21, 2))
+    show(arm, Motion(np.arange(21) / 10, poses, {"given": poses, "extended": poses}))
+    assert said == [
+        *("given, 0.10 s", "given, 0.20 s", "given, 0.20 s", "given, 0.20 s"),
+        *("given, 0.30 s", "given, 0.40 s", "extended, 0.50 s", "extended, 0.60 s"),
+    ]
 
 
 # -- motions -------------------------------------------------------------------------------------------------
