@@ -80,8 +80,9 @@ def driven(simulator: MujocoSimulator, half: Half, model: Model) -> Half:
     """Return a log with the accelerations that a model has in its states under its commands.
 
     What was measured holds noise, and what unknown forces did: it moves with what models lack, and a slope taken there
-    would explain the one by the other; of motors that do nothing and bodies that weigh nothing no force is missing. Of
-    what the model does instead, as of an instrument [1]_, as much is taken as measured accelerations have of it.
+    would explain the one by the other. Of measured accelerations, what those of the model explain is theirs, as of an
+    instrument [1]_. What they do not is noise as far as they explain the most, and else a model that is far off: of
+    that as much is kept as they leave of the whole.
 
     References
     ----------
@@ -100,8 +101,11 @@ def driven(simulator: MujocoSimulator, half: Half, model: Model) -> Half:
     missing = lacking(measured)
     inertia = np.stack([(lacking(measured + one) - missing) / FAST for one in FAST * np.eye(nv)], axis=2)
     own = measured - np.linalg.solve(inertia, missing[:, :, None])[:, :, 0]
-    share = np.sum(own * measured, axis=0) / np.maximum(np.sum(own**2, axis=0), 1e-300)
-    return at(np.maximum(share, 0) * own)
+    power, seen = np.sum(own**2, axis=0), np.sum(measured**2, axis=0)
+    cross = np.maximum(np.sum(own * measured, axis=0), 0)
+    explained = cross / np.maximum(power, 1e-300) * own
+    unexplained = 1 - cross**2 / np.maximum(power * seen, 1e-300)
+    return at(explained + unexplained * (measured - explained))
 
 
 def rows_about(
