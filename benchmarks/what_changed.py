@@ -64,8 +64,7 @@ def change(robot, kind, truth, rng):
         return {**truth, name: truth.get(name, 0.0) + size}, {name: size}
     name = f"gain[{motors[place]}]" if kind == "gain" else f"mass[{bodies[-1 - place % 2]}]"
     factor = float(rng.choice([0.75, 0.85, 1.2, 1.4])) if kind == "gain" else rng.uniform(1.3, 2.0)
-    told = factor if kind == "gain" else 1 + truth.get(name, 1.0) * (factor - 1)
-    return {**truth, name: truth.get(name, 1.0) * factor}, {name: told}
+    return {**truth, name: truth.get(name, 1.0) * factor}, {name: float(factor)}
 
 
 def cases(cut):

@@ -248,6 +248,7 @@ def misfit_question(simulator, seed, *, apart, change=0.0, spread=0.0025, shown=
             np.full(EFFECTS, spread),
             np.ones(EFFECTS),
             np.zeros(EFFECTS),
+            np.zeros(EFFECTS),
             np.zeros((0, EFFECTS)),
         ),
     )
