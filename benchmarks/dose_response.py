@@ -18,8 +18,14 @@ from tables import Case, Table
 
 BLOCK = 2.0  # s
 # Of each machine: runs that may be compared across, and those of which doses are asked.
-# By how much less the two-link arm's elbow reads than it is turned, rad, by `encoder_zeros.py`; errors are below .005.
-ZEROS = {"143339": -0.0204, "143524": -0.0150, "143601": -0.0192, "143704": 0.0312, "143747": 0.0358}
+# By how much less the two-link arm's shoulder and elbow read than they are turned, rad, by `encoder_zeros.py`.
+ZEROS = {
+    "143339": {"shoulder": -0.0143, "elbow": -0.0054},
+    "143524": {"shoulder": -0.0094, "elbow": -0.0031},
+    "143601": {"shoulder": -0.0265, "elbow": 0.0027},
+    "143704": {"shoulder": 0.0615, "elbow": -0.0355},
+    "143747": {"shoulder": -0.0138, "elbow": 0.0431},
+}
 ZEROED_ALIKE = 0.03
 RUNS = {
     "double_pendulum": ("143339", "143524", "143601", "143704", "143747"),
@@ -196,13 +202,13 @@ def run(case, parameters):
     return {"what": what, "machine": machine, "kind": settings.get("kind"), "truth": truth, **answer}
 
 
-def moved_zero(line):
-    """Return by how much more the elbow's sensor reads in the second run, rad; 0 where it was zeroed alike."""
+def moved_zeros(line):
+    """Return by how much more sensors read in the second run, rad, of those that were zeroed otherwise."""
     if (line["what"], line["machine"]) != ("across", "double_pendulum"):
-        return 0.0
+        return {}
     *_, before, after = line["case"].partition(" #")[0].split(" | ")
-    moved = ZEROS[before] - ZEROS[after]
-    return moved if abs(moved) > ZEROED_ALIKE else 0.0
+    moved = {f"bias[qpos.{joint}]": zero - ZEROS[after][joint] for joint, zero in ZEROS[before].items()}
+    return {name: value for name, value in moved.items() if abs(value) > ZEROED_ALIKE}
 
 
 def told_mixed_up(line):
@@ -266,26 +272,32 @@ def report(lines, shown):
     ):
         for machine in (None, *RUNS):
             mine = [line for line in lines if line["what"] == what and machine in (None, line["machine"])]
-            mine = [line for line in mine if line["verdict"] != "too short" and not moved_zero(line)]
+            mine = [line for line in mine if line["verdict"] != "too short" and not moved_zeros(line)]
             shown.share(
                 label if machine is None else f"... {machine}",
                 [bool(line["causes"]) for line in mine],
                 wanted if machine is None else "",
             )
-        mine = [line for line in lines if line["what"] == what and not moved_zero(line)]
+        mine = [line for line in lines if line["what"] == what and not moved_zeros(line)]
         differing = [line["verdict"] == "unexplained" for line in mine]
         shown.share("... told to differ by nothing that has a name", differing)
-    zeroed = [line for line in lines if moved_zero(line)]
-    own = [[one for one in line["causes"] if one["name"] == "bias[qpos.elbow]"] for line in zeroed]
-    shown.share("zero of the elbow that moved: told", map(bool, own))
-    shown.share("... another name", [len(line["causes"]) > len(some) for line, some in zip(zeroed, own)])
-    shown.share("... unexplained", [line["verdict"] == "unexplained" for line in zeroed])
-    covering = [
-        one["interval"][0] <= moved_zero(line) <= one["interval"][1]
-        for line, some in zip(zeroed, own)
-        for one in some
+    zeroed = [line for line in lines if moved_zeros(line)]
+    told = [
+        [one for one in line["causes"] if any(tables.covers(one, name) for name in moved_zeros(line))]
+        for line in zeroed
     ]
-    shown.share("... intervals that cover what least squares say", covering)
+    shown.share("a zero that moved by itself: told, or an alias of it", map(bool, told))
+    shown.share("... another name", [len(line["causes"]) > len(some) for line, some in zip(zeroed, told)])
+    shown.share("... unexplained", [line["verdict"] == "unexplained" for line in zeroed])
+    shown.number(
+        "... by itself: its size, of what least squares say",
+        [
+            one["value"] / moved_zeros(line)[one["name"]]
+            for line, some in zip(zeroed, told)
+            for one in some
+            if one["name"] in moved_zeros(line)
+        ],
+    )
     across = [line for line in lines if line["what"] == "dose across"]
     shown.share("doses across motions: right", map(right, across), "90 %")
     shown.share("... and nothing else", map(tables.or_alias, across))
