@@ -29,7 +29,7 @@ LATE_IN_BOTH = tuple(0.25 * one for one in range(-4, 33))
 # Of what something is to explain, that it explains at least.
 MOST = 0.5
 # Turns of the machines about which forces are linear, and of what is wrong in both logs or was found to differ.
-TURNS = 2
+TURNS = 3
 # Of the force on a joint, that a typical size of an effect exerts at least if logs show it: below, there is rounding.
 SHOWN = 1e-9
 
@@ -202,17 +202,13 @@ def _about_machines(
     ``late`` is by how many rows commands come late in the second log, if nothing else differs.
     """
     machines = base, base
-    for turn in range(1 + TURNS):
+    for _ in range(TURNS):
         base = machines[0]
         rows = []
         for half, machine in zip(halves, machines):
             for one in dict.fromkeys([machine.late, late if half is halves[1] else machine.late]):
                 moved = replace(machine, late=one)
-                # At first the model may be far off: no machine moves as it does.
-                driven_by = moved if turn else None
-                rows.append(
-                    rows_about(simulator, half, base, effects, sizes, machine=moved, driven_by=driven_by)
-                )
+                rows.append(rows_about(simulator, half, base, effects, sizes, machine=moved, driven_by=moved))
         own = [rows[0], rows[-1]]
         law = settled_law(own)
         machines = (
