@@ -71,18 +71,23 @@ def find_changes(
     if not question.describes_a_machine():
         return Changes((), "unexplained", None, sizes_of(question, question.law.value), far_off=True)
     found = _searched(question, needed)
+    price = found.worth.price(found.best.members)
+    mistake = mistake_of(question, found.differences, found.common.alone, price=price, needed=needed)
+    if mistake:
+        return Changes((), "unexplained", None, sizes_of(question, found.common.level), mistake)
     for _ in range(TURNS):
         if not found.best.members:
             break
-        question, last = question.about(found.value, found.differences), found
-        found = _searched(question, needed)
-        if found.best.members == last.best.members:
+        about = question.about(found.value, found.differences)
+        last, again = found.best, _searched(about, needed)
+        same = again.best.members == last.members
+        if not same and again.best.evidence <= last.evidence:
+            # A step that makes the logs less likely goes too far.
+            break
+        question, found = about, again
+        if same:
             break
     best, worth, differences, value = found.best, found.worth, found.differences, found.value
-    price = worth.price(best.members)
-    mistake = mistake_of(question, differences, found.common.alone, price=price, needed=needed)
-    if mistake:
-        return Changes((), "unexplained", None, sizes_of(question, found.common.level), mistake)
     causes = causes_of(question, best, worth, found.nats)
     verdict = "nothing changed" if not causes else "named"
     if any(cause.aliases for cause in causes):
