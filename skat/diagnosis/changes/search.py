@@ -80,12 +80,11 @@ def find_changes(
             break
         about = question.about(found.value, found.differences)
         last, again = found.best, _searched(about, needed)
-        same = again.best.members == last.members
-        if not same and again.best.evidence <= last.evidence:
-            # A step that makes the logs less likely goes too far.
+        if not set(again.best.members) <= set(last.members) and again.best.evidence <= last.evidence:
+            # Another set, about which the logs are less likely: the step to it goes too far.
             break
         question, found = about, again
-        if same:
+        if again.best.members == last.members:
             break
     best, worth, differences, value = found.best, found.worth, found.differences, found.value
     causes = causes_of(question, best, worth, found.nats)
