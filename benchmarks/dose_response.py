@@ -303,7 +303,7 @@ def report(lines, shown):
     shown.share("... and nothing else", map(tables.or_alias, across))
 
 
-TABLE = Table("dose_response", cases, run, report)
+TABLE = Table("dose_response", cases, run, report, of_changes=True)
 
 if __name__ == "__main__":
     tables.main(TABLE, __doc__)

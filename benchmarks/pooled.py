@@ -22,11 +22,12 @@ def main():
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--source", help="hash of the lines to count; by default of the sources at hand")
-    source = parser.parse_args().source or tables.source_hash()
+    source = parser.parse_args().source
+    counted = {source} if source else {tables.source_hash(), tables.source_hash(of_changes=True)}
     lines = {}
     for path in sorted(tables.RESULTS.glob("*.jsonl")):
-        lines[path.stem] = [_read(line) for line in tables.lines_of(path) if line.get("source") == source]
-    shown = tables.Figures(f"all tables, sources {source}")
+        lines[path.stem] = [_read(line) for line in tables.lines_of(path) if line.get("source") in counted]
+    shown = tables.Figures(f"all tables, sources {' and '.join(sorted(counted))}")
     singles = [line for name in SINGLES for line in lines.get(name, []) if len(line["truth"]) == 1]
     covered = [one for line in singles for one in tables.in_interval(line)]
     shown.share("single cases: intervals that cover", covered, "93 to 97 %, >= 400")

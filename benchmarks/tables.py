@@ -34,7 +34,8 @@ from rich.table import Table as Shown
 
 HERE = Path(__file__).parent
 RESULTS = HERE / "results"
-SOURCES = ("diagnosis", "simulators", "effects.py")
+# What decides what a table says: never how it is shown, and what changed between two logs only where that is asked.
+SOURCES, SHOWN, CHANGES = ("diagnosis", "simulators", "effects.py"), "diagnosis/report", "diagnosis/changes"
 
 
 @dataclass(frozen=True)
@@ -65,12 +66,15 @@ class Table:
         ``run(case, parameters)`` returns the line, without what `main` adds.
     report : callable
         ``report(lines, shown)`` adds rows to a `Figures`.
+    of_changes : bool
+        Whether it asks what changed between two logs.
     """
 
     name: str
     cases: Callable
     run: Callable
     report: Callable
+    of_changes: bool = False
 
 
 # -- asking ----------------------------------------------------------------------------------------------------------
@@ -289,15 +293,17 @@ class Figures:
 # -- running ---------------------------------------------------------------------------------------------------------
 
 
-def source_hash():
-    """Return a hash of the sources that decide: the engine, the simulators and the effects."""
+def source_hash(of_changes=False):
+    """Return a hash of the sources that decide: the engine, or what finds changes too, the simulators, the effects."""
     import skat
 
     root = Path(skat.__file__).parent
+    others = [root / SHOWN] if of_changes else [root / SHOWN, root / CHANGES]
     files = [
         file
         for source in SOURCES
         for file in ([root / source] if source.endswith(".py") else sorted((root / source).rglob("*.py")))
+        if not any(file.is_relative_to(other) for other in others)
     ]
     return _hash(files, root)
 
@@ -333,7 +339,7 @@ def main(table, description, arguments=None):
     options = _options(description).parse_args(arguments)
     path = options.output or RESULTS / f"{table.name}.jsonl"
     path.parent.mkdir(parents=True, exist_ok=True)
-    source, worlds = options.source or source_hash(), world_hash()
+    source, worlds = options.source or source_hash(table.of_changes), world_hash()
     parameters = _parameters(options)
     index, count = (int(part) for part in options.shard.split("/"))
     cases = [case for case in table.cases(options.cut) if options.cases in case.key][index::count]

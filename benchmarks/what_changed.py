@@ -132,7 +132,7 @@ def report(lines, shown):
     shown.share("intervals that cover", [one for line in changed for one in tables.in_interval(line)], "90 %")
 
 
-TABLE = Table("what_changed", cases, run, report)
+TABLE = Table("what_changed", cases, run, report, of_changes=True)
 
 if __name__ == "__main__":
     tables.main(TABLE, __doc__)
