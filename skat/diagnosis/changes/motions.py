@@ -176,7 +176,8 @@ def columns_of(
     left = lacking_forces(simulator, moved, [driven_by or base])[0, :, :nv]
     for column, one, scale in zip(columns[:, :, :nv], candidates, scales):
         if one.effect.family in MOTORS:
-            gain = max(base.values.get(one.effect.name, 1.0), WEAKEST)
+            gain = base.values.get(one.effect.name, 1.0)
+            gain = np.copysign(max(abs(gain), WEAKEST), gain)
             column += np.any(column, axis=0) * left * scale / gain
     return coefficients_of(half, np.concatenate([forces[:1], columns]))[0][:, 1:]
 

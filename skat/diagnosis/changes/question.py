@@ -203,12 +203,12 @@ def _about_machines(
     """
     machines = base, base
     for _ in range(TURNS):
-        base = machines[0]
-        rows = []
-        for half, machine in zip(halves, machines):
-            for one in dict.fromkeys([machine.late, late if half is halves[1] else machine.late]):
-                moved = replace(machine, late=one)
-                rows.append(rows_about(simulator, half, base, effects, sizes, machine=moved, driven_by=moved))
+        base, second = machines
+        asked = [(halves[0], base), (halves[1], second), (halves[1], replace(second, late=late))]
+        rows = [
+            rows_about(simulator, half, base, effects, sizes, machine=machine, driven_by=machine)
+            for half, machine in asked[: 2 if second.late == late else 3]
+        ]
         own = [rows[0], rows[-1]]
         law = settled_law(own)
         machines = (

@@ -183,13 +183,13 @@ def test_columns_are_slopes_where_the_machine_moves_by_a_model(simulator, half, 
     np.testing.assert_allclose(found, columns_of(simulator, moved, base, candidates, np.ones(1)), atol=1e-9)
 
 
-@pytest.mark.parametrize("gain", [0.7, 0.05])
+@pytest.mark.parametrize("gain", [0.7, 0.05, -1.5])
 def test_what_is_lacking_counts_in_units_of_what_its_motor_exerts(simulator, half, gain):
     candidates, base = [Candidate(effect_of(simulator, "gain[elbow]"), 1.0, {})], Model({"gain[elbow]": gain})
     column = columns_of(simulator, half, base, candidates, np.array([0.3]))[:, 0]
     more, less = (target(simulator, half, Model({"gain[elbow]": gain + step})) for step in (0.003, 0.0))
     rows = rows_about(simulator, half, base, [], np.zeros(0))
-    lacking = np.where(rows.joint == 1, rows.target, 0.0) / max(gain, WEAKEST)
+    lacking = np.where(rows.joint == 1, rows.target, 0.0) / (gain if abs(gain) > WEAKEST else WEAKEST)
     np.testing.assert_allclose(column, 0.3 * ((less - more) / 0.003 + lacking), atol=1e-8)
 
 
