@@ -264,8 +264,8 @@ def find_causes(
     fits = Fits(space, tuple(effects), priors, floor, given, power, STILL if coarse else TOLERANCE)
     state = resumed
     if state is None:
-        first = fits.first()
-        if Seen.of(first).spread > needed and shorter is not None:
+        first = fits.first(np.inf if shorter is None else needed)
+        if first[-1].error > needed and shorter is not None:
             # Where something hits there is more than one path: the shorter a chain, the fewer.
             length = SHORT_CHAIN
             fits = replace(fits, space=shorter(length))
@@ -295,10 +295,11 @@ def find_causes(
         for one in _proposals(ranked, worth, now, needed):
             wanted = now.evidence + needed * (len(one.members) - len(now.members))
             tried = fits.of(one.members, one.values, now, wanted)
-            seen = seen.beside(tried)
-            if seen.better(tried.members, now.members, needed):
-                moved = tried
-                break
+            if not tried.hopeless:
+                seen = seen.beside(tried)
+                if seen.better(tried.members, now.members, needed):
+                    moved = tried
+                    break
             misled = True
         state = replace(state, seen=seen)
         if moved is None and state.dense is not None:
@@ -371,6 +372,8 @@ def _superfluous(fits: Fits, now: Fit, worth: Weigher, seen: Seen, needed: float
     losses = worth.losses(worth(now.members))
     for one in sorted(losses, key=lambda one: losses[one])[:REFITTED]:
         rest = fits.without(now, {one}, now.evidence - needed)
+        if rest.hopeless:
+            continue
         seen = seen.beside(rest)
         error = max(now.error, rest.error)
         if now.evidence - needed - rest.evidence < error:
@@ -401,10 +404,11 @@ def _rivals(fits: Fits, now: Fit, grams: Sequence[Gram], seen: Seen) -> tuple[Se
             members = tuple(sorted({*now.members, int(other)} - {cause}))
             moved = weigh(grams[int(np.argmax(looks[:, other]))], fits.priors, members)
             own = fits.of(members, moved.values, now, seen.least(now.members) - np.log(ALIAS_FACTOR))
-            seen = seen.beside(own)
+            seen = seen if own.hopeless else seen.beside(own)
             # What fits of one set differ by tells none of two from the other.
-            found.append(Rival(cause, int(other), seen.most(members) + seen.spread))
-            if seen.better(own.members, better.members, 0.0):
+            evidence = own.evidence if own.hopeless else seen.most(members)
+            found.append(Rival(cause, int(other), evidence + seen.spread))
+            if not own.hopeless and seen.better(own.members, better.members, 0.0):
                 better = own
     return seen, found, None if better is now else better
 

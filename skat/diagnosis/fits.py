@@ -1,7 +1,7 @@
 """Sets of causes at fits of their own: values, noise and path, and what the log says for them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,6 +16,8 @@ from skat.effects import Effect
 STANDS_STILL = 0.1
 # Steps of Gauss and Newton in the fit of a set; one that leads to where the log is less likely is halved.
 FIT_TURNS = 8
+# Of what a set is worth beside another one, by which slopes of that one may mislead.
+MISLED = 0.5
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,8 @@ class Fit:
         Log evidence of the set at these values, beside what all sets have in common, nats.
     widths : ndarray of shape (len(members),)
         Over which slopes by the values were taken, in coordinates.
+    hopeless : bool
+        Whether it has the slopes of another fit, beside which the set is worth so little that its own do not matter.
     """
 
     members: tuple[int, ...]
@@ -39,6 +43,7 @@ class Fit:
     fitted: Fitted
     evidence: float
     widths: Array
+    hopeless: bool = False
 
     @property
     def error(self) -> float:
@@ -73,16 +78,16 @@ class Fits:
     power: float
     tolerance: float = TOLERANCE
 
-    def first(self) -> list[Fit]:
+    def first(self, most: float = np.inf) -> list[Fit]:
         """Return fits of no cause, each about the path of the one before, the first one's from the log alone.
 
-        Until they gain nothing.
+        Until they gain nothing; after the first one, where its evidence may differ by more than ``most`` nats.
         """
         # From what was measured the way is long, and all that is compared with it begins where it ends.
         none = np.zeros(0)
         fitted = self._settled({}, None)
         found = [self._weighed((), fitted, none)[0]]
-        for _ in range(FIT_TURNS):
+        for _ in range(FIT_TURNS if found[0].error <= most else 0):
             last, fitted = fitted, self._settled({}, fitted)
             found.append(self._weighed((), fitted, none)[0])
             if fitted.bound < last.bound + STILL:
@@ -109,6 +114,8 @@ class Fits:
         start, best = near.fitted, None
         # Values are known to about what they were moved by last.
         widths = np.abs(places - origin)
+        if (hopeless := self._hopeless(members, places, near, widths, wanted)) is not None:
+            return hopeless
         for _ in range(FIT_TURNS):
             values = {effect.name: value_at(effect, at) for effect, at in zip(chosen, places)}
             fitted = self._settled(values, start)
@@ -136,6 +143,26 @@ class Fits:
             raise RuntimeError("no turn was made")
         return best
 
+    def _hopeless(
+        self, members: tuple[int, ...], places: Array, near: Fit, widths: Array, wanted: float
+    ) -> Fit | None:
+        """Return a fit with the slopes of another one, if it is so far from what is wanted that its own do not matter.
+
+        It costs a simulation of each row; slopes of its own cost one more for each direction that a row may be off in.
+        """
+        chosen, start, fit = [self.effects[one] for one in members], near.fitted, None
+        for _ in range(FIT_TURNS if wanted > -np.inf else 0):
+            values = {effect.name: value_at(effect, at) for effect, at in zip(chosen, places)}
+            start = self._settled(values, start, own_slopes=False)
+            fit, one = self._weighed(members, start, widths)
+            if wanted - fit.evidence <= MISLED * abs(fit.evidence - near.evidence):
+                return None
+            step = one.values - places
+            if step @ one.curvature @ step < 2 * STILL:
+                break
+            places, widths = one.values, np.maximum(np.abs(step), one.deviations)
+        return None if fit is None else replace(fit, hopeless=True)
+
     def without(self, fit: Fit, dropped: Sequence[int] | set[int], wanted: float = -np.inf) -> Fit:
         """Return the fit of a set without some of its members, near to it; see `of`."""
         inside = [place for place, one in enumerate(fit.members) if one not in dropped]
@@ -149,8 +176,18 @@ class Fits:
         slopes = slopes_of(self.space, fitted, chosen, self.priors.part(members), widths)
         return gram_of(self.space, fitted, slopes, chosen).gram
 
-    def _settled(self, values: Mapping[str, float], start: Fitted | None) -> Fitted:
-        return settled(self.space, values, start, self.floor, given=self.given, tolerance=self.tolerance)
+    def _settled(
+        self, values: Mapping[str, float], start: Fitted | None, *, own_slopes: bool = True
+    ) -> Fitted:
+        return settled(
+            self.space,
+            values,
+            start,
+            self.floor,
+            given=self.given,
+            tolerance=self.tolerance,
+            own_slopes=own_slopes,
+        )
 
     def _place(self, member: int, values: Mapping[str, float]) -> float:
         effect = self.effects[member]

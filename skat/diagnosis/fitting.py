@@ -120,6 +120,7 @@ def settled(
     turns: int = 16,
     given: Array | None = None,
     tolerance: float = TOLERANCE,
+    own_slopes: bool = True,
 ) -> Fitted:
     """Return the fit at given values: path smoothed, slopes taken over what is not known, noise estimated.
 
@@ -137,6 +138,9 @@ def settled(
         Standard deviation of each channel's noise, where it is known.
     tolerance : float, default=0.1
         To which noise is estimated, nats.
+    own_slopes : bool, default=True
+        Whether slopes are taken; otherwise those of `start` do: a fraction of the cost, for a fit of which only its
+        worth beside `start` is wanted.
     """
     known = Known(floor, given, tolerance)
     if start is None:
@@ -151,7 +155,10 @@ def settled(
         noise = normal_noise(linear.chains, _force_guess(linear, typical), typical)
         chains, shares = linear.chains, np.zeros(0)
     else:
-        linear = linearise(space, start.linear.path, values, _covariances(space, start.estimate))
+        taken = None if own_slopes else start.linear
+        linear = linearise(
+            space, start.linear.path, values, _covariances(space, start.estimate), slopes=taken
+        )
         noise, shares = start.estimate.noise, start.shares
         chains = _remembering(space, linear, shares)
     estimate = known.estimated(chains, noise, space.real)
@@ -168,7 +175,11 @@ def settled(
         chosen = np.ones(len(space.real), dtype=bool) if at_once else going
         steps = (paces[:, None, None] * estimate.smoothed.means[..., : space.d])[chosen]
         moved = linearise(
-            part, moved_path(space, here.path, steps), values, _covariances(space, estimate)[chosen]
+            part,
+            moved_path(space, here.path, steps),
+            values,
+            _covariances(space, estimate)[chosen],
+            slopes=None if own_slopes else here,
         )
         if turn or start is not None:
             # Each chain goes on only where that does better: about contacts the end of a full step may be anywhere.

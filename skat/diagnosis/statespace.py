@@ -124,12 +124,15 @@ class Linear:
         Of the simulation on the path.
     valid : ndarray of bool of shape (n_rows,)
         Rows in which it did not diverge.
+    beyond : ndarray of shape (n_rows, d)
+        By how much the mean over what is not known of a row's state is beyond the simulation on the path.
     """
 
     path: Array
     chains: Chains
     outputs: Array
     valid: Mask
+    beyond: Array
 
 
 def state_space(
@@ -246,7 +249,7 @@ def linearise(
     covariances : ndarray of shape (n_chains, n_steps + 1, d, d), optional
         What is not known of the states; without it, slopes are those at a point.
     slopes : Linear, optional
-        Take slopes and bends of this one.
+        Take slopes, and what is beyond them, of this one, which is near: a simulation of each row is all it costs.
 
     Returns
     -------
@@ -264,19 +267,22 @@ def linearise(
     if not simulator.state_names:
         (outputs,) = simulator.predict_many(rows, [values], groups=space.groups)
         drive = simulator.residual(outputs, path[:, 1:][space.places])
-        return _assembled(space, path, np.zeros((n, d, d)), drive, np.zeros((n, d, d)), outputs)
+        flat = np.zeros((n, d, d))
+        return _assembled(space, path, flat, drive, flat, outputs, np.zeros((n, d)))
     if slopes is not None:
         (outputs,) = simulator.predict_many(rows, [values], groups=space.groups)
-        chains = slopes.chains
-        drive = simulator.residual(outputs, path[:, 1:][space.places])
+        outputs = np.where(slopes.valid[:, None], outputs, np.nan)
+        drive = simulator.residual(_finite(outputs, space.path_ends(path)), space.path_ends(path))
+        transitions, bends = slopes.chains.transitions[space.places], slopes.chains.bends[space.places]
         return _assembled(
             space,
             path,
-            chains.transitions[space.places],
-            drive,
-            chains.bends[space.places],
+            transitions,
+            drive + slopes.beyond,
+            bends,
             outputs,
-            chains.carrier,
+            slopes.beyond,
+            slopes.chains.carrier,
         )
     if covariances is None:
         axes, widths = np.tile(np.eye(d), (n, 1, 1)), np.tile(FIRST_STEP * space.spread, (n, 1))
@@ -308,13 +314,13 @@ def linearise(
     drive = simulator.residual(safe, path[:, 1:][space.places])
     far = np.any(np.maximum(np.abs(up), np.abs(down)) > FAR * space.spread[:, None], axis=(1, 2))
     base = np.where(far[:, None], np.nan, base)
-    bends = np.zeros((n, d, d))
+    bends, beyond = np.zeros((n, d, d)), np.zeros((n, d))
     if known:
         second = up + down
-        drive = drive + second.sum(axis=-1) / 2
+        beyond = second.sum(axis=-1) / 2
         bends = np.einsum("nia,nja->nij", second, second) / 2
     carrier = _joint_carrier(space, rows, values, base, space.path_ends(path))
-    return _assembled(space, path, transitions, drive, bends, base, carrier)
+    return _assembled(space, path, transitions, drive + beyond, bends, base, beyond, carrier)
 
 
 def _joint_carrier(
@@ -382,8 +388,8 @@ def with_chains(space: StateSpace, linear: Linear, other: Linear, chosen: Mask) 
         return out
 
     rows = chosen[space.places[0]]
-    outputs, valid = linear.outputs.copy(), linear.valid.copy()
-    outputs[rows], valid[rows] = other.outputs, other.valid
+    outputs, valid, beyond = linear.outputs.copy(), linear.valid.copy(), linear.beyond.copy()
+    outputs[rows], valid[rows], beyond[rows] = other.outputs, other.valid, other.beyond
     ours, theirs = linear.chains, other.chains
     return Linear(
         filled(linear.path, other.path),
@@ -398,13 +404,20 @@ def with_chains(space: StateSpace, linear: Linear, other: Linear, chosen: Mask) 
         ),
         outputs,
         valid,
+        beyond,
     )
 
 
 def of_chains(space: StateSpace, linear: Linear, chosen: Mask) -> Linear:
     """Return the simulation about the paths of some chains."""
     rows = chosen[space.places[0]]
-    return Linear(linear.path[chosen], linear.chains.of(chosen), linear.outputs[rows], linear.valid[rows])
+    return Linear(
+        linear.path[chosen],
+        linear.chains.of(chosen),
+        linear.outputs[rows],
+        linear.valid[rows],
+        linear.beyond[rows],
+    )
 
 
 def remembers(simulator: Simulator, values: Mapping[str, float]) -> bool:
@@ -426,6 +439,7 @@ def _assembled(
     drive: Array,
     bends: Array,
     outputs: Array,
+    beyond: Array,
     carrier: Array | None = None,
 ) -> Linear:
     finite = [np.isfinite(one).reshape(len(one), -1).all(axis=1) for one in (outputs, transitions, drive)]
@@ -451,7 +465,7 @@ def _assembled(
         space.mask,
         space.spread**2,
     )
-    return Linear(path, chains, outputs, valid)
+    return Linear(path, chains, outputs, valid, beyond)
 
 
 def _finite(values: Array, otherwise: Array) -> Array:

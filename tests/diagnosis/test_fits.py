@@ -111,6 +111,39 @@ def test_a_fit_that_cannot_be_what_is_wanted_ends_early(fits, nothing, monkeypat
     assert short.evidence <= whole.evidence + 0.1
 
 
+def test_a_set_that_is_far_off_is_told_by_the_slopes_of_another_and_one_that_is_not_gets_its_own(
+    fits, nothing
+):
+    damped = fits.of((0,), np.array([0.1]), nothing)
+    gravity = fits.of((1,), np.array([0.0]), nothing)
+    wanted = damped.evidence - 5.0
+    far = fits.without(damped, {0}, wanted)
+    assert far.hopeless
+    # Slopes that belong to the damping tell what sets without it are worth, of 350 nats less.
+    assert far.evidence == pytest.approx(nothing.evidence, abs=5.0)
+    other = fits.of((1,), np.array([0.0]), damped, wanted)
+    assert other.hopeless
+    assert other.evidence == pytest.approx(gravity.evidence, abs=5.0)
+    assert not fits.without(damped, {0}, nothing.evidence - 5.0).hopeless
+    assert not fits.without(damped, {0}).hopeless
+    assert not fits.of((0,), np.array([0.1]), nothing, wanted).hopeless
+
+
+@pytest.mark.parametrize("members", [(0,), ()])
+def test_with_the_slopes_of_another_fit_a_fit_takes_none(fits, nothing, members, monkeypatch):
+    asked = []
+
+    def counted(*args, **options):
+        asked.append(options.get("slopes") is None)
+        return linearise(*args, **options)
+
+    monkeypatch.setattr("skat.diagnosis.fitting.linearise", counted)
+    values = {fits.effects[one].name: 0.1 for one in members}
+    settled(fits.space, values, nothing.fitted, fits.floor, own_slopes=False)
+    assert asked
+    assert not any(asked)
+
+
 def test_chains_are_taken_out_and_put_back_as_they_were(space):
     linear = linearise(space, space.measured, {})
     chosen = np.arange(len(space.real)) % 2 == 0

@@ -193,7 +193,7 @@ def test_of_a_parabola_mean_slope_and_bend_are_those_of_the_normal_law():
     again = linearise(space, space.measured, {}, slopes=linear)
     np.testing.assert_array_equal(again.chains.transitions, linear.chains.transitions)
     np.testing.assert_array_equal(again.chains.bends, linear.chains.bends)
-    np.testing.assert_allclose(again.chains.drive[space.places], ends - y, rtol=1e-9)
+    np.testing.assert_allclose(again.chains.drive[space.places], mean - y, atol=1e-9)
 
 
 def test_a_correlated_law_has_the_slopes_of_a_linear_step():
