@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.utils import check_array
 
 from skat.diagnosis.filtering import Array, Mask
-from skat.diagnosis.statespace import Places, guessed, in_chains, steps_of, tangent_mask, tangents
+from skat.diagnosis.statespace import Places, filled_in, in_chains, steps_of, tangent_mask, tangents
 from skat.episodes import drawn_episodes
 from skat.simulators import Simulator
 from skat.simulators.tables import refuse_text
@@ -97,7 +97,7 @@ class Log:
 
     @cached_property
     def filled(self) -> "Log":
-        """The log with a guess where nothing was measured: in time, from positions, or the model's own place.
+        """The log with a guess where nothing was measured: in time, from positions, or by the model.
 
         A simulator takes no NaN. What follows from a guess is none: compare with `y`.
         """
@@ -108,7 +108,8 @@ class Log:
         (chain, step), states = in_chains(
             self.simulator, self.X, self.y, self.episodes, consecutive=self.consecutive
         )
-        guess = guessed(self.simulator, states)
+        episodes = self.episodes if self.consecutive else None
+        guess = filled_in(self.simulator, self.X, episodes, (chain, step), states)
         X, y = self.X.copy(), self.y.copy()
         n_states = len(self.simulator.state_names)
         if n_states:

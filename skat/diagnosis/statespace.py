@@ -178,7 +178,7 @@ def state_space(
         last = np.r_[starts_rows[1:] - 1]
         cut = episodes[last] == episodes[last + 1]
         seen[chain[last][cut], step[last][cut] + 1] = False
-    guesses = guessed(simulator, states)
+    guesses = filled_in(simulator, X, episodes if consecutive else None, (chain, step), states)
     mask = tangent_mask(simulator, seen)
     rows = X
     if n_states:
@@ -494,10 +494,61 @@ def tangent_mask(simulator: Simulator, seen: Mask) -> Mask:
     return mask
 
 
+def filled_in(
+    simulator: Simulator, X: Array, episodes: Places | None, places: tuple[Places, Places], states: Array
+) -> Array:
+    """Return the states of chains with what was not measured filled in, (n_chains, n_steps + 1, n_outputs).
+
+    See `guessed`; states that nobody measured at all are what the simulation makes of the others: row by row, from the
+    model's own place.
+
+    Parameters
+    ----------
+    simulator : Simulator
+    X : ndarray of shape (n_rows, n_inputs)
+    episodes : ndarray of int of shape (n_rows,) or None
+        Whose rows follow each other in time; none do, if None.
+    places, states
+        As `in_chains` returns them.
+    """
+    guesses = guessed(simulator, states)
+    hidden = _never_seen(simulator.output_names, states)
+    n_states = len(simulator.state_names)
+    if not n_states or not hidden.any():
+        return guesses
+    each = np.arange(len(X)) if episodes is None else np.unique(episodes, return_inverse=True)[1]
+    times = np.zeros(len(X), dtype=int) if episodes is None else steps_of(each)
+    order = np.argsort(times, kind="stable")
+    now = np.tile(simulator.reference_state[hidden], (int(each.max()) + 1, 1))
+    chain, step = places
+    for rows in np.split(order, np.flatnonzero(np.diff(times[order])) + 1):
+        guesses[chain[rows, None], step[rows, None], hidden] = now[each[rows]]
+        inputs = X[rows].copy()
+        inputs[:, :n_states] = guesses[chain[rows], step[rows]]
+        (ends,) = simulator.predict_many(inputs, [{}], groups=np.arange(len(rows)))
+        safe = np.isfinite(ends).all(axis=1)
+        now[each[rows[safe]]] = ends[safe][:, hidden]
+        guesses[chain[rows, None], step[rows, None] + 1, hidden] = now[each[rows]]
+    return guesses
+
+
+def _never_seen(names: Sequence[str], states: Array) -> Places:
+    """Return the columns of states that were not measured at any time, and that no position tells."""
+    unseen: Mask = np.asarray(~np.isfinite(states).any(axis=(0, 1)))
+    told = [
+        name.startswith("qvel.")
+        and (place := name.replace("qvel.", "qpos.", 1)) in names
+        and not unseen[names.index(place)]
+        for name in names
+    ]
+    return np.flatnonzero(unseen & ~np.array(told))
+
+
 def guessed(simulator: Simulator, states: Array) -> Array:
     """Return the states with what was not measured filled in: in time, from positions, or the model's own place."""
     filled = states.copy()
     names = simulator.output_names
+    rest = simulator.reference_state if simulator.state_names else np.zeros(len(names))
     times = np.arange(states.shape[1])
     for column in range(states.shape[2]):
         for chain in range(states.shape[0]):
@@ -509,7 +560,7 @@ def guessed(simulator: Simulator, states: Array) -> Array:
         if np.isfinite(filled[..., column]).all():
             continue
         position = name.replace("qvel.", "qpos.", 1)
-        guess = np.zeros(states.shape[:2])
+        guess = np.full(states.shape[:2], rest[column])
         if name.startswith("qvel.") and position in names and simulator.dt:
             place = filled[..., names.index(position)]
             if np.isfinite(place).all() and place.shape[1] > 1:
@@ -517,10 +568,6 @@ def guessed(simulator: Simulator, states: Array) -> Array:
         missing = ~np.isfinite(filled[..., column])
         own = np.nanmean(states[..., column]) if np.isfinite(states[..., column]).any() else None
         filled[..., column] = np.where(missing, guess if own is None else own, filled[..., column])
-    for column, name in enumerate(names):
-        if name.endswith(".qw"):
-            unknown = ~np.isfinite(states[..., column])
-            filled[..., column] = np.where(unknown & (filled[..., column] == 0), 1.0, filled[..., column])
     return filled
 
 

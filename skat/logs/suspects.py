@@ -312,11 +312,8 @@ def _difference(
 
 def _defaults(simulator: Simulator, names: Sequence[str]) -> Array:
     """Return a value for each input that was not measured: the model's reference pose."""
-    values = np.zeros(len(names))
-    if hasattr(simulator, "compiled"):
-        qpos0 = simulator.compiled().qpos0
-        values[: len(qpos0)] = qpos0
-    return values
+    state = simulator.reference_state
+    return np.concatenate([state, np.zeros(len(names) - len(state))])
 
 
 def _repairs(sample: _Sample, log: Log) -> Iterator[_Repair]:

@@ -55,6 +55,11 @@ class Simulator(BaseEstimator, ABC):
         return {}
 
     @property
+    def reference_state(self) -> Array:
+        """State to begin with where none was measured, (n_states,): zero, if the model has no place of its own."""
+        return np.zeros(len(self.state_names))
+
+    @property
     def angle_names(self) -> tuple[str, ...]:
         """Names of the state's columns that are angles or their rates, in rad or rad/s."""
         return tuple(name for name in self.state_names if self.units.get(name) in ("rad", "rad/s"))

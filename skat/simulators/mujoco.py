@@ -151,6 +151,11 @@ class MujocoSimulator(Simulator):
         )
 
     @property
+    def reference_state(self) -> Array:
+        """The model's ``qpos0``, at rest."""
+        return np.concatenate([self._nominal.qpos0, np.zeros(self._nominal.nv)])
+
+    @property
     def angle_names(self) -> tuple[str, ...]:
         """Names of the positions and velocities of hinges."""
         model = self._nominal

@@ -381,3 +381,27 @@ def test_heavy_tails_are_chosen_where_they_are_likelier_and_weigh_what_was_there
     np.testing.assert_allclose(weights[1:, :, 0], (nus[0] + 1) / (nus[0] + squares[1:, :, 0]))
     nothing = _scales(squares, np.ones(3), np.zeros_like(present))
     assert np.isinf(nothing[0]).all()
+
+
+@pytest.mark.parametrize("length", [3, 64])
+def test_states_that_nobody_measured_follow_the_model_from_its_own_place(length):
+    simulator = MujocoSimulator(
+        "<mujoco><worldbody><body pos='0 0 2'><freejoint name='b'/><geom size='.1'/></body>"
+        "<body><joint name='s' type='slide'/><geom size='.1' pos='5 0 0'/></body></worldbody></mujoco>",
+        frame_skip=5,
+    )
+    names = simulator.state_names
+    start = simulator.reference_state
+    assert start[names.index("qpos.b.z")] == 2.0
+    truth = simulator.rollout(np.stack([start, start]), n_steps=7)
+    X, y = truth[:, :-1].reshape(14, -1).copy(), truth[:, 1:].reshape(14, -1).copy()
+    hidden = [column for column, name in enumerate(names) if ".b." in name]
+    X[:, hidden] = y[:, hidden] = np.nan
+    episodes = np.repeat([0, 1], 7)
+    space = state_space(simulator, X, y, episodes, consecutive=True, chain_length=length)
+    np.testing.assert_allclose(space.rows(space.measured), truth[:, :-1].reshape(14, -1), atol=1e-12)
+    np.testing.assert_allclose(space.path_ends(space.measured), truth[:, 1:].reshape(14, -1), atol=1e-12)
+    # Rows that do not follow each other begin there each.
+    apart = state_space(simulator, X, y, np.arange(14), consecutive=False)
+    np.testing.assert_array_equal(apart.measured[:, 0, hidden], np.tile(start[hidden], (14, 1)))
+    np.testing.assert_allclose(apart.measured[:, 1, hidden], np.tile(truth[0, 1, hidden], (14, 1)))
