@@ -143,6 +143,58 @@ def settled(
         worth beside `start` is wanted.
     """
     known = Known(floor, given, tolerance)
+    best = _settled_near(space, values, start, known, turns, own_slopes=own_slopes)
+    if start is None or not own_slopes or best.restless < STILL or remembers(space.simulator, values):
+        return best
+    gain, other = _run_freely(space, best)
+    if gain < STILL:
+        return best
+    return max(
+        best, _settled_near(space, values, other, known, turns, own_slopes=True), key=lambda one: one.bound
+    )
+
+
+def _run_freely(space: StateSpace, fitted: Fitted) -> tuple[float, Fitted]:
+    """Return the fit with chains that run freely from their first state where that is likelier, and what it gains.
+
+    A step from row to row seldom leaves a path on which something hits a row too early or too late. Where nothing but
+    the model moves it, a chain's own run does; only chains that have other paths near by are tried.
+    """
+    chosen = fitted.losses > RESTS
+    part, here, estimate = space.part(chosen), of_chains(space, fitted.linear, chosen), fitted.estimate
+    n_states = len(space.simulator.state_names)
+    path = moved_path(part, here.path, estimate.smoothed.means[chosen][..., : space.d])
+    rows, (chain, step) = part.rows(path), part.places
+    for time in range(path.shape[1] - 1):
+        now = np.flatnonzero(step == time)
+        inputs = rows[now]
+        inputs[:, :n_states] = path[chain[now], time]
+        (ends,) = space.simulator.predict_many(inputs, [fitted.values], groups=np.arange(len(now)))
+        finite = np.isfinite(ends).all(axis=1)
+        path[chain[now[finite]], time + 1] = ends[finite]
+    moved = linearise(part, path, fitted.values, _covariances(space, estimate)[chosen])
+    gains = np.zeros(len(chosen))
+    gains[chosen] = _likelihoods(part, moved, fitted.shares, estimate, chosen) - _likelihoods(
+        part, here, fitted.shares, estimate, chosen
+    )
+    better = gains > 0
+    linear = with_chains(space, fitted.linear, of_chains(part, moved, better[chosen]), better)
+    return float(gains[better].sum()), replace(
+        fitted, linear=linear, paces=np.where(better, 1.0, fitted.paces)
+    )
+
+
+def _settled_near(
+    space: StateSpace,
+    values: Mapping[str, float],
+    start: Fitted | None,
+    known: "Known",
+    turns: int,
+    *,
+    own_slopes: bool,
+) -> Fitted:
+    """Return the fit at given values about a path that is near the start; see `settled`."""
+    given = known.given
     if start is None:
         linear = linearise(space, space.measured, values)
         if not linear.valid.any():
