@@ -101,53 +101,57 @@ class Found:
     chain_length: int
 
 
-@dataclass(frozen=True)
-class Seen:
-    """What fits gave to sets of causes: where something hits, several about different paths differ.
+class Comparison:
+    """Sets of causes beside the present one, with the slopes of its fit; and of theirs, before one is taken.
 
-    Attributes
+    About paths of their own, fits of one set may differ by more than a cause is worth where something hits; with the
+    same slopes, what they differ by is in both sets, and a set costs a simulation of each row.
+
+    Parameters
     ----------
-    evidences : dict of tuple of int to tuple of float
-        Of the last fits of each set, two at most, nats: those before were about paths that are no longer the best.
+    fits : Fits
+    now : Fit
+        The present set.
+    look : Fit, optional
+        Whose slopes are taken; those of the present set, if None.
     """
 
-    evidences: dict[tuple[int, ...], tuple[float, ...]]
+    def __init__(self, fits: Fits, now: Fit, look: Fit | None = None) -> None:
+        self.fits, self.now = fits, now
+        self._look = now if look is None else look
+        self._fits: dict[tuple[int, ...], Fit] = {}
 
-    @classmethod
-    def of(cls, fits: Sequence[Fit]) -> "Seen":
-        """Return what some fits gave."""
-        seen = cls({})
-        for one in fits:
-            seen = seen.beside(one)
-        return seen
+    def fit(self, members: Sequence[int], places: Array) -> Fit:
+        """Return the fit of a set with these slopes, from values that may be near at first."""
+        members = tuple(members)
+        if members not in self._fits:
+            self._fits[members] = self.fits.of(members, places, self._look, own_slopes=False)
+        return self._fits[members]
 
-    def beside(self, fit: Fit) -> "Seen":
-        """Return these and one fit more."""
-        before = self.evidences.get(fit.members, ())
-        return Seen({**self.evidences, fit.members: (*before[-1:], fit.evidence)})
+    def gain(self, members: Sequence[int], places: Array) -> float:
+        """Return by how much a set is likelier than the present one, nats."""
+        present = self.fit(self.now.members, self.fits.places(self.now))
+        return self.fit(members, places).evidence - present.evidence
 
-    def least(self, members: Sequence[int]) -> float:
-        """Return the least evidence of a set."""
-        return min(self.evidences[tuple(members)])
+    def prefers(self, members: Sequence[int], places: Array, needed: float) -> bool:
+        """Whether a set is to be preferred to the present one: by what more names need."""
+        return self._is_better(members, self.gain(members, places), needed)
 
-    def most(self, members: Sequence[int]) -> float:
-        """Return the most evidence of a set."""
-        return max(self.evidences[tuple(members)])
+    def taken(self, one: Weighed, needed: float) -> Fit | None:
+        """Return the fit of a set with slopes of its own, if it is preferred.
 
-    @property
-    def spread(self) -> float:
-        """By how much fits of one set were seen to differ, at most, nats."""
-        return max(max(one) - min(one) for one in self.evidences.values())
-
-    def better(self, one: Sequence[int], other: Sequence[int], needed: float) -> bool:
-        """Whether a set is to be preferred: more names must be worth what they need in every fit of both, and more.
-
-        Of two sets of as many names neither is, where fits of one set differ by as much.
+        What more names are worth must be so with the slopes of either; fewer are preferred if those of one say so.
         """
-        more = needed * (len(one) - len(other))
-        if more < 0:
-            return self.most(one) > self.least(other) + more - self.spread
-        return self.least(one) > self.most(other) + more + self.spread + TOLERANCE
+        near = self.fit(one.members, one.values)
+        moved = self.fits.of(one.members, self.fits.places(near), self.now)
+        own = Comparison(self.fits, self.now, moved).gain(moved.members, self.fits.places(moved))
+        gains = self.gain(one.members, one.values), own
+        fewer = len(moved.members) < len(self.now.members)
+        return moved if self._is_better(moved.members, (max if fewer else min)(gains), needed) else None
+
+    def _is_better(self, members: Sequence[int], gain: float, needed: float) -> bool:
+        more = len(members) - len(self.now.members)
+        return gain > needed * more + (TOLERANCE if more >= 0 else 0.0)
 
 
 @dataclass(frozen=True)
@@ -168,7 +172,6 @@ class Search:
         At `now`, of those effects that may still be causes.
     first : Gram or None
         Of the first turn; None in it.
-    seen : Seen
     banned : tuple of int
         Effects that were held at a bound.
     """
@@ -179,7 +182,6 @@ class Search:
     dense: Fitted | None
     slopes: Array
     first: Gram | None
-    seen: Seen
     banned: tuple[int, ...]
 
 
@@ -190,13 +192,13 @@ class Rival:
     Attributes
     ----------
     cause, other : int
-    evidence : float
-        The most that fits gave to this set, and what other ones may add, nats.
+    gain : float
+        By how much this set may be likelier than that with the cause, nats.
     """
 
     cause: int
     other: int
-    evidence: float
+    gain: float
 
 
 def find_causes(
@@ -264,8 +266,8 @@ def find_causes(
     fits = Fits(space, tuple(effects), priors, floor, given, power, STILL if coarse else TOLERANCE)
     state = resumed
     if state is None:
-        first = fits.first(np.inf if shorter is None else needed)
-        if first[-1].error > needed and shorter is not None:
+        first = fits.first()
+        if first.fitted.restless > needed and shorter is not None:
             # Where something hits there is more than one path: the shorter a chain, the fewer.
             length = SHORT_CHAIN
             fits = replace(fits, space=shorter(length))
@@ -290,18 +292,15 @@ def find_causes(
         ranked = ask(worth, now.members, banned=state.banned)
         if state.turn == turns:
             break
-        seen, moved = state.seen, None
+        moved = None
         misled = misled and state.dense is not None
+        compared = Comparison(fits, now)
         for one in _proposals(ranked, worth, now, needed):
-            wanted = now.evidence + needed * (len(one.members) - len(now.members))
-            tried = fits.of(one.members, one.values, now, wanted)
-            if not tried.hopeless:
-                seen = seen.beside(tried)
-                if seen.better(tried.members, now.members, needed):
-                    moved = tried
-                    break
+            if compared.prefers(one.members, one.values, needed):
+                moved = compared.taken(one, needed)
+            if moved is not None:
+                break
             misled = True
-        state = replace(state, seen=seen)
         if moved is None and state.dense is not None:
             # What all effects together explain is noise again.
             state = replace(state, dense=None)
@@ -310,32 +309,30 @@ def find_causes(
             held = {one for one in now.members if is_held(effects[one], now.values[priors.names[one]])}
             banned |= held
             if held:
-                moved = fits.without(now, held)
-                seen = seen.beside(moved)
+                rest = _without(worth, now, held)
+                moved = fits.of(rest.members, rest.values, now)
         if moved is None and not coarse:
-            seen, moved = _superfluous(fits, now, worth, seen, needed)
+            moved = _superfluous(compared, worth, needed)
         if moved is None and not coarse:
-            seen, rivals, moved = _rivals(fits, now, (gram, state.first or gram), seen)
-        state = replace(state, seen=seen)
+            rivals, moved = _rivals(compared, (gram, state.first or gram))
         if moved is None:
             stands = True
             break
         live = _live(ranked, moved.members)
         slopes = state.slopes.copy()
         slopes[..., live] = _slopes(fits, moved, live)
-        state = Search(state.turn + 1, length, moved, None, slopes, state.first, seen, tuple(sorted(banned)))
+        state = Search(state.turn + 1, length, moved, None, slopes, state.first, tuple(sorted(banned)))
     best = worth(now.members)
     if misled:
         # What slopes say of other sets was seen to be wrong.
         inside = (one for one in ranked.sets if set(one.members) < set(now.members))
         ranked = Ranked(tuple(sorted((best, *inside), key=lambda one: -one.evidence)))
     also = {} if misled else _also(ask, gram, priors, effects, best, needed, state.banned)
-    return _found(fits, now, worth, ranked, rivals, state.seen, also, needed, stands, length)
+    return _found(fits, now, worth, ranked, rivals, also, needed, stands, length)
 
 
-def _begun(fits: Fits, first: Sequence[Fit], length: int) -> Search:
-    """Return the search at its first fits, with a noise from which what all effects explain is taken out."""
-    now = max(first, key=lambda one: one.evidence)
+def _begun(fits: Fits, now: Fit, length: int) -> Search:
+    """Return the search at its first fit, with a noise from which what all effects explain is taken out."""
     space, effects, priors = fits.space, fits.effects, fits.priors
     slopes = _slopes(fits, now, range(len(effects)))
     dense = now.fitted
@@ -343,7 +340,7 @@ def _begun(fits: Fits, first: Sequence[Fit], length: int) -> Search:
         columns = gram_of(space, dense, slopes, effects)
         moves = columns.dense(priors.scales)
         dense = noise_without(space, dense, slopes, moves, fits.floor, given=fits.given)
-    return Search(0, length, now, dense, slopes, None, Seen.of(first), ())
+    return Search(0, length, now, dense, slopes, None, ())
 
 
 def _proposals(ranked: Ranked, worth: Weigher, now: Fit, needed: float) -> Iterator[Weighed]:
@@ -364,36 +361,33 @@ def _proposals(ranked: Ranked, worth: Weigher, now: Fit, needed: float) -> Itera
         asked.add(top.members)
 
 
-def _superfluous(fits: Fits, now: Fit, worth: Weigher, seen: Seen, needed: float) -> tuple[Seen, Fit | None]:
-    """Return the set without the member that, at fits of their own, the others hardly need, if there is one.
+def _without(worth: Weigher, now: Fit, dropped: Sequence[int] | set[int]) -> Weighed:
+    """Return the present set without some members, at the values that slopes have for the others."""
+    rest = [one for one in now.members if one not in dropped]
+    return weigh(worth.gram, worth.priors, rest)
 
-    Where paths near by differ by as much as a member is worth, the set is fitted once more about that of the others.
-    """
+
+def _superfluous(compared: Comparison, worth: Weigher, needed: float) -> Fit | None:
+    """Return the fit of the set without the member that the others hardly need, if there is one."""
+    now = compared.now
     losses = worth.losses(worth(now.members))
     for one in sorted(losses, key=lambda one: losses[one])[:REFITTED]:
-        rest = fits.without(now, {one}, now.evidence - needed)
-        if rest.hopeless:
-            continue
-        seen = seen.beside(rest)
-        error = max(now.error, rest.error)
-        if now.evidence - needed - rest.evidence < error:
-            places = [
-                coordinate(fits.effects[one], now.values[fits.priors.names[one]]) for one in now.members
-            ]
-            seen = seen.beside(fits.of(now.members, np.array(places), rest))
-        if seen.better(rest.members, now.members, needed):
-            return seen, rest
-    return seen, None
+        rest = _without(worth, now, {one})
+        # Where paths near by differ by as much, one that is the others' own may say that they do not need it.
+        unsure = compared.gain(rest.members, rest.values) + now.error > -needed
+        if unsure and (moved := compared.taken(rest, needed)) is not None:
+            return moved
+    return None
 
 
-def _rivals(fits: Fits, now: Fit, grams: Sequence[Gram], seen: Seen) -> tuple[Seen, list[Rival], Fit | None]:
+def _rivals(compared: Comparison, grams: Sequence[Gram]) -> tuple[list[Rival], Fit | None]:
     """Return sets in which an effect that acts much like a cause has its place, and the one that does better, if any.
 
     Slopes say that two effects act alike for small values; whether they do at this one, a fit must say. Some act alike
     only where neither is a cause yet: of two limits the lower one hides the other.
     """
     found: list[Rival] = []
-    better = now
+    now, priors = compared.now, compared.fits.priors
     for cause in now.members[:REFITTED]:
         looks = np.stack([gram.cosines(cause) for gram in grams])
         alike = looks.max(axis=0)
@@ -402,15 +396,11 @@ def _rivals(fits: Fits, now: Fit, grams: Sequence[Gram], seen: Seen) -> tuple[Se
             if alike[other] < ALIKE:
                 break
             members = tuple(sorted({*now.members, int(other)} - {cause}))
-            moved = weigh(grams[int(np.argmax(looks[:, other]))], fits.priors, members)
-            own = fits.of(members, moved.values, now, seen.least(now.members) - np.log(ALIAS_FACTOR))
-            seen = seen if own.hopeless else seen.beside(own)
-            # What fits of one set differ by tells none of two from the other.
-            evidence = own.evidence if own.hopeless else seen.most(members)
-            found.append(Rival(cause, int(other), evidence + seen.spread))
-            if not own.hopeless and seen.better(own.members, better.members, 0.0):
-                better = own
-    return seen, found, None if better is now else better
+            one = weigh(grams[int(np.argmax(looks[:, other]))], priors, members)
+            if compared.prefers(members, one.values, 0.0) and (moved := compared.taken(one, 0.0)) is not None:
+                return found, moved
+            found.append(Rival(cause, int(other), compared.gain(members, one.values)))
+    return found, None
 
 
 def _found(
@@ -419,7 +409,6 @@ def _found(
     worth: Weigher,
     ranked: Ranked,
     rivals: Sequence[Rival],
-    seen: Seen,
     also: dict[str, float],
     needed: float,
     stands: bool,
@@ -428,7 +417,7 @@ def _found(
     effects, priors, gram = fits.effects, fits.priors, worth.gram
     names, best = priors.names, worth(now.members)
     probabilities = {name: ranked.probability(place) for place, name in enumerate(names)}
-    shares = _shares(rivals, seen.least(now.members))
+    shares = _shares(rivals)
     for one, others in shares.items():
         probabilities[names[one]] = min(probabilities[names[one]], 1 - sum(share for _, share in others))
     refitted = {
@@ -459,13 +448,13 @@ def _found(
     )
 
 
-def _shares(rivals: Sequence[Rival], evidence: float) -> dict[int, tuple[tuple[int, float], ...]]:
-    """Return for each cause the rivals that do nearly as well as the set of this evidence, and their probabilities."""
-    near = [rival for rival in rivals if rival.evidence > evidence - np.log(ALIAS_FACTOR)]
+def _shares(rivals: Sequence[Rival]) -> dict[int, tuple[tuple[int, float], ...]]:
+    """Return for each cause the rivals that do nearly as well, and their probabilities."""
+    near = [rival for rival in rivals if rival.gain > -np.log(ALIAS_FACTOR)]
     shares = {}
     for cause in {rival.cause for rival in near}:
         own = [rival for rival in near if rival.cause == cause]
-        odds = np.exp(np.minimum([rival.evidence - evidence for rival in own], 0.0))
+        odds = np.exp(np.minimum([rival.gain for rival in own], 0.0))
         shares[cause] = tuple((rival.other, float(one / (1 + odds.sum()))) for rival, one in zip(own, odds))
     return shares
 

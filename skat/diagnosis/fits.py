@@ -1,7 +1,7 @@
 """Sets of causes at fits of their own: values, noise and path, and what the log says for them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,8 +16,6 @@ from skat.effects import Effect
 STANDS_STILL = 0.1
 # Steps of Gauss and Newton in the fit of a set; one that leads to where the log is less likely is halved.
 FIT_TURNS = 8
-# Of what a set is worth beside another one, by which slopes of that one may mislead.
-MISLED = 0.5
 
 
 @dataclass(frozen=True)
@@ -34,8 +32,6 @@ class Fit:
         Log evidence of the set at these values, beside what all sets have in common, nats.
     widths : ndarray of shape (len(members),)
         Over which slopes by the values were taken, in coordinates.
-    hopeless : bool
-        Whether it has the slopes of another fit, beside which the set is worth so little that its own do not matter.
     """
 
     members: tuple[int, ...]
@@ -43,12 +39,11 @@ class Fit:
     fitted: Fitted
     evidence: float
     widths: Array
-    hopeless: bool = False
 
     @property
     def error(self) -> float:
-        """By how much the evidence may differ about other paths near by, nats; seldom as much."""
-        return self.fitted.restless
+        """By how much the evidence may differ about other paths near by, nats: each chain may be on another."""
+        return float(self.fitted.losses.sum())
 
 
 @dataclass(frozen=True)
@@ -78,23 +73,11 @@ class Fits:
     power: float
     tolerance: float = TOLERANCE
 
-    def first(self, most: float = np.inf) -> list[Fit]:
-        """Return fits of no cause, each about the path of the one before, the first one's from the log alone.
+    def first(self) -> Fit:
+        """Return the fit of no cause, about a path from the log alone."""
+        return self._weighed((), self._settled({}, None), np.zeros(0))[0]
 
-        Until they gain nothing; after the first one, where its evidence may differ by more than ``most`` nats.
-        """
-        # From what was measured the way is long, and all that is compared with it begins where it ends.
-        none = np.zeros(0)
-        fitted = self._settled({}, None)
-        found = [self._weighed((), fitted, none)[0]]
-        for _ in range(FIT_TURNS if found[0].error <= most else 0):
-            last, fitted = fitted, self._settled({}, fitted)
-            found.append(self._weighed((), fitted, none)[0])
-            if fitted.bound < last.bound + STILL:
-                break
-        return found
-
-    def of(self, members: Sequence[int], places: Array, near: Fit, wanted: float = -np.inf) -> Fit:
+    def of(self, members: Sequence[int], places: Array, near: Fit, *, own_slopes: bool = True) -> Fit:
         """Return the fit of a set, about the path and from the noise of another fit.
 
         Parameters
@@ -103,8 +86,9 @@ class Fits:
         places : ndarray of shape (len(members),)
             Coordinates to begin with.
         near : Fit
-        wanted : float, optional
-            Log evidence below which the fit need not be good: it ends where no turn promises as much.
+        own_slopes : bool, default=True
+            Whether slopes by the state are taken about its own path; otherwise it keeps those of the other fit, at a
+            fraction of the cost: of two sets with the same slopes, what paths near by differ by is not between them.
         """
         members = tuple(members)
         chosen = [self.effects[one] for one in members]
@@ -114,28 +98,22 @@ class Fits:
         start, best = near.fitted, None
         # Values are known to about what they were moved by last.
         widths = np.abs(places - origin)
-        if (hopeless := self._hopeless(members, places, near, widths, wanted)) is not None:
-            return hopeless
         for _ in range(FIT_TURNS):
             values = {effect.name: value_at(effect, at) for effect, at in zip(chosen, places)}
-            fitted = self._settled(values, start)
+            fitted = self._settled(values, start, own_slopes=own_slopes)
             fit, one = self._weighed(members, fitted, widths)
             moved, deviations = one.values, one.deviations
             # Within its standard errors no step goes too far: what it loses is another path's.
             too_far = fitted.bound < reached and bool(np.any(np.abs(places - origin) > deviations))
             gained = fit.evidence - (-np.inf if best is None else best.evidence)
             step = moved - np.asarray(places)
-            # Slopes promise too little where a better fit leaves less noise, too.
-            promised = max(gained, float(step @ one.curvature @ step) / 2) + fit.error
-            if best is not None and fit.evidence + promised < wanted:
-                break
             if best is None or gained > 0 or fitted.bound >= reached:
                 best = fit
             if too_far:
                 places = (np.asarray(places) + origin) / 2
                 widths = np.abs(places - origin)
                 continue
-            if gained < STILL or (fit.error < STILL and np.all(np.abs(step) < STANDS_STILL * deviations)):
+            if gained < STILL or np.all(np.abs(step) < STANDS_STILL * deviations):
                 break
             origin, places, start, reached = places, moved, fitted, _lowest(fitted)
             widths = np.maximum(np.abs(step), deviations)
@@ -143,32 +121,9 @@ class Fits:
             raise RuntimeError("no turn was made")
         return best
 
-    def _hopeless(
-        self, members: tuple[int, ...], places: Array, near: Fit, widths: Array, wanted: float
-    ) -> Fit | None:
-        """Return a fit with the slopes of another one, if it is so far from what is wanted that its own do not matter.
-
-        It costs a simulation of each row; slopes of its own cost one more for each direction that a row may be off in.
-        """
-        chosen, start, fit = [self.effects[one] for one in members], near.fitted, None
-        for _ in range(FIT_TURNS if wanted > -np.inf else 0):
-            values = {effect.name: value_at(effect, at) for effect, at in zip(chosen, places)}
-            start = self._settled(values, start, own_slopes=False)
-            fit, one = self._weighed(members, start, widths)
-            if wanted - fit.evidence <= MISLED * abs(fit.evidence - near.evidence):
-                return None
-            step = one.values - places
-            if step @ one.curvature @ step < 2 * STILL:
-                break
-            places, widths = one.values, np.maximum(np.abs(step), one.deviations)
-        return None if fit is None else replace(fit, hopeless=True)
-
-    def without(self, fit: Fit, dropped: Sequence[int] | set[int], wanted: float = -np.inf) -> Fit:
-        """Return the fit of a set without some of its members, near to it; see `of`."""
-        inside = [place for place, one in enumerate(fit.members) if one not in dropped]
-        gram = self.gram(fit.fitted, fit.members, fit.widths)
-        start = weigh(gram, self.priors.part(fit.members), inside)
-        return self.of([fit.members[place] for place in inside], start.values, fit, wanted)
+    def places(self, fit: Fit) -> Array:
+        """Return the coordinates of a fit's values."""
+        return np.array([self._place(one, fit.values) for one in fit.members])
 
     def gram(self, fitted: Fitted, members: Sequence[int], widths: Array | None = None) -> Gram:
         """Return the Gram matrices of some effects at a fit; see `slopes_of`."""

@@ -9,7 +9,6 @@ from scipy import stats
 
 from skat.diagnosis.causes import (
     Rival,
-    Seen,
     _aliases,
     _ends_of_chords,
     _families,
@@ -21,7 +20,6 @@ from skat.diagnosis.causes import (
     is_held,
 )
 from skat.diagnosis.evidence import Gram, Priors, Weighed, weigh
-from skat.diagnosis.fits import Fit
 from skat.diagnosis.fitting import (
     Columns,
     _blocks,
@@ -310,33 +308,18 @@ def test_what_stands_in_a_cause_s_place_in_likely_sets_is_its_alias():
 
 
 def test_rivals_share_a_cause_s_place_with_it_by_their_odds():
-    rivals = [Rival(0, 1, 9.0), Rival(0, 2, 8.0), Rival(3, 1, 30.0), Rival(3, 2, 10.0 - np.log(20) - 0.01)]
-    shares = _shares(rivals, 10.0)
+    rivals = [Rival(0, 1, -1.0), Rival(0, 2, -2.0), Rival(3, 1, 20.0), Rival(3, 2, -np.log(20) - 0.01)]
+    shares = _shares(rivals)
     total = 1 + np.exp(-1) + np.exp(-2)
     assert dict(shares[0]) == pytest.approx({1: np.exp(-1) / total, 2: np.exp(-2) / total})
     # One that does better has no more than half; one in twenty is told.
     assert dict(shares[3]) == pytest.approx({1: 0.5})
-    assert _shares([Rival(0, 1, 10.0 - np.log(20) + 0.01)], 10.0)[0][0][1] == pytest.approx(1 / 21, rel=0.02)
+    assert _shares([Rival(0, 1, -np.log(20) + 0.01)])[0][0][1] == pytest.approx(1 / 21, rel=0.02)
 
 
 def test_aliases_by_fits_of_their_own_stand_before_those_of_slopes():
     both = _with_refitted({"a": (("b", 0.2), ("c", 0.1)), "d": (("e", 0.3),)}, {"a": (("c", 0.4),)})
     assert both == {"a": (("c", 0.4), ("b", 0.2)), "d": (("e", 0.3),)}
-
-
-def test_fits_of_a_set_are_those_that_were_added_last():
-    seen = Seen.of([Fit((0,), {}, None, evidence, np.zeros(1)) for evidence in (1.0, 4.0)])
-    assert (seen.least((0,)), seen.most([0]), seen.spread) == (1.0, 4.0, 3.0)
-
-    def beside(evidence):
-        return seen.beside(Fit((0, 1), {}, None, evidence, np.zeros(2)))
-
-    # More names must be worth 5 above the most, 4, by more than fits differ by, 3, and a tolerance of a tenth.
-    assert not beside(12.05).better((0, 1), (0,), 5.0)
-    assert beside(12.15).better((0, 1), (0,), 5.0)
-    # Fewer are preferred up to 4 + 5 + 3.
-    assert beside(11.95).better((0,), (0, 1), 5.0)
-    assert not beside(12.05).better((0,), (0, 1), 5.0)
 
 
 def test_effects_that_may_still_be_causes_are_those_of_likely_sets():

@@ -199,7 +199,7 @@ def fits_of(function, effect, x, y, sigma=0.1):
     simulator = FunctionSimulator(function, input_names=("x",), output_names=("y",), effects=(effect,))
     space = state_space(simulator, x[:, None], y[:, None], np.arange(len(x)), consecutive=False)
     fits = Fits(space, (effect,), priors_of((effect,)), np.zeros(1), np.array([sigma]), 1.0)
-    return fits, fits.first()[-1]
+    return fits, fits.first()
 
 
 def test_slopes_are_tangents_where_these_explain_most_and_of_a_cause_over_what_is_not_known_of_it():

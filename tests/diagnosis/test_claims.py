@@ -271,9 +271,6 @@ def stuck(X, grip=0.2, hold=0.2, shift=0.0):
     return np.sign(pull) * np.maximum(np.abs(pull) - grip - hold, 0.0)
 
 
-@pytest.mark.xfail(
-    strict=True, reason="ends at 6.85 of 7.8, where half of the rows that move pass for outliers"
-)
 def test_what_could_stand_for_a_cause_is_said_where_nothing_moves_any_more():
     """At the value found neither it nor its like has a derivative."""
     bounds = (0.2, 0.0, 50.0)

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skat.diagnosis.causes import Seen
+from skat.diagnosis.causes import Comparison
+from skat.diagnosis.evidence import Weighed
 from skat.diagnosis.fits import Fit, Fits, _lowest
-from skat.diagnosis.fitting import Fitted, _blocks, priors_of, settled
+from skat.diagnosis.fitting import Fitted, _blocks, _run_freely, priors_of, settled
 from skat.diagnosis.statespace import linearise, of_chains, state_space, with_chains
 from skat.simulators import MujocoSimulator
 from tests.diagnosis import pendulum
@@ -32,7 +33,7 @@ def fits(space):
 @pytest.fixture(scope="module")
 def nothing(fits):
     """The fit of no cause that all others begin at."""
-    return fits.first()[-1]
+    return fits.first()
 
 
 def a_fit(members, evidence):
@@ -40,39 +41,84 @@ def a_fit(members, evidence):
     return Fit(members, {}, None, evidence, np.zeros(len(members)))
 
 
-def seen(**evidences):
-    """Return what was seen of sets, ``s01=(1.0, 2.0)`` of members 0 and 1."""
-    return Seen.of(
-        [
-            a_fit(tuple(int(one) for one in name[1:]), evidence)
-            for name, both in evidences.items()
-            for evidence in both
-        ]
+class Told:
+    """Fits of which the evidence of each set is told: with the slopes of the present set, of another, and its own."""
+
+    def __init__(self, **evidences):
+        self.evidences = {tuple(map(int, name[1:])): told for name, told in evidences.items()}
+
+    def places(self, fit):
+        return np.zeros(len(fit.members))
+
+    def of(self, members, places, near, own_slopes=True):
+        return (
+            a_fit(members, 1) if own_slopes else a_fit(members, self.evidences[tuple(members)][near.evidence])
+        )
+
+
+def compared(now, **evidences):
+    """Return sets beside a present one; ``s01=(1.0, 2.0)`` is {0, 1}, with its slopes and with those of the other."""
+    return Comparison(Told(**evidences), a_fit(now, 0))
+
+
+def a_set(members):
+    return Weighed(members, np.zeros(len(members)), 0.0, 0.0, np.eye(len(members)))
+
+
+def test_more_names_must_be_worth_what_they_need():
+    assert compared((), s=(0,), s0=(6,)).gain((0,), np.zeros(1)) == 6
+    assert compared((), s=(0,), s0=(6,)).prefers((0,), np.zeros(1), 5.0)
+    assert not compared((), s=(0,), s0=(5,)).prefers((0,), np.zeros(1), 5.0)
+    assert compared((0,), s=(0,), s0=(4,)).prefers((), np.zeros(0), 5.0)
+    assert not compared((0,), s=(0,), s0=(5,)).prefers((), np.zeros(0), 5.0)
+    assert compared((0,), s0=(0,), s1=(1,)).prefers((1,), np.zeros(1), 5.0)
+    assert not compared((0,), s0=(0,), s1=(0,)).prefers((1,), np.zeros(1), 5.0)
+
+
+@pytest.mark.parametrize(("theirs", "own", "is_taken"), [(6, 106, True), (6, 104, False), (4, 106, False)])
+def test_more_names_are_taken_if_the_slopes_of_either_set_prefer_them(theirs, own, is_taken):
+    taken = compared((), s=(0, 100), s0=(theirs, own)).taken(a_set((0,)), 5.0)
+    assert (taken is not None) is is_taken
+
+
+@pytest.mark.parametrize(("theirs", "own", "is_taken"), [(4, 106, True), (6, 104, True), (6, 106, False)])
+def test_fewer_names_are_taken_if_the_slopes_of_one_set_prefer_them(theirs, own, is_taken):
+    taken = compared((0,), s=(0, 100), s0=(theirs, own)).taken(a_set(()), 5.0)
+    assert (taken is not None) is is_taken
+
+
+def test_sets_with_the_slopes_of_another_fit_differ_as_fits_of_their_own_do(fits, nothing):
+    damped = fits.of((0,), np.array([0.1]), nothing)
+    gravity = fits.of((1,), np.array([0.0]), nothing)
+    for look in (damped, nothing):
+        both = Comparison(fits, damped, look)
+        # Of 350 nats.
+        assert both.gain((), np.zeros(0)) == pytest.approx(nothing.evidence - damped.evidence, abs=5.0)
+        assert both.gain((1,), np.zeros(1)) == pytest.approx(gravity.evidence - damped.evidence, abs=5.0)
+
+
+def test_a_chain_runs_freely_where_that_is_likelier(space):
+    fitted = settled(space, {"damping[hinge]": 0.1}, None, np.zeros(space.d))
+    n_states = space.measured.shape[-1]
+    wrong = fitted.linear.path + np.random.default_rng(0).normal(scale=0.05, size=fitted.linear.path.shape)
+    wrong[:, 0] = fitted.linear.path[:, 0]
+    spoilt = replace(
+        fitted,
+        linear=linearise(space, wrong, fitted.values, fitted.estimate.smoothed.covariances),
+        estimate=replace(
+            fitted.estimate,
+            smoothed=replace(fitted.estimate.smoothed, means=np.zeros_like(fitted.estimate.smoothed.means)),
+        ),
+        losses=np.where(np.arange(len(space.real)) == 0, 1.0, 0.0),
     )
-
-
-def test_a_larger_set_must_be_worth_its_names_in_every_fit_and_more_than_fits_of_one_set_differ():
-    clear = seen(s=(0.0, 3.0), s0=(12.0, 13.0))
-    assert clear.spread == 3.0
-    assert clear.better((0,), (), 5.0)
-    assert not clear.better((), (0,), 5.0)
-    # 12 is not 5 + 5 more than 3.
-    torn = seen(s=(-2.0, 3.0), s0=(12.0, 13.0))
-    assert not torn.better((0,), (), 5.0)
-    # What is not worth its name in one fit is left: 13 against 12 - 5.
-    assert seen(s=(9.0,), s0=(12.0, 13.0)).better((), (0,), 5.0)
-
-
-def test_of_two_sets_of_one_size_neither_is_better_where_fits_of_one_differ_by_as_much():
-    near = seen(s0=(0.0, 4.0), s1=(6.0, 7.0))
-    assert not near.better((1,), (0,), 5.0)
-    assert not near.better((0,), (1,), 5.0)
-    assert seen(s0=(3.0, 4.0), s1=(6.0, 7.0)).better((1,), (0,), 5.0)
-
-
-def test_only_the_last_two_fits_of_a_set_count():
-    several = seen(s0=(-500.0, 10.0, 11.0))
-    assert (several.least((0,)), several.most((0,)), several.spread) == (10.0, 11.0, 1.0)
+    gain, mended = _run_freely(space, spoilt)
+    assert gain > 0
+    # Only the chain that is restless was tried, and it obeys the model in each of its rows.
+    changed = np.any(mended.linear.path != wrong, axis=(1, 2))
+    assert changed.tolist() == [True] + [False] * (len(changed) - 1)
+    first = space.places[0] == 0
+    ends = space.simulator.predict(space.rows(mended.linear.path)[first], effects=fitted.values)
+    np.testing.assert_allclose(ends[:, :n_states], space.path_ends(mended.linear.path)[first], atol=1e-9)
 
 
 def test_going_on_from_a_fit_that_rests_loses_nothing(space):
@@ -96,37 +142,9 @@ def test_a_set_is_fitted_to_where_its_slopes_move_it_no_more(fits, nothing):
     assert low.values["damping[hinge]"] == pytest.approx(0.15 - 0.05, abs=0.01)
     assert low.evidence == pytest.approx(high.evidence, abs=0.2)
     assert low.evidence > nothing.evidence + 100
-    back = fits.without(low, {0})
+    back = fits.of((), np.zeros(0), low)
     assert back.members == ()
     assert back.evidence == pytest.approx(nothing.evidence, abs=0.5)
-
-
-def test_a_fit_that_cannot_be_what_is_wanted_ends_early(fits, nothing, monkeypatch):
-    turns = []
-    monkeypatch.setattr("skat.diagnosis.fits.settled", lambda *a, **k: turns.append(a) or settled(*a, **k))
-    whole = fits.of((1,), np.array([0.3]), nothing)
-    n_whole = len(turns)
-    short = fits.of((1,), np.array([0.3]), nothing, whole.evidence + 1e6)
-    assert len(turns) - n_whole < n_whole
-    assert short.evidence <= whole.evidence + 0.1
-
-
-def test_a_set_that_is_far_off_is_told_by_the_slopes_of_another_and_one_that_is_not_gets_its_own(
-    fits, nothing
-):
-    damped = fits.of((0,), np.array([0.1]), nothing)
-    gravity = fits.of((1,), np.array([0.0]), nothing)
-    wanted = damped.evidence - 5.0
-    far = fits.without(damped, {0}, wanted)
-    assert far.hopeless
-    # Slopes that belong to the damping tell what sets without it are worth, of 350 nats less.
-    assert far.evidence == pytest.approx(nothing.evidence, abs=5.0)
-    other = fits.of((1,), np.array([0.0]), damped, wanted)
-    assert other.hopeless
-    assert other.evidence == pytest.approx(gravity.evidence, abs=5.0)
-    assert not fits.without(damped, {0}, nothing.evidence - 5.0).hopeless
-    assert not fits.without(damped, {0}).hopeless
-    assert not fits.of((0,), np.array([0.1]), nothing, wanted).hopeless
 
 
 @pytest.mark.parametrize("members", [(0,), ()])
