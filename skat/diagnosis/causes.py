@@ -140,7 +140,7 @@ class Comparison:
     def taken(self, one: Weighed, needed: float) -> Fit | None:
         """Return the fit of a set with slopes of its own, if it is preferred.
 
-        What more names are worth must be so with the slopes of either; fewer are preferred if those of one say so.
+        What more names are worth must be so with the slopes of both; fewer are preferred if those of one say so.
         """
         near = self.fit(one.members, one.values)
         moved = self.fits.of(one.members, self.fits.places(near), self.now)

@@ -514,7 +514,7 @@ def filled_in(
     guesses = guessed(simulator, states)
     hidden = _never_seen(simulator.output_names, states)
     n_states = len(simulator.state_names)
-    if not n_states or not hidden.any():
+    if not n_states or not len(hidden):
         return guesses
     each = np.arange(len(X)) if episodes is None else np.unique(episodes, return_inverse=True)[1]
     times = np.zeros(len(X), dtype=int) if episodes is None else steps_of(each)

@@ -405,3 +405,12 @@ def test_states_that_nobody_measured_follow_the_model_from_its_own_place(length)
     apart = state_space(simulator, X, y, np.arange(14), consecutive=False)
     np.testing.assert_array_equal(apart.measured[:, 0, hidden], np.tile(start[hidden], (14, 1)))
     np.testing.assert_allclose(apart.measured[:, 1, hidden], np.tile(truth[0, 1, hidden], (14, 1)))
+
+
+def test_the_first_state_alone_may_be_one_that_nobody_measured():
+    simulator = of_states(drifting)
+    truth = simulator.rollout(np.array([[0.0, 1.0]]), np.full((1, 6, 1), 0.3), n_steps=6)[0]
+    X, y = np.c_[truth[:-1], np.full(6, 0.3)], truth[1:].copy()
+    X[:, 0] = y[:, 0] = np.nan
+    space = state_space(simulator, X, y, np.zeros(6, dtype=int), consecutive=True)
+    np.testing.assert_allclose(space.measured[0], truth, atol=1e-12)
