@@ -25,6 +25,8 @@ SMALL_FORCE = 1e-3
 SMALLEST_STEP = 1e-7
 # A row from near which states end so many times their spread away has diverged, as contacts do: it has no slopes.
 FAR = 1e3
+# Slopes are kept where a row ends off from where they say by no more than this share of what is not known of its state.
+UNSEEN = 1e-3
 
 
 @dataclass(frozen=True)
@@ -126,6 +128,8 @@ class Linear:
         Rows in which it did not diverge.
     beyond : ndarray of shape (n_rows, d)
         By how much the mean over what is not known of a row's state is beyond the simulation on the path.
+    origins, ends : ndarray of shape (n_rows, n_states), (n_rows, n_outputs)
+        States about which the slopes of each row were taken, and what the simulation made of them.
     """
 
     path: Array
@@ -133,6 +137,8 @@ class Linear:
     outputs: Array
     valid: Mask
     beyond: Array
+    origins: Array
+    ends: Array
 
 
 def state_space(
@@ -238,6 +244,7 @@ def linearise(
     covariances: Array | None = None,
     *,
     slopes: Linear | None = None,
+    renewed: bool = False,
 ) -> Linear:
     """Return the simulation about a path, its slopes and means over what is not known of the states.
 
@@ -250,6 +257,8 @@ def linearise(
         What is not known of the states; without it, slopes are those at a point.
     slopes : Linear, optional
         Take slopes, and what is beyond them, of this one, which is near: a simulation of each row is all it costs.
+    renewed : bool, default=False
+        Whether they are taken anew in rows that do not go as those of `slopes` say.
 
     Returns
     -------
@@ -261,57 +270,113 @@ def linearise(
     both sides. A function that is quadratic between them has the mean f + sum(h) / 2 and, beside its slope, the
     covariance sum(h h') / 2, h being its second differences.
     """
-    simulator, d = space.simulator, space.d
-    rows = space.rows(path)
-    n = len(rows)
-    if not simulator.state_names:
-        (outputs,) = simulator.predict_many(rows, [values], groups=space.groups)
-        drive = simulator.residual(outputs, path[:, 1:][space.places])
-        flat = np.zeros((n, d, d))
-        return _assembled(space, path, flat, drive, flat, outputs, np.zeros((n, d)))
-    if slopes is not None:
-        (outputs,) = simulator.predict_many(rows, [values], groups=space.groups)
-        outputs = np.where(slopes.valid[:, None], outputs, np.nan)
-        drive = simulator.residual(_finite(outputs, space.path_ends(path)), space.path_ends(path))
-        transitions, bends = slopes.chains.transitions[space.places], slopes.chains.bends[space.places]
-        return _assembled(
-            space,
-            path,
-            transitions,
-            drive + slopes.beyond,
-            bends,
-            outputs,
-            slopes.beyond,
-            slopes.chains.carrier,
+    simulator, places = space.simulator, space.places
+    rows, after = space.rows(path), space.path_ends(path)
+    known = None if covariances is None else covariances[:, :-1][places]
+    afresh = slopes is None or (renewed and remembers(simulator, values))
+    if simulator.state_names and afresh:
+        return _assembled(space, path, _sloped(space, rows, after, values, known))
+    (outputs,) = simulator.predict_many(rows, [values], groups=space.groups)
+    if not simulator.state_names or slopes is None:
+        return _assembled(space, path, _without_states(outputs, space.d))
+    found = _kept(space, slopes, np.where(slopes.valid[:, None], outputs, np.nan))
+    if not renewed or covariances is None:
+        return _assembled(space, path, found)
+    anew = ~(slopes.valid & _as_expected(space, slopes, path, outputs, covariances))
+    if anew.any():
+        chosen = replace(
+            space, X=space.X[anew], groups=space.groups[anew], places=(places[0][anew], places[1][anew])
         )
+        part = covariances[:, :-1][chosen.places]
+        found = found.with_rows(anew, _sloped(chosen, rows[anew], after[anew], values, part))
+    return _assembled(space, path, found)
+
+
+@dataclass(frozen=True)
+class _ByRow:
+    """What `Linear` is made of, row by row: see there, and `Chains`.
+
+    ``carrier`` (n_rows, d, n_forces) is None where the simulator has no forces on joints.
+    """
+
+    outputs: Array
+    transitions: Array
+    bends: Array
+    beyond: Array
+    origins: Array
+    ends: Array
+    carrier: Array | None
+
+    def with_rows(self, chosen: Mask, other: "_ByRow") -> "_ByRow":
+        """Return these rows with some of them replaced: `other` holds these alone."""
+        filled = {}
+        for name in self.__dataclass_fields__:
+            whole, part = getattr(self, name), getattr(other, name)
+            if whole is not None:
+                filled[name] = whole.copy()
+                filled[name][chosen] = part
+        return replace(self, **filled)
+
+
+def _as_expected(space: StateSpace, slopes: Linear, path: Array, outputs: Array, covariances: Array) -> Mask:
+    """Return of which rows slopes still say where they end, as far as the states there are known, and are all there is.
+
+    The simulation is as good as linear between the states about which they were taken and those of the path.
+    """
+    simulator, places = space.simulator, space.places
+    moved = simulator.residual(path[:, :-1][places], slopes.origins)
+    expected = (slopes.chains.transitions[places] @ moved[..., None])[..., 0]
+    safe = _finite(slopes.ends, space.path_ends(path))
+    off = np.abs(simulator.residual(_finite(outputs, safe), safe) - expected)
+    bent = np.sqrt(np.diagonal(slopes.chains.bends[places], axis1=-2, axis2=-1))
+    unknown = np.sqrt(np.maximum(np.diagonal(covariances, axis1=-2, axis2=-1), 0.0))[:, 1:][places]
+    as_said: Mask = np.all(np.maximum(off, bent) < UNSEEN * unknown, axis=1)
+    return as_said & np.isfinite(outputs).all(axis=1)
+
+
+def _kept(space: StateSpace, slopes: Linear, outputs: Array) -> _ByRow:
+    """Return rows that have other slopes' own, and end where they do."""
+    chains, places = slopes.chains, space.places
+    carrier = chains.carrier[places] if space.simulator.joint_forces() else None
+    transitions, bends = chains.transitions[places], chains.bends[places]
+    return _ByRow(outputs, transitions, bends, slopes.beyond, slopes.origins, slopes.ends, carrier)
+
+
+def _without_states(outputs: Array, d: int) -> _ByRow:
+    n = len(outputs)
+    flat, nothing = np.zeros((n, d, d)), np.zeros((n, 0))
+    return _ByRow(outputs, flat, flat, np.zeros((n, d)), nothing, nothing, None)
+
+
+def _sloped(
+    space: StateSpace, rows: Array, after: Array, values: Mapping[str, float], covariances: Array | None
+) -> _ByRow:
+    """Return rows with slopes taken over what is not known of the states that they start from, (n_rows, d, d)."""
+    simulator, d, n = space.simulator, space.d, len(rows)
+    known = covariances is not None
     if covariances is None:
         axes, widths = np.tile(np.eye(d), (n, 1, 1)), np.tile(FIRST_STEP * space.spread, (n, 1))
     else:
         units = space.spread
-        scaled = covariances[:, :-1][space.places] / (units[:, None] * units)
-        variances, axes = np.linalg.eigh(scaled)
+        variances, axes = np.linalg.eigh(covariances / (units[:, None] * units))
         widths = np.sqrt(np.clip(variances, SMALLEST_STEP**2, 1.0))
         axes = axes * units[:, None]
-    known = covariances is not None
     moved = [rows]
     for axis in range(d):
         offset = axes[:, :, axis] * widths[:, axis, None]
         moved += [simulator.displace(rows, offset), simulator.displace(rows, -offset)]
-    stacked = np.concatenate(moved)
     copies = np.concatenate(
         [space.groups + copy * (int(space.groups.max()) + 1) for copy in range(len(moved))]
     )
-    (outputs,) = simulator.predict_many(stacked, [values], groups=copies)
+    (outputs,) = simulator.predict_many(np.concatenate(moved), [values], groups=copies)
     outputs = outputs.reshape(len(moved), n, -1)
     base = outputs[0]
-    safe = np.where(np.isfinite(base), base, path[:, 1:][space.places])
+    safe = _finite(base, after)
     up = np.stack([simulator.residual(_finite(one, safe), safe) for one in outputs[1::2]], axis=-1)
     down = np.stack([simulator.residual(_finite(one, safe), safe) for one in outputs[2::2]], axis=-1)
-    inverse = (
-        np.linalg.inv(axes) if known else axes
-    )  # of orthonormal axes in units: rows of inverse are directions
+    # Of orthonormal axes in units: rows of the inverse are directions.
+    inverse = np.linalg.inv(axes) if known else axes
     transitions = ((up - down) / (2 * widths[:, None])) @ inverse
-    drive = simulator.residual(safe, path[:, 1:][space.places])
     far = np.any(np.maximum(np.abs(up), np.abs(down)) > FAR * space.spread[:, None], axis=(1, 2))
     base = np.where(far[:, None], np.nan, base)
     bends, beyond = np.zeros((n, d, d)), np.zeros((n, d))
@@ -319,14 +384,15 @@ def linearise(
         second = up + down
         beyond = second.sum(axis=-1) / 2
         bends = np.einsum("nia,nja->nij", second, second) / 2
-    carrier = _joint_carrier(space, rows, values, base, space.path_ends(path))
-    return _assembled(space, path, transitions, drive + beyond, bends, base, beyond, carrier)
+    carrier = _joint_carrier(space, rows, values, base, after)
+    origins = rows[:, : len(simulator.state_names)]
+    return _ByRow(base, transitions, bends, beyond, origins, base, carrier)
 
 
 def _joint_carrier(
     space: StateSpace, rows: Array, values: Mapping[str, float], base: Array, safe: Array
 ) -> Array | None:
-    """Return the derivative of the next state by a force on each joint, (n_chains, n_steps, d, n_forces)."""
+    """Return the derivative of the next state by a force on each joint, (n_rows, d, n_forces)."""
     forces = [effect for effect, _ in space.simulator.joint_forces()]
     if not forces:
         return None
@@ -335,7 +401,7 @@ def _joint_carrier(
     outputs = space.simulated(rows, candidates)
     base = _finite(base, safe)
     columns = [space.simulator.residual(_finite(one, base), base) / size for one, size in zip(outputs, sizes)]
-    return space.padded(np.stack(columns, axis=-1))
+    return np.stack(columns, axis=-1)
 
 
 def derivatives(
@@ -388,8 +454,10 @@ def with_chains(space: StateSpace, linear: Linear, other: Linear, chosen: Mask) 
         return out
 
     rows = chosen[space.places[0]]
-    outputs, valid, beyond = linear.outputs.copy(), linear.valid.copy(), linear.beyond.copy()
-    outputs[rows], valid[rows], beyond[rows] = other.outputs, other.valid, other.beyond
+    by_row = {}
+    for name in ("outputs", "valid", "beyond", "origins", "ends"):
+        by_row[name] = getattr(linear, name).copy()
+        by_row[name][rows] = getattr(other, name)
     ours, theirs = linear.chains, other.chains
     return Linear(
         filled(linear.path, other.path),
@@ -402,9 +470,7 @@ def with_chains(space: StateSpace, linear: Linear, other: Linear, chosen: Mask) 
             ours.mask,
             ours.prior,
         ),
-        outputs,
-        valid,
-        beyond,
+        **by_row,
     )
 
 
@@ -417,6 +483,8 @@ def of_chains(space: StateSpace, linear: Linear, chosen: Mask) -> Linear:
         linear.outputs[rows],
         linear.valid[rows],
         linear.beyond[rows],
+        linear.origins[rows],
+        linear.ends[rows],
     )
 
 
@@ -432,28 +500,24 @@ def moved_path(space: StateSpace, path: Array, deviations: Array) -> Array:
     return space.simulator.displace(path, deviations)
 
 
-def _assembled(
-    space: StateSpace,
-    path: Array,
-    transitions: Array,
-    drive: Array,
-    bends: Array,
-    outputs: Array,
-    beyond: Array,
-    carrier: Array | None = None,
-) -> Linear:
-    finite = [np.isfinite(one).reshape(len(one), -1).all(axis=1) for one in (outputs, transitions, drive)]
+def _assembled(space: StateSpace, path: Array, found: _ByRow) -> Linear:
+    after = space.path_ends(path)
+    drive = space.simulator.residual(_finite(found.outputs, after), after) + found.beyond
+    finite = [
+        np.isfinite(one).reshape(len(one), -1).all(axis=1)
+        for one in (found.outputs, found.transitions, drive)
+    ]
     valid: Mask = np.logical_and.reduce(finite)
     wide = np.diag(space.spread**2)
-    transitions = np.where(valid[:, None, None], transitions, 0.0)
+    transitions = np.where(valid[:, None, None], found.transitions, 0.0)
     drive = np.where(valid[:, None], drive, 0.0)
-    bends = np.where(valid[:, None, None], bends, wide)
+    bends = np.where(valid[:, None, None], found.bends, wide)
     measured = space.simulator.residual(space.measured, path)
-    if carrier is None:
+    if found.carrier is None:
         carrier = np.broadcast_to(space.carrier, (*space.real.shape, *space.carrier.shape))
     else:
         # What is not simulated is not pushed either: it may be anywhere.
-        carrier = np.where(space.padded(np.where(valid, 1.0, 0.0))[..., None, None] > 0, carrier, 0.0)
+        carrier = space.padded(np.where(valid[:, None, None], found.carrier, 0.0))
     whole = np.tile(np.eye(space.d), (*space.real.shape, 1, 1))
     whole[space.places] = transitions
     chains = Chains(
@@ -465,7 +529,7 @@ def _assembled(
         space.mask,
         space.spread**2,
     )
-    return Linear(path, chains, outputs, valid, beyond)
+    return Linear(path, chains, found.outputs, valid, found.beyond, found.origins, found.ends)
 
 
 def _finite(values: Array, otherwise: Array) -> Array:

@@ -259,6 +259,53 @@ def test_slopes_by_effects_are_chords_between_the_values_given(monkeypatch, at_o
     np.testing.assert_allclose(from_here[:, 1, 0], 1 + (0.9**3 - 0.5**3) / 0.4, rtol=1e-9)
 
 
+def kinked(X, gain=1.0, bend=0.0):
+    out = drifting(X, gain, bend)
+    out[:, 1] += np.where(X[:, 0] > 2, X[:, 0] - 2, 0.0)
+    return out
+
+
+def test_slopes_are_taken_anew_only_in_rows_that_do_not_go_as_they_say(monkeypatch):
+    simulator = of_states(kinked)
+    X, y, groups = logged([30, 30])
+    X[:, :2], y = np.clip(X[:, :2], -1.5, 1.5), np.clip(y, -1.5, 1.5)
+    space = state_space(simulator, X, y, groups, consecutive=True)
+    covariances = np.broadcast_to(1e-4 * np.eye(2), (*space.mask.shape, 2))
+    before = linearise(space, space.measured, {}, covariances)
+    moved = space.measured + 0.05
+    crossing = np.zeros(space.real.shape, dtype=bool)
+    crossing[1, [3, 8]] = True
+    moved[1, [3, 8], 0] = 2.5
+    rows = []
+    predict = FunctionSimulator.predict_many
+    monkeypatch.setattr(
+        FunctionSimulator,
+        "predict_many",
+        lambda self, X, *rest, **more: rows.append(len(X)) or predict(self, X, *rest, **more),
+    )
+    kept = linearise(space, moved, {}, covariances, slopes=before, renewed=True)
+    assert rows == [60, 5 * 2]
+    fresh = linearise(space, moved, {}, covariances)
+    for name in ("outputs", "valid", "beyond"):
+        np.testing.assert_allclose(getattr(kept, name), getattr(fresh, name), atol=1e-12)
+    for name in ("transitions", "drive", "bends", "measured"):
+        np.testing.assert_allclose(getattr(kept.chains, name), getattr(fresh.chains, name), atol=1e-9)
+    at_crossing = crossing[space.places]
+    np.testing.assert_array_equal(kept.origins[~at_crossing], before.origins[~at_crossing])
+    np.testing.assert_array_equal(kept.origins[at_crossing], fresh.origins[at_crossing])
+
+
+def test_slopes_of_another_fit_are_kept_where_they_are_not_to_be_renewed():
+    X, y, groups = logged([12])
+    space = state_space(of_states(drifting, effects=EFFECTS), X, y, groups, consecutive=True)
+    before = linearise(space, space.measured, {})
+    other = linearise(space, space.measured + 1.0, {"bend": 1.0}, slopes=before)
+    np.testing.assert_array_equal(other.chains.transitions, before.chains.transitions)
+    np.testing.assert_allclose(
+        other.chains.drive[..., 1][space.real] - before.chains.drive[..., 1][space.real], 1.9
+    )
+
+
 def test_a_simulation_remembers_where_commands_come_late_and_else_not():
     simulator = MujocoSimulator(
         "<mujoco><worldbody><body><joint name='a'/><geom size='.1' pos='.1 0 0'/></body></worldbody>"
