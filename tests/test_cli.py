@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from skat.cli import app
 from skat.cli.terminal import clear_errors, heard
 from skat.simulators import MujocoSimulator
-from tests.diagnosis.changes.test_force_space import ARM, log_of
+from tests.diagnosis.forces.test_force_space import ARM, log_of
 from tests.diagnosis.pages import Page, blank_frames
 
 MODEL = """

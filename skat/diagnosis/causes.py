@@ -22,10 +22,11 @@ from skat.diagnosis.fitting import (
     slopes_of,
     value_at,
 )
+from skat.diagnosis.forces.start import NOWHERE, Start
 from skat.diagnosis.noise import TOLERANCE
-from skat.diagnosis.search import ALIAS_FACTOR, Ranked, search, without_weak
+from skat.diagnosis.search import ALIAS_FACTOR, Ranked, families_of, rivals_of, search, without_weak
 from skat.diagnosis.statespace import CHAIN_LENGTH, StateSpace, derivatives
-from skat.effects import EVERY, Effect
+from skat.effects import Effect
 from skat.simulators.base import Simulator
 
 # Families that act on what a sensor reads, and so on nothing where it was not read.
@@ -213,6 +214,7 @@ def find_causes(
     turns: int = TURNS,
     coarse: bool = False,
     shorter: Callable[[int], StateSpace] | None = None,
+    start: Start | None = None,
     resumed: Search | None = None,
     checkpoint: Callable[[Search], None] | None = None,
     progress: Callable[[str, int, int], None] | None = None,
@@ -244,6 +246,8 @@ def find_causes(
         and from what acts much like it; otherwise fits without it, and of the other in its place, do.
     shorter : callable, optional
         ``shorter(length)`` lays the log out in chains of at most so many transitions.
+    start : Start, optional
+        What missing forces ask for, which is tried first if the log prefers it to what slopes propose.
     resumed : Search, optional
         Go on from there.
     checkpoint : callable, optional
@@ -263,7 +267,9 @@ def find_causes(
     length = CHAIN_LENGTH if resumed is None else resumed.chain_length
     if length != CHAIN_LENGTH and shorter is not None:
         space = shorter(length)
-    fits = Fits(space, tuple(effects), priors, floor, given, power, STILL if coarse else TOLERANCE)
+    start = NOWHERE if start is None else start
+    sizes = np.array([start.sizes.get(effect.name, scale) for effect, scale in zip(effects, priors.scales)])
+    fits = Fits(space, tuple(effects), priors, floor, given, power, STILL if coarse else TOLERANCE, sizes)
     state = resumed
     if state is None:
         first = fits.first()
@@ -273,7 +279,8 @@ def find_causes(
             fits = replace(fits, space=shorter(length))
             first = fits.first()
         state = _begun(fits, first, length)
-    ask = partial(search, families=_families(effects), most=max_effects)
+    ask = partial(search, families=families_of(effects), most=max_effects)
+    exclusive = rivals_of(effects)
     rivals: list[Rival] = []
     stands = misled = False
     told = -1
@@ -288,14 +295,18 @@ def find_causes(
         columns = gram_of(fits.space, state.dense or now.fitted, state.slopes, effects)
         gram = _judged(columns, priors, now.members if state.dense is None else None)
         state = replace(state, first=state.first or gram)
-        worth = Weigher(gram, priors, power=power)
+        worth = Weigher(gram, priors, exclusive, power=power)
         ranked = ask(worth, now.members, banned=state.banned)
         if state.turn == turns:
             break
         moved = None
         misled = misled and state.dense is not None
         compared = Comparison(fits, now)
-        for one in _proposals(ranked, worth, now, needed):
+        proposals = list(_proposals(ranked, worth, now, needed))
+        begun = []
+        if state.turn == 0 and state.dense is not None:
+            begun = _begun_with(start.values, worth, compared, proposals[:1])
+        for one in [*begun, *proposals]:
             if compared.prefers(one.members, one.values, needed):
                 moved = compared.taken(one, needed)
             if moved is not None:
@@ -314,11 +325,13 @@ def find_causes(
         if moved is None and not coarse:
             moved = _superfluous(compared, worth, needed)
         if moved is None and not coarse:
-            rivals, moved = _rivals(compared, (gram, state.first or gram))
+            rivals, moved = _rivals(compared, worth, state.first or gram)
         if moved is None:
             stands = True
             break
-        live = _live(ranked, moved.members)
+        # Far from where slopes were taken they say nothing.
+        afar = any(one.members == moved.members for one in begun)
+        live = list(range(len(effects))) if afar else _live(ranked, moved.members)
         slopes = state.slopes.copy()
         slopes[..., live] = _slopes(fits, moved, live)
         state = Search(state.turn + 1, length, moved, None, slopes, state.first, tuple(sorted(banned)))
@@ -327,7 +340,7 @@ def find_causes(
         # What slopes say of other sets was seen to be wrong.
         inside = (one for one in ranked.sets if set(one.members) < set(now.members))
         ranked = Ranked(tuple(sorted((best, *inside), key=lambda one: -one.evidence)))
-    also = {} if misled else _also(ask, gram, priors, effects, best, needed, state.banned)
+    also = {} if misled else _also(ask, gram, priors, effects, exclusive, best, needed, state.banned)
     return _found(fits, now, worth, ranked, rivals, also, needed, stands, length)
 
 
@@ -341,6 +354,20 @@ def _begun(fits: Fits, now: Fit, length: int) -> Search:
         moves = columns.dense(priors.scales)
         dense = noise_without(space, dense, slopes, moves, fits.floor, given=fits.given)
     return Search(0, length, now, dense, slopes, None, ())
+
+
+def _begun_with(
+    start: Mapping[str, float], worth: Weigher, compared: Comparison, others: Sequence[Weighed]
+) -> list[Weighed]:
+    """Return the set of values to begin with, if the log prefers it as it is to none, and to what slopes propose."""
+    fits, now = compared.fits, compared.now
+    members = [place for place, effect in enumerate(fits.effects) if effect.name in start]
+    if not members or fits.bound(start, now) <= now.fitted.bound:
+        return []
+    places = np.array([coordinate(fits.effects[one], start[fits.effects[one].name]) for one in members])
+    own = replace(worth(members), values=places)
+    gain = compared.gain(own.members, own.values)
+    return [own] if all(gain > compared.gain(one.members, one.values) for one in others) else []
 
 
 def _proposals(ranked: Ranked, worth: Weigher, now: Fit, needed: float) -> Iterator[Weighed]:
@@ -380,14 +407,14 @@ def _superfluous(compared: Comparison, worth: Weigher, needed: float) -> Fit | N
     return None
 
 
-def _rivals(compared: Comparison, grams: Sequence[Gram]) -> tuple[list[Rival], Fit | None]:
+def _rivals(compared: Comparison, worth: Weigher, first: Gram) -> tuple[list[Rival], Fit | None]:
     """Return sets in which an effect that acts much like a cause has its place, and the one that does better, if any.
 
     Slopes say that two effects act alike for small values; whether they do at this one, a fit must say. Some act alike
     only where neither is a cause yet: of two limits the lower one hides the other.
     """
     found: list[Rival] = []
-    now, priors = compared.now, compared.fits.priors
+    now, grams = compared.now, (worth.gram, first)
     for cause in now.members[:REFITTED]:
         looks = np.stack([gram.cosines(cause) for gram in grams])
         alike = looks.max(axis=0)
@@ -396,7 +423,9 @@ def _rivals(compared: Comparison, grams: Sequence[Gram]) -> tuple[list[Rival], F
             if alike[other] < ALIKE:
                 break
             members = tuple(sorted({*now.members, int(other)} - {cause}))
-            one = weigh(grams[int(np.argmax(looks[:, other]))], priors, members)
+            if not worth.allows(members):
+                continue
+            one = weigh(grams[int(np.argmax(looks[:, other]))], worth.priors, members)
             if compared.prefers(members, one.values, 0.0) and (moved := compared.taken(one, 0.0)) is not None:
                 return found, moved
             found.append(Rival(cause, int(other), compared.gain(members, one.values)))
@@ -486,15 +515,6 @@ def _typical_biases(space: StateSpace, effects: Sequence[Effect]) -> dict[str, f
     }
 
 
-def _families(effects: Sequence[Effect]) -> dict[str, list[int]]:
-    """Return the members of each family, without what stands for all of them."""
-    families = defaultdict(list)
-    for place, effect in enumerate(effects):
-        if effect.target is not None and effect.target != EVERY.get(effect.family, "all"):
-            families[effect.family].append(place)
-    return dict(families)
-
-
 def _judged(columns: Columns, priors: Priors, members: Sequence[int] | None) -> Gram:
     """Return the Gram matrices of a fit, scores trusted as far as blocks of time agree on them.
 
@@ -512,17 +532,18 @@ def _judged(columns: Columns, priors: Priors, members: Sequence[int] | None) -> 
 def _slopes(fits: Fits, now: Fit, members: Sequence[int]) -> Array:
     """Return the slopes by effects at a fit, of what is no cause there the chord to where most is explained, if any is.
 
-    Of such a value no more is known than its typical size, and what lies as far off may be of another slope. What a
-    delay does has a kink at every time step. What has no slope at all, such as a limit that is never reached, may have
-    one further off.
+    No more is known of such a value than what is typical in the log, and what lies as far off may be of another slope.
+    What a delay does has a kink at every time step. What has no slope at all, such as a limit that is never reached,
+    may have one further off.
     """
     space, fitted = fits.space, now.fitted
     chosen, priors = [fits.effects[one] for one in members], fits.priors.part(members)
     widths = dict(zip(now.members, now.widths))
-    slopes = slopes_of(space, fitted, chosen, priors, np.array([widths.get(one, 0.0) for one in members]))
+    sizes = fits.sizes_of(members)
+    slopes = slopes_of(space, fitted, chosen, sizes, np.array([widths.get(one, 0.0) for one in members]))
     dead = ~np.any(slopes, axis=(0, 1))
     ends = {
-        place: _ends_of_chords(space.simulator, effect, float(priors.scales[place]), bool(dead[place]))
+        place: _ends_of_chords(space.simulator, effect, float(sizes[place]), bool(dead[place]))
         for place, effect in enumerate(chosen)
         if effect.name not in fitted.values
     }
@@ -614,12 +635,13 @@ def _also(
     gram: Gram,
     priors: Priors,
     effects: Sequence[Effect],
+    exclusive: Mapping[int, Sequence[int]],
     best: Weighed,
     needed: float,
     banned: Sequence[int],
 ) -> dict[str, float]:
     """Return what the log shows beside the causes if the model is taken for exact."""
-    worth = Weigher(gram, priors)
+    worth = Weigher(gram, priors, exclusive)
     exact, _ = without_weak(ask(worth, best.members, banned=banned).sets[0], worth, needed)
     return {
         priors.names[one]: value_at(effects[one], at)

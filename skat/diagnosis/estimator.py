@@ -21,6 +21,7 @@ from skat.diagnosis.doubts import warn_of_doubts
 from skat.diagnosis.filtering import Array
 from skat.diagnosis.findings import Alias, Cause, Gain
 from skat.diagnosis.fitting import value_at
+from skat.diagnosis.forces.start import NOWHERE, Start, start_in_forces
 from skat.diagnosis.identifiability import identifiability, preflight
 from skat.diagnosis.log import Log, check_log, check_matrix, tangent_variances, without_channels
 from skat.diagnosis.posterior import Posterior
@@ -231,6 +232,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             turns=QUICK_TURNS if first_look else TURNS,
             coarse=first_look,
             shorter=partial(self._space, fitted),
+            start=self._start(fitted, effects),
             resumed=begun.search,
             checkpoint=None if checkpoint is None else partial(checkpoint.write, begun),
             progress=progress,
@@ -642,6 +644,13 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             chain_length=chain_length,
             n_jobs=self.n_jobs,
         )
+
+    def _start(self, log: Log, effects: Sequence[Effect]) -> Start:
+        if not log.consecutive:
+            return NOWHERE
+        rows = log.X, log.y, log.episodes
+        needed = -float(np.log(self.alpha))
+        return start_in_forces(self.simulator, rows, effects, typical=self.priors, needed=needed)
 
     def _rows_ahead(self, horizon: float | None = None) -> int:
         return horizon_rows(self.simulator, self.horizon if horizon is None else horizon)

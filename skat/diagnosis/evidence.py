@@ -266,6 +266,8 @@ class Weigher:
     ----------
     gram : Gram
     priors : Priors
+    rivals : mapping from place to places, optional
+        Effects that are in no set with a given one: all of a family, and each of it.
     power : float, default=1.0
         As `weigh`'s.
 
@@ -275,8 +277,16 @@ class Weigher:
         All that were weighed.
     """
 
-    def __init__(self, gram: Gram, priors: Priors, *, power: float = 1.0):
+    def __init__(
+        self,
+        gram: Gram,
+        priors: Priors,
+        rivals: Mapping[int, Sequence[int]] | None = None,
+        *,
+        power: float = 1.0,
+    ):
         self.gram, self.priors, self.power = gram, priors, power
+        self.rivals = rivals or {}
         self.seen: dict[tuple[int, ...], Weighed] = {}
 
     def __call__(self, members: Sequence[int]) -> Weighed:
@@ -285,6 +295,11 @@ class Weigher:
         if key not in self.seen:
             self.seen[key] = self._weighed(key)
         return self.seen[key]
+
+    def allows(self, members: Sequence[int]) -> bool:
+        """Whether a set holds no two rivals."""
+        there = set(members)
+        return not any(there.intersection(self.rivals.get(one, ())) for one in there)
 
     def without(self, whole: Weighed, gone: int) -> Weighed:
         """Return what a set is worth without one of its members."""
@@ -295,7 +310,7 @@ class Weigher:
         return {one: whole.evidence - self.without(whole, one).evidence for one in whole.members}
 
     def promises(self, now: Weighed) -> Array:
-        """Return about by how much each further effect would raise the log posterior odds; -inf of members.
+        """Return about by how much each further effect would raise the log posterior odds; -inf of members and rivals.
 
         But for what is the same for all.
         """
@@ -312,27 +327,21 @@ class Weigher:
         values = np.clip(left / whole, priors.low, priors.high)
         gain = left * values - 0.5 * information * values**2 + priors.log_odds
         gain += -np.log1p((values / priors.scales) ** 2) - np.log(priors.scales) - 0.5 * np.log(whole)
-        gain[list(now.members)] = -np.inf
+        gain[self._out(now)] = -np.inf
         return np.asarray(gain)
+
+    def _out(self, now: Weighed) -> list[int]:
+        return [*now.members, *(other for one in now.members for other in self.rivals.get(one, ()))]
 
     def _weighed(self, members: tuple[int, ...]) -> Weighed:
         return weigh(self.gram, self.priors, members, power=self.power)
 
 
 class SwiftWeigher(Weigher):
-    """Weighs many sets that are much alike: each from the values of those before, and no finer than a search needs.
-
-    Parameters
-    ----------
-    gram : Gram
-    priors : Priors
-    rivals : mapping from place to places
-        Effects that are in no set with a given one: all of a family, and each of it.
-    """
+    """Weighs many sets that are much alike: each from the values of those before, and no finer than a search needs."""
 
     def __init__(self, gram: Gram, priors: Priors, rivals: Mapping[int, Sequence[int]] | None = None):
-        super().__init__(gram, priors)
-        self.rivals = rivals or {}
+        super().__init__(gram, priors, rivals)
         self._last = np.zeros(len(priors.scales))
 
     def _weighed(self, members: tuple[int, ...]) -> Weighed:
@@ -393,7 +402,7 @@ class SwiftWeigher(Weigher):
         ]
         gain = np.max(gains, axis=0) + self.priors.log_odds + 0.5 * np.log(2 * np.pi / whole)
         gain -= np.log(np.pi * scales)
-        gain[[*S, *(other for one in S for other in self.rivals.get(one, ()))]] = -np.inf
+        gain[self._out(now)] = -np.inf
         return np.asarray(gain)
 
 

@@ -231,7 +231,8 @@ def _settled_near(
             moved_path(space, here.path, steps),
             values,
             _covariances(space, estimate)[chosen],
-            slopes=None if own_slopes else here,
+            slopes=here if start is not None or turn else None,
+            renewed=own_slopes,
         )
         if turn or start is not None:
             # Each chain goes on only where that does better: about contacts the end of a full step may be anywhere.
@@ -252,7 +253,9 @@ def _settled_near(
         else:
             linear = moved
         if turn == 0 and space.real.shape[1] > FEWEST_FOR_MEMORY:
-            estimate, shares = _with_best_memory(space, linear, estimate.noise, shares, known)
+            # With another fit's slopes forces have the memory that they have there, if any.
+            climbs = own_slopes or not len(shares)
+            estimate, shares = _with_best_memory(space, linear, estimate.noise, shares, known, climbs=climbs)
         else:
             chains = _remembering(space, linear, shares)
             estimate = known.estimated(chains, estimate.noise, space.real)
@@ -294,9 +297,9 @@ def _rough(space: StateSpace) -> Array:
 
 
 def _with_best_memory(
-    space: StateSpace, linear: Linear, noise: Noise, shares: Array, known: "Known"
+    space: StateSpace, linear: Linear, noise: Noise, shares: Array, known: "Known", *, climbs: bool = True
 ) -> tuple[Estimate, Array]:
-    """Return the noise with forces of the memory, if any, that the bound asks for."""
+    """Return the noise with forces of the memory, if any, that the bound asks for: the last, or what it climbs to."""
     n_forces = linear.chains.carrier.shape[-1]
     plain = _without_memory(noise, space.d, n_forces)
     without = known.estimated(linear.chains, plain, space.real)
@@ -330,7 +333,9 @@ def _with_best_memory(
         now = int(np.argmin([abs(one[0] - shares[0]) for one in memories]))
     best = remembered(now)
     tried = {now}
-    while beside := [one for one in (now - 1, now + 1) if 0 <= one < len(memories) and one not in tried]:
+    while climbs and (
+        beside := [one for one in (now - 1, now + 1) if 0 <= one < len(memories) and one not in tried]
+    ):
         tried.add(beside[0])
         moved = remembered(beside[0])
         if moved.bound > best.bound:
@@ -431,19 +436,21 @@ def slopes_of(
     space: StateSpace,
     fitted: Fitted,
     effects: Sequence[Effect],
-    priors: Priors,
+    sizes: Array,
     widths: Array | None = None,
 ) -> Array:
     """Return the derivative of what the model adds in a step by each effect's coordinate, (n_rows, d, k).
 
     Parameters
     ----------
-    space, fitted, effects, priors
+    space, fitted, effects
+    sizes : ndarray of shape (k,)
+        Typical of each coordinate.
     widths : ndarray of shape (k,), optional
         By how much each value may be off to either side: slopes are taken over what is not known, as those by the state
         are. Otherwise over a little of the typical size.
     """
-    least = SMALL_SHARE * priors.scales
+    least = SMALL_SHARE * sizes
     widths = least if widths is None else np.maximum(widths, least)
     steps = _steps(fitted.values, effects, widths)
     slopes = derivatives(space, fitted.linear, fitted.values, steps)

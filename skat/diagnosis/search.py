@@ -4,6 +4,7 @@ Of one log `search` weighs every move, and so many sets that their probabilities
 are much alike `search_sets` weighs the few moves that promise most, and looks for the best set alone.
 """
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -12,6 +13,7 @@ import numpy as np
 
 from skat.diagnosis.evidence import Gram, SwiftWeigher, Weighed, Weigher
 from skat.diagnosis.filtering import Array
+from skat.effects import EVERY, Effect
 
 # Sets less likely than the best by more than this factor are told from it.
 ALIAS_FACTOR = 20.0
@@ -55,6 +57,27 @@ class Ranked:
         return min(1.0, float(sum(share for share, one in zip(shares, self.sets) if cause in one.members)))
 
 
+def rivals_of(effects: Sequence[Effect]) -> dict[int, list[int]]:
+    """Return for each effect the places of those that are all of its family, or each of it."""
+    rivals: dict[int, list[int]] = {}
+    for every, effect in enumerate(effects):
+        if effect.target == EVERY.get(effect.family, "all"):
+            for one, other in enumerate(effects):
+                if other.family == effect.family and one != every:
+                    rivals.setdefault(every, []).append(one)
+                    rivals.setdefault(one, []).append(every)
+    return rivals
+
+
+def families_of(effects: Sequence[Effect]) -> dict[str, list[int]]:
+    """Return the places of the members of each family, without what stands for all of them."""
+    families = defaultdict(list)
+    for place, effect in enumerate(effects):
+        if effect.target is not None and effect.target != EVERY.get(effect.family, "all"):
+            families[effect.family].append(place)
+    return dict(families)
+
+
 def search(
     worth: Weigher,
     start: Sequence[int] = (),
@@ -96,7 +119,7 @@ def search(
                 for other in _alike(worth.gram, one)
                 if other not in now.members and other not in banned
             ]
-            moves += _family_moves(now.members, families, banned)
+            moves += _family_moves(now.members, families, banned, worth.rivals)
             top = _best(worth, now, moves, most)
             if not _gains(top, now):
                 pairs = combinations(promising[:PAIRED], 2)
@@ -116,7 +139,8 @@ def _evidence(one: Weighed) -> float:
 
 
 def _best(worth: Weigher, now: Weighed, moves: Sequence[Sequence[int]], most: int) -> Weighed:
-    return max((worth(move) for move in moves if len(set(move)) <= most), key=_evidence, default=now)
+    allowed = (move for move in moves if len(set(move)) <= most and worth.allows(move))
+    return max(map(worth, allowed), key=_evidence, default=now)
 
 
 def _promising(worth: Weigher, now: Weighed, banned: Sequence[int]) -> list[int]:
@@ -134,16 +158,21 @@ def _alike(gram: Gram, one: int) -> list[int]:
 
 
 def _family_moves(
-    members: Sequence[int], families: Mapping[str, Sequence[int]], banned: Sequence[int]
+    members: Sequence[int],
+    families: Mapping[str, Sequence[int]],
+    banned: Sequence[int],
+    rivals: Mapping[int, Sequence[int]],
 ) -> list[tuple[int, ...]]:
-    """Return sets with a whole family more, or without one."""
+    """Return sets with a whole family more, or without one; what stands for all of it goes and comes with that."""
     now, moves = set(members), []
     for family in families.values():
         own = set(family) - set(banned)
+        every = {other for one in family for other in rivals.get(one, ())}
         if own - now and len(own) > 1:
-            moves.append(tuple(now | own))
+            moves.append(tuple((now - every) | own))
         if len(own & now) > 1:
             moves.append(tuple(now - own))
+            moves += [tuple((now - own) | {one}) for one in every if one not in banned]
     return moves
 
 

@@ -11,7 +11,6 @@ from skat.diagnosis.causes import (
     Rival,
     _aliases,
     _ends_of_chords,
-    _families,
     _live,
     _readable,
     _shares,
@@ -19,7 +18,7 @@ from skat.diagnosis.causes import (
     _with_refitted,
     is_held,
 )
-from skat.diagnosis.evidence import Gram, Priors, Weighed, weigh
+from skat.diagnosis.evidence import Gram, Priors, Weighed, Weigher, weigh
 from skat.diagnosis.fitting import (
     Columns,
     _blocks,
@@ -38,7 +37,7 @@ from skat.diagnosis.fitting import (
 )
 from skat.diagnosis.noise import Noise
 from skat.diagnosis.posterior import CauseSet, Posterior
-from skat.diagnosis.search import Ranked
+from skat.diagnosis.search import Ranked, families_of, rivals_of, search
 from skat.diagnosis.statespace import state_space
 from skat.effects import Effect
 from skat.simulators import FunctionSimulator
@@ -146,11 +145,11 @@ def test_slopes_count_by_the_coordinate_of_the_search():
     space = pushed()
     fitted = settled(space, {}, None, np.zeros(1), turns=2)
     effects = (GAIN, SHIFT)
-    slopes = slopes_of(space, fitted, effects, priors_of(effects))
+    slopes = slopes_of(space, fitted, effects, priors_of(effects).scales)
     chord = (np.exp(0.01) - 1) / 0.01
     np.testing.assert_allclose(slopes[:, 0, 0], chord * space.X[:, 1], rtol=1e-6)
     np.testing.assert_allclose(slopes[:, 0, 1], 1.0, rtol=1e-6)
-    wide = slopes_of(space, fitted, effects, priors_of(effects), np.array([0.5, 0.0]))
+    wide = slopes_of(space, fitted, effects, priors_of(effects).scales, np.array([0.5, 0.0]))
     np.testing.assert_allclose(wide[:, 0, 0], (np.exp(0.5) - 1) / 0.5 * space.X[:, 1], rtol=1e-6)
     columns = gram_of(space, fitted, slopes, effects)
     assert columns.gram.origin.tolist() == [0.0, 0.0]
@@ -355,7 +354,7 @@ def test_families_are_of_targets_and_not_of_what_stands_for_all():
         Effect(name, unit="1", neutral=0.0, bounds=(-1.0, 1.0))
         for name in ("damping[all]", "damping[a]", "drag", "damping[b]", "mass[a]")
     ]
-    assert _families(effects) == {"damping": [1, 3], "mass": [4]}
+    assert families_of(effects) == {"damping": [1, 3], "mass": [4]}
 
 
 # -- the posterior ---------------------------------------------------------------------------------------------------
@@ -453,3 +452,35 @@ def test_draws_are_of_sets_by_their_probability_with_values_of_their_law(tmp_pat
     assert len(json.loads(posterior.to_randomization(path, force=True).read_text())["draws"]) == 100
     with pytest.raises(FileExistsError):
         posterior.to_randomization(path)
+
+
+def a_family(members, common):
+    """Return a weigher of a family's members and of all of it, its fifth effect, of responses of these sizes."""
+    N = np.zeros((400, 5))
+    for one in range(4):
+        N[100 * one : 100 * (one + 1), one] = 1.0
+    N[:, 4] = 1.0
+    z = N[:, :4] @ np.asarray(members, float) + common + np.random.default_rng(0).normal(size=400)
+    effects = [Effect(f"drag[{one}]", unit="1", neutral=0.0, bounds=(0, 50), typical=1.0) for one in "abcd"]
+    effects.append(Effect("drag[all]", unit="1", neutral=0.0, bounds=(0, 50), typical=1.0))
+    worth = Weigher(Gram(N.T @ N, N.T @ z, np.zeros(5)), priors_of(effects), rivals_of(effects))
+    return search(worth, families=families_of(effects)).sets[0].members, worth
+
+
+@pytest.mark.parametrize(
+    ("members", "common", "best"),
+    [((0, 0, 0, 0), 2.0, (4,)), ((1, 2, 3, 4), 0.0, (0, 1, 2, 3)), ((0, 3, 3, 3), 1.0, (0, 1, 2, 3))],
+)
+def test_all_of_a_family_is_apart_as_soon_as_its_members_differ(members, common, best):
+    found, worth = a_family(members, common)
+    assert found == best
+    assert all(worth.allows(one) for one in worth.seen)
+
+
+def test_what_stands_for_all_excludes_each_of_its_family():
+    effects = [
+        Effect(name, unit="1", neutral=0.0, bounds=(0, 1))
+        for name in ("drag[a]", "drag[all]", "delay[action]", "delay[a]", "wind[x]", "drag[b]")
+    ]
+    assert rivals_of(effects) == {1: [0, 5], 0: [1], 5: [1], 2: [3], 3: [2]}
+    assert families_of(effects) == {"drag": [0, 5], "delay": [3], "wind": [4]}

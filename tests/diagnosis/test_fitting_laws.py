@@ -90,7 +90,7 @@ def test_a_fit_without_a_member_is_that_of_the_others(fits):
 def test_what_effects_explain_is_no_noise(given):
     space, X, y = logged(200)
     fitted = settled(space, {}, None, np.zeros(1), given=given)
-    slopes = slopes_of(space, fitted, EFFECTS, priors_of(EFFECTS))
+    slopes = slopes_of(space, fitted, EFFECTS, priors_of(EFFECTS).scales)
     np.testing.assert_allclose(slopes[:, 0], X, atol=1e-9)
     moves = np.array([1.0, 0.0, -0.4])
     without = noise_without(space, fitted, slopes, moves, np.zeros(1), given=given)
@@ -107,7 +107,7 @@ def test_what_effects_explain_is_no_noise(given):
 def test_scores_are_of_whitened_rows_in_blocks_of_time():
     space, X, y = logged(120)
     fitted = settled(space, {}, None, np.zeros(1), given=np.array([SIGMA]))
-    columns = gram_of(space, fitted, slopes_of(space, fitted, EFFECTS, priors_of(EFFECTS)), EFFECTS)
+    columns = gram_of(space, fitted, slopes_of(space, fitted, EFFECTS, priors_of(EFFECTS).scales), EFFECTS)
     np.testing.assert_allclose(columns.columns, X / SIGMA, atol=1e-9)
     np.testing.assert_allclose(columns.whitened, y / SIGMA, rtol=1e-9)
     np.testing.assert_allclose(columns.gram.projections, X.T @ y / SIGMA**2, rtol=1e-9)

@@ -2,22 +2,21 @@
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from skat.diagnosis import search
 from skat.diagnosis.evidence import Priors
 from skat.diagnosis.filtering import Array
+from skat.diagnosis.forces.machines import MOTORS, UNSEEN, WEAKEST, Candidate, Model
 from skat.effects import Effect
 from skat.simulators import MujocoSimulator
 
 # Families that a machine does not change from one log to another, and those that forces do not show.
 FIXED = ("gravity", "tilt", "length", "wind", "air_drag", "position_friction", "inertia")
-UNSEEN = ("force_limit", "lag", "timestep", "backlash", "lag_torque", "payload")
-# Factors of what motors exert. They may do nothing, which errors may tell as less; the other way they turn by a sign.
-MOTORS, NEARLY_TURNED = ("gain", "kp"), -0.5
-# Of other factors, at least.
-WEAKEST = 0.2
+# Least factor of what motors exert: the other way they turn by a sign.
+NEARLY_TURNED = -0.5
 # Places along each side of a body at which a weight is tried; those that act alike are one: by the cosine between
 # what they exert, and by how much the larger may exert more.
 PLACES, ALIKE, AS_MUCH = 3, 0.9995, 0.1
@@ -25,63 +24,6 @@ PLACES, ALIKE, AS_MUCH = 3, 0.9995, 0.1
 FAINTEST = 1e-6
 # Rows by which commands may come later, or earlier, in the second log.
 LATER = (0.5, 1.0, 2.0, 3.0, 4.0)
-
-
-@dataclass(frozen=True)
-class Model:
-    """A model about which forces are taken.
-
-    Attributes
-    ----------
-    values : mapping from name of an effect to value
-        In the effects' units; neutral where not given.
-    late : float
-        Rows by which commands reach it late.
-    """
-
-    values: Mapping[str, float]
-    late: float = 0.0
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """A difference that is searched for: an effect, a weight at a place, or commands that come later.
-
-    Attributes
-    ----------
-    effect : Effect
-    odds : float
-        Of all that act as this one.
-    beside : mapping from name to value
-        Where a weight is, m.
-    late : float
-        Rows by which commands come later; 0 of all others.
-    """
-
-    effect: Effect
-    odds: float
-    beside: Mapping[str, float]
-    late: float = 0.0
-
-    @property
-    def is_factor(self) -> bool:
-        """Whether values are told as multiples."""
-        return self.effect.neutral == 1
-
-    def told(self, value: float) -> float:
-        """Return a difference, in the effect's unit, as it is told: of a factor, how many times what it was."""
-        return value + self.is_factor
-
-    def moved(self, model: Model, value: float, dt: float) -> Model | None:
-        """Return a model that has so much more of it, in the effect's unit; None if there is none. ``dt`` is in s."""
-        if self.late:
-            return replace(model, late=model.late + value / dt)
-        name = self.effect.name
-        new = model.values.get(name, self.effect.neutral) + value
-        low, high = self.effect.bounds
-        return (
-            replace(model, values={**model.values, **self.beside, name: new}) if low <= new <= high else None
-        )
 
 
 def units_of(candidates: Sequence[Candidate], base: Model) -> Array:
@@ -182,22 +124,10 @@ def distinct(offered: Sequence[Candidate], whitened: Array) -> tuple[list[Candid
 
 def rivals_of(candidates: Sequence[Candidate]) -> dict[int, list[int]]:
     """Return places of candidates that exclude that of each: of one effect, all of a family and each of it."""
-    rivals = _rivals_by_family([one.effect for one in candidates])
+    rivals = search.rivals_of([one.effect for one in candidates])
     for place, one in enumerate(candidates):
         same = [other for other, two in enumerate(candidates) if two.effect is one.effect and other != place]
         rivals.setdefault(place, []).extend(same)
-    return rivals
-
-
-def _rivals_by_family(effects: Sequence[Effect]) -> dict[int, list[int]]:
-    """Return for each effect those that are all of its family, or each of it."""
-    rivals: dict[int, list[int]] = {}
-    for every, effect in enumerate(effects):
-        if effect.target == "all":
-            for one, other in enumerate(effects):
-                if other.family == effect.family and one != every:
-                    rivals.setdefault(every, []).append(one)
-                    rivals.setdefault(one, []).append(every)
     return rivals
 
 

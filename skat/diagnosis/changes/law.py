@@ -5,18 +5,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skat.diagnosis.changes.force_space import Rows, joined, noise_of
 from skat.diagnosis.changes.windows import Windows
 from skat.diagnosis.filtering import Array
+from skat.diagnosis.forces.force_space import LEFT_AT_LEAST, NOISE_TURNS, Rows, joined, noise_of
 
 # Effects differ between windows by this share of their typical size, told as by so many windows.
 APART_AT_LEAST, PSEUDO = 0.1, 1.0
-# Turns of noise, and within each of what windows differ by.
-NOISE_TURNS, WINDOW_TURNS = 4, 5
+# Turns of what windows differ by, within each turn of noise.
+WINDOW_TURNS = 5
 # Of its typical size, by which an effect differs from window to window until the logs tell.
 BEGUN = 0.3
-# Of a row's square that is taken to be left at least: what a fit takes nearly all of tells no noise.
-LEFT_AT_LEAST = 0.1
 
 
 @dataclass(frozen=True)

@@ -6,21 +6,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from skat.diagnosis.changes.candidates import (
-    MOTORS,
-    UNSEEN,
-    WEAKEST,
-    Candidate,
-    Model,
-    distinct,
-    offered_candidates,
-    units_of,
-)
-from skat.diagnosis.changes.force_space import Rows, joined
+from skat.diagnosis.changes.candidates import distinct, offered_candidates, units_of
 from skat.diagnosis.changes.law import Law, settled_law, with_misfit
-from skat.diagnosis.changes.motions import Half, coefficients_of, columns_of, lacking_forces, rows_about
 from skat.diagnosis.changes.windows import Windows
 from skat.diagnosis.filtering import Array, Mask
+from skat.diagnosis.forces.force_space import Rows, joined
+from skat.diagnosis.forces.machines import MOTORS, UNSEEN, WEAKEST, Candidate, Model
+from skat.diagnosis.forces.motions import (
+    SHOWN,
+    Half,
+    coefficients_of,
+    columns_of,
+    lacking_forces,
+    rows_about,
+    shares_of,
+    with_friction,
+)
 from skat.effects import Effect
 from skat.simulators import MujocoSimulator
 
@@ -30,8 +31,6 @@ LATE_IN_BOTH = tuple(0.25 * one for one in range(-4, 33))
 MOST = 0.5
 # Turns of the machines about which forces are linear, and of what is wrong in both logs or was found to differ.
 TURNS = 3
-# Of the force on a joint, that a typical size of an effect exerts at least if logs show it: below, there is rounding.
-SHOWN = 1e-9
 
 
 @dataclass(frozen=True)
@@ -152,7 +151,7 @@ def question_of(
     common = [effect for effect in seen if effect.target != "all"]
     sizes = np.array([typical.get(effect.name, effect.typical) for effect in common])
     sides = [rows_about(simulator, half, Model({}), common, sizes) for half in halves]
-    shares = _shares(joined(sides))
+    shares = shares_of(joined(sides))
     shown = np.flatnonzero(shares > SHOWN)
     common, sizes, shares = [common[place] for place in shown], sizes[shown], shares[shown]
     units = np.array(
@@ -163,7 +162,7 @@ def question_of(
     )
     sizes = sizes * units
     sides = [replace(side, columns=side.columns[:, shown] * units) for side in sides]
-    sides = [_with_friction(simulator, *one, common, sizes) for one in zip(halves, sides)]
+    sides = [with_friction(simulator, *one, common, sizes) for one in zip(halves, sides)]
     bases = _bases(simulator, halves, sides, common, sizes, needed)
     base, machine, sides, law = _about_machines(simulator, halves, *bases, common, sizes)
     offered, scales = offered_candidates(simulator, effects, common, sizes, typical)
@@ -216,27 +215,6 @@ def _about_machines(
             model_about(base, effects, sizes, law.second),
         )
     return base, machines[1], rows[:2], with_misfit(own, law)
-
-
-def _shares(rows: Rows) -> Array:
-    """Return what a typical size of each effect exerts, over the force on the joint that feels it most."""
-    joints = [rows.joint == joint for joint in np.unique(rows.joint)]
-    exerted = np.array([np.sqrt(np.mean(rows.columns[own] ** 2, axis=0)) for own in joints])
-    there = np.array([np.sqrt(np.mean(rows.nominal[own] ** 2)) for own in joints])
-    return np.asarray(np.max(exerted / np.maximum(there, 1e-300)[:, None], axis=0))
-
-
-def _with_friction(
-    simulator: MujocoSimulator, half: Half, rows: Rows, effects: Sequence[Effect], sizes: Array
-) -> Rows:
-    """Return rows about no dry friction with columns of what a typical size of it exerts: a slope tells another law."""
-    dry = [place for place, effect in enumerate(effects) if effect.family == "dry_friction"]
-    if not dry:
-        return rows
-    columns = rows.columns.copy()
-    candidates = [Candidate(effects[place], 1.0, {}) for place in dry]
-    columns[:, dry] = columns_of(simulator, half, Model({}), candidates, sizes[dry], share=1.0)
-    return replace(rows, columns=columns)
 
 
 def _bases(

@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skat.diagnosis.changes.candidates import Candidate
-from skat.diagnosis.changes.force_space import joined
 from skat.diagnosis.changes.question import Question
 from skat.diagnosis.evidence import SwiftWeigher, Weighed
 from skat.diagnosis.filtering import Array, Mask
 from skat.diagnosis.findings import Alias, Cause, Gain
+from skat.diagnosis.forces.force_space import joined
+from skat.diagnosis.forces.machines import Candidate
 from skat.diagnosis.prediction import FEWEST_PIECES
 from skat.diagnosis.search import ALIAS_FACTOR, alternatives
 from skat.simulators import MujocoSimulator

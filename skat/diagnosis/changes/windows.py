@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skat.diagnosis.changes.force_space import Rows
 from skat.diagnosis.filtering import Array
+from skat.diagnosis.forces.force_space import Rows
 
 
 @dataclass(frozen=True)

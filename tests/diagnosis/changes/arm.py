@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from skat.diagnosis.changes.candidates import Model
 from skat.diagnosis.changes.law import settled_law, with_misfit
-from skat.diagnosis.changes.motions import columns_of, half_of, rows_about
 from skat.diagnosis.changes.question import Question
+from skat.diagnosis.forces.machines import Model
+from skat.diagnosis.forces.motions import columns_of, half_of, rows_about
 from skat.simulators import MujocoSimulator
-from tests.diagnosis.changes.test_force_space import ARM
+from tests.diagnosis.forces.test_force_space import ARM
 
 
 def arm():

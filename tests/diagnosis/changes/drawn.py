@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from skat.diagnosis.changes.candidates import Candidate, Model
-from skat.diagnosis.changes.force_space import Rows
 from skat.diagnosis.changes.law import Law
 from skat.diagnosis.changes.question import Question
+from skat.diagnosis.forces.force_space import Rows
+from skat.diagnosis.forces.machines import Candidate, Model
 from tests.diagnosis.changes.arm import effect_of
 
 K, M = 2, 3

@@ -8,15 +8,13 @@ import pytest
 from skat.diagnosis.changes.candidates import (
     LATER,
     NEARLY_TURNED,
-    WEAKEST,
-    Candidate,
-    Model,
     distinct,
     offered_candidates,
     priors_of,
     rivals_of,
     units_of,
 )
+from skat.diagnosis.forces.machines import WEAKEST, Candidate, Model
 from tests.diagnosis.changes.arm import arm, effect_of
 
 

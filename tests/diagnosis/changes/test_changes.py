@@ -5,10 +5,10 @@ import pytest
 
 from skat.diagnosis import SimulationDiagnosis
 from skat.diagnosis.changes.candidates import LATER, _between
-from skat.diagnosis.changes.motions import _later
 from skat.diagnosis.changes.question import Question
+from skat.diagnosis.forces.motions import _later
 from skat.simulators import FunctionSimulator, MujocoSimulator
-from tests.diagnosis.changes.test_force_space import ARM, log_of
+from tests.diagnosis.forces.test_force_space import ARM, log_of
 
 WRONG = {"friction": (0.12, 0.06), "damping": (0.1, 0.05), "mass": 1.15}
 

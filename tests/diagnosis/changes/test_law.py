@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skat.diagnosis.changes.force_space import Rows, joined
 from skat.diagnosis.changes.law import Law, settled_law, with_misfit
+from skat.diagnosis.forces.force_space import Rows, joined
 
 VALUE, SPREAD, NOISE = np.array([2.0, -0.5, 0.1]), np.array([0.8, 0.4, 0.0]) ** 2, np.array([0.5, 2.0])
 

@@ -5,7 +5,7 @@ import pytest
 
 from skat.diagnosis.changes.mixups import mistake_of
 from tests.diagnosis.changes.arm import arm, question_about
-from tests.diagnosis.changes.test_force_space import log_of
+from tests.diagnosis.forces.test_force_space import log_of
 
 RIGHT = {"friction": (0.0, 0.0), "damping": (0.0, 0.0)}
 DAMPING = ("damping[shoulder]", "damping[elbow]")

@@ -5,26 +5,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skat.diagnosis.changes.candidates import WEAKEST, Candidate, Model
-from skat.diagnosis.changes.force_space import Rows
-from skat.diagnosis.changes.motions import (
+from skat.diagnosis.changes.question import (
+    _bases,
+    _held_out,
+    model_about,
+    question_of,
+)
+from skat.diagnosis.forces.force_space import Rows
+from skat.diagnosis.forces.machines import WEAKEST, Candidate, Model
+from skat.diagnosis.forces.motions import (
     _later,
     coefficients_of,
     columns_of,
     half_of,
     lacking_forces,
     rows_about,
-)
-from skat.diagnosis.changes.question import (
-    _bases,
-    _held_out,
-    _shares,
-    _with_friction,
-    model_about,
-    question_of,
+    shares_of,
+    with_friction,
 )
 from tests.diagnosis.changes.arm import arm, effect_of, question_about
-from tests.diagnosis.changes.test_force_space import log_of
+from tests.diagnosis.forces.test_force_space import log_of
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def test_an_effect_exerts_its_share_of_the_joint_that_feels_it_most():
     rows = rows_of(
         [[3.0, 0.0], [4.0, 1.0], [6.0, 1.0], [8.0, 0.0]], [0, 0, 1, 1], nominal=[5.0, 5.0, 50.0, 0.0]
     )
-    np.testing.assert_allclose(_shares(rows), [0.5**0.5, 0.02**0.5])
+    np.testing.assert_allclose(shares_of(rows), [0.5**0.5, 0.02**0.5])
 
 
 def later_by(half, late):
@@ -62,7 +62,7 @@ def bases_of(simulator, lates, *, needed, names=WHOLE, **truth):
     ]
     effects, sizes = [effect_of(simulator, name) for name in names], np.full(len(names), 0.3)
     sides = [rows_about(simulator, half, Model({}), effects, sizes) for half in halves]
-    sides = [_with_friction(simulator, *one, effects, sizes) for one in zip(halves, sides, strict=True)]
+    sides = [with_friction(simulator, *one, effects, sizes) for one in zip(halves, sides, strict=True)]
     return _bases(simulator, halves, sides, effects, sizes, needed)
 
 
@@ -100,7 +100,7 @@ def test_columns_of_dry_friction_are_all_that_a_typical_size_of_it_exerts(simula
     half = half_of(simulator, log_of(4, rows=600), "log")
     effects = [effect_of(simulator, name) for name in ("damping[elbow]", "dry_friction[elbow]")]
     rows = rows_about(simulator, half, Model({}), effects, np.array([0.3, 0.2]))
-    found = _with_friction(simulator, half, rows, effects, np.array([0.3, 0.2])).columns
+    found = with_friction(simulator, half, rows, effects, np.array([0.3, 0.2])).columns
     models = [Model({}), Model({"dry_friction[elbow]": 0.2})]
     whole = coefficients_of(half, lacking_forces(simulator, half, models))[0]
     np.testing.assert_allclose(found[:, 1], whole[:, 0] - whole[:, 1], atol=1e-9)
@@ -111,7 +111,7 @@ def test_columns_are_as_they_are_where_no_dry_friction_is_asked_about(simulator)
     half = half_of(simulator, log_of(4, rows=600), "log")
     effects, sizes = [effect_of(simulator, "damping[elbow]")], np.array([0.3])
     rows = rows_about(simulator, half, Model({}), effects, sizes)
-    found = _with_friction(simulator, half, rows, effects, sizes)
+    found = with_friction(simulator, half, rows, effects, sizes)
     np.testing.assert_array_equal(found.columns, rows.columns)
 
 
@@ -134,7 +134,7 @@ def test_columns_are_in_units_of_what_typically_is_exerted(simulator):
         np.r_[first.joint, second.joint],
         nominal=np.r_[first.nominal, second.nominal],
     )
-    assert _shares(both)[0] == pytest.approx(effects[0].force_share, rel=1e-6)
+    assert shares_of(both)[0] == pytest.approx(effects[0].force_share, rel=1e-6)
     # Forces on both joints, and the speed of the one that was measured: a scale of speeds shows there alone.
     assert question.law.alike.shape == (3, 4)
     np.testing.assert_array_equal(question.law.alike[2] > 0, [False, False, False, True])

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from skat.diagnosis.changes import find_changes
-from skat.diagnosis.changes.candidates import Candidate, Model
 from skat.diagnosis.changes.search import _at_bounds, _common, _impossible, _logs, _named
 from skat.diagnosis.changes.strengths import LEAST, STRENGTHS, OverStrengths
 from skat.diagnosis.evidence import WIDTH_95, Priors, Weighed
 from skat.diagnosis.findings import Gain
+from skat.diagnosis.forces.machines import Candidate, Model
 from tests.diagnosis.changes.arm import arm, effect_of
 from tests.diagnosis.changes.drawn import ALIKE, WEIGHTS, M, dense, question_of_rows
-from tests.diagnosis.changes.test_force_space import log_of
+from tests.diagnosis.forces.test_force_space import log_of
 
 
 @pytest.fixture(scope="module")

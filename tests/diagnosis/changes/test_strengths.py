@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from skat.diagnosis.changes.candidates import Candidate, Model
-from skat.diagnosis.changes.force_space import Rows
 from skat.diagnosis.changes.law import Law, with_misfit
 from skat.diagnosis.changes.question import Question
 from skat.diagnosis.changes.search import _logs, _named
 from skat.diagnosis.changes.strengths import BEYOND, LEAST, STRENGTHS, OverStrengths, log_sum, prior
 from skat.diagnosis.evidence import Gram, Priors, SwiftWeigher, Weigher
+from skat.diagnosis.forces.force_space import Rows
+from skat.diagnosis.forces.machines import Candidate, Model
 from tests.diagnosis.changes.arm import arm, effect_of
 from tests.diagnosis.changes.drawn import ALIKE, WEIGHTS, M, dense, question_of_rows
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from skat.diagnosis.changes.candidates import Candidate, Model
-from skat.diagnosis.changes.force_space import Rows
 from skat.diagnosis.changes.law import Law
 from skat.diagnosis.changes.question import Question
 from skat.diagnosis.changes.telling import causes_of, gain_of, sizes_of
 from skat.diagnosis.evidence import Gram, Priors, SwiftWeigher
+from skat.diagnosis.forces.force_space import Rows
+from skat.diagnosis.forces.machines import Candidate, Model
 from tests.diagnosis.changes.arm import arm, effect_of
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from skat.diagnosis.changes.force_space import Rows
 from skat.diagnosis.changes.windows import Quadratic, Windows
+from skat.diagnosis.forces.force_space import Rows
 
 SPREAD = np.array([0.3, 2.0])
 

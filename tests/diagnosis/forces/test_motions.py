@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from skat.diagnosis.changes.candidates import WEAKEST, Candidate, Model
-from skat.diagnosis.changes.motions import (
+from skat.diagnosis.forces.machines import WEAKEST, Candidate, Model
+from skat.diagnosis.forces.motions import (
     coefficients_of,
     columns_of,
     driven,
@@ -16,7 +16,7 @@ from skat.diagnosis.changes.motions import (
     rows_about,
 )
 from tests.diagnosis.changes.arm import arm, effect_of
-from tests.diagnosis.changes.test_force_space import ARM, JOINTS, log_of
+from tests.diagnosis.forces.test_force_space import ARM, JOINTS, log_of
 
 DT = 0.01
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from skat.diagnosis.changes.candidates import MOTORS, WEAKEST, Candidate, Model
-from skat.diagnosis.changes.force_space import Motion, Rows, smooth_motion, transformed
 from skat.diagnosis.filtering import Array
+from skat.diagnosis.forces.force_space import Motion, Rows, smooth_motion, transformed
+from skat.diagnosis.forces.machines import MOTORS, WEAKEST, Candidate, Model
 from skat.effects import Effect
 from skat.simulators import MujocoSimulator
 
@@ -21,6 +21,8 @@ WINDOWS, LONGEST = 8, 2.0
 STEP = 0.01
 # An acceleration, rad/s^2 or m/s^2, beside whose force all friction is as nothing.
 FAST = 1e8
+# Of the force on a joint, that a typical size of an effect exerts at least if logs show it: below, there is rounding.
+SHOWN = 1e-9
 
 
 @dataclass(frozen=True)
@@ -180,6 +182,27 @@ def columns_of(
             gain = np.copysign(max(abs(gain), WEAKEST), gain)
             column += np.any(column, axis=0) * left * scale / gain
     return coefficients_of(half, np.concatenate([forces[:1], columns]))[0][:, 1:]
+
+
+def shares_of(rows: Rows) -> Array:
+    """Return what a typical size of each effect exerts, over the force on the joint that feels it most."""
+    joints = [rows.joint == joint for joint in np.unique(rows.joint)]
+    exerted = np.array([np.sqrt(np.mean(rows.columns[own] ** 2, axis=0)) for own in joints])
+    there = np.array([np.sqrt(np.mean(rows.nominal[own] ** 2)) for own in joints])
+    return np.asarray(np.max(exerted / np.maximum(there, 1e-300)[:, None], axis=0))
+
+
+def with_friction(
+    simulator: MujocoSimulator, half: Half, rows: Rows, effects: Sequence[Effect], sizes: Array
+) -> Rows:
+    """Return rows about no dry friction with columns of what a typical size of it exerts: a slope tells another law."""
+    dry = [place for place, effect in enumerate(effects) if effect.family == "dry_friction"]
+    if not dry:
+        return rows
+    columns = rows.columns.copy()
+    candidates = [Candidate(effects[place], 1.0, {}) for place in dry]
+    columns[:, dry] = columns_of(simulator, half, Model({}), candidates, sizes[dry], share=1.0)
+    return replace(rows, columns=columns)
 
 
 def _steps(

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct
 
-from skat.diagnosis.changes.smoothing import smooth_coordinate
 from skat.diagnosis.filtering import Array, Mask
+from skat.diagnosis.forces.smoothing import smooth_coordinate
 from skat.simulators import MujocoSimulator
 
 # Of a motion, that the smoother must keep up to the highest frequency that is compared.
@@ -41,6 +41,9 @@ MOST_BLOCKS = 6000
 FEWEST_FOR_CURVES, DRIFT = 40, 0.02
 # Of the missing force: smoothed motions and commands that hold for a row tell none of it better.
 INEXACT = 0.03
+# Turns of noise, white and then not, and of what effects explain; and the share of a row's square that is taken to be
+# left at least: what a fit takes nearly all of tells no noise.
+NOISE_TURNS, LEFT_AT_LEAST = 4, 0.1
 
 
 @dataclass(frozen=True)
@@ -250,6 +253,19 @@ def noise_of(rows: Rows, squares: Array, *, flat: bool = False) -> Array:
     """
     inexact = INEXACT**2 * smooth_squares(rows, rows.nominal**2)
     return np.sqrt(np.maximum(smooth_squares(rows, squares, flat=flat), inexact))
+
+
+def noise_beside(rows: Rows) -> Array:
+    """Return the deviation of each row's noise where all effects act, each held by a normal law of its unit."""
+    noise = noise_of(rows, rows.target**2, flat=True)
+    for turn in range(2 * NOISE_TURNS):
+        target, columns = rows.whitened(noise)
+        law = np.linalg.inv(columns.T @ columns + np.eye(columns.shape[1]))
+        left = target - columns @ (law @ (columns.T @ target))
+        lever = np.sum((columns @ law) * columns, axis=1)
+        squares = (left * noise) ** 2 / np.maximum(1 - lever, LEFT_AT_LEAST)
+        noise = noise_of(rows, squares, flat=turn < NOISE_TURNS)
+    return noise
 
 
 def smooth_squares(rows: Rows, squares: Array, *, flat: bool = False) -> Array:

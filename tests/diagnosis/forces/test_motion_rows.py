@@ -5,8 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from skat.diagnosis.changes import force_space
-from skat.diagnosis.changes.force_space import (
+from skat.diagnosis.changes.mixups import _mixed_up
+from skat.diagnosis.forces import force_space
+from skat.diagnosis.forces.force_space import (
     KEPT,
     MOTION,
     Motion,
@@ -18,9 +19,8 @@ from skat.diagnosis.changes.force_space import (
     smooth_motion,
     transformed,
 )
-from skat.diagnosis.changes.mixups import _mixed_up
-from skat.diagnosis.changes.motions import Half
-from skat.diagnosis.changes.smoothing import smooth_coordinate
+from skat.diagnosis.forces.motions import Half
+from skat.diagnosis.forces.smoothing import smooth_coordinate
 
 DT = 0.01
 

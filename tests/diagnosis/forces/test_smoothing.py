@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from skat.diagnosis.changes.smoothing import STEP, TRANSITION, Smooth, _posterior, smooth_coordinate
+from skat.diagnosis.forces.smoothing import STEP, TRANSITION, Smooth, _posterior, smooth_coordinate
 
 DT = 0.02
 PUSHES = np.linalg.inv(STEP)

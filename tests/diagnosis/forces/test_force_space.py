@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from skat.diagnosis.changes import find_changes
-from skat.diagnosis.changes.force_space import Rows, noise_of, smooth_squares
-from skat.diagnosis.changes.smoothing import smooth_coordinate
 from skat.diagnosis.evidence import Gram, Priors, SwiftWeigher, weigh
+from skat.diagnosis.forces.force_space import Rows, noise_of, smooth_squares
+from skat.diagnosis.forces.smoothing import smooth_coordinate
 from skat.diagnosis.search import alternatives, search_sets
 from skat.simulators import MujocoSimulator
 

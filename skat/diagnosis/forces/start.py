@@ -1,0 +1,105 @@
+"""Where a search begins: sets of causes in the forces that joints lack."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skat.diagnosis.evidence import Gram, Weigher
+from skat.diagnosis.fitting import priors_of
+from skat.diagnosis.forces.force_space import noise_beside
+from skat.diagnosis.forces.machines import UNSEEN, Model
+from skat.diagnosis.forces.motions import SHOWN, Log, half_of, rows_about, shares_of, with_friction
+from skat.diagnosis.search import families_of, rivals_of, search, without_weak
+from skat.effects import Effect
+from skat.simulators import MujocoSimulator, Simulator
+
+
+@dataclass(frozen=True)
+class Start:
+    """What missing forces ask for.
+
+    Attributes
+    ----------
+    values : mapping from name to value
+        Of effects, in their units.
+    sizes : mapping from name to size
+        Of effects that add a force: as much of it as is typical beside the forces that act in the log.
+    """
+
+    values: Mapping[str, float]
+    sizes: Mapping[str, float]
+
+
+NOWHERE = Start({}, {})
+
+
+def start_in_forces(
+    simulator: Simulator,
+    log: Log,
+    effects: Sequence[Effect],
+    *,
+    typical: Mapping[str, float] | None = None,
+    needed: float,
+) -> Start:
+    """Return what a log's missing forces ask for, nothing where no force can be told.
+
+    Far from the truth a simulation of the next row misleads: a light wrist without its friction accelerates by
+    thousands of rad/s^2, and the cheapest way to explain that it does not is a motor that does nothing. The force that
+    inverse dynamics lack is linear in friction, damping, armature and gains, however much of them there is [1]_.
+
+    Parameters
+    ----------
+    simulator : Simulator
+    log : tuple of (X, y, groups)
+        NaN in states where nothing was measured. Rows of a group follow each other in time.
+    effects : sequence of Effect
+    typical : mapping from name to size, optional
+        Scales of the priors of a user's own.
+    needed : float
+        Nats that each of the values is worth beside the others at least.
+
+    Returns
+    -------
+    Start
+
+    References
+    ----------
+    .. [1] Gautier (1997). Dynamic identification of robots with power model. ICRA.
+    """
+    typical = typical or {}
+    effects = [effect for effect in effects if effect.family not in UNSEEN]
+    if not isinstance(simulator, MujocoSimulator) or not effects:
+        return NOWHERE
+    try:
+        half = half_of(simulator, log, "")
+    except ValueError:  # contacts, pieces that are too short, a free joint: where to begin is not known
+        return NOWHERE
+    model = Model({})
+    sizes = priors_of(effects, typical, logarithmic=False).scales
+    rows = rows_about(simulator, half, model, effects, sizes)
+    shares = shares_of(rows)
+    # What is typical of a drive may be far from what acts in this log.
+    units = np.array(
+        [
+            1.0
+            if effect.name in typical or effect.force_share is None or share <= SHOWN
+            else effect.force_share / share
+            for effect, share in zip(effects, shares)
+        ]
+    )
+    sizes = sizes * units
+    rows = with_friction(simulator, half, replace(rows, columns=rows.columns * units), effects, sizes)
+    target, columns = rows.whitened(noise_beside(rows))
+    # In units of the sizes.
+    priors = priors_of(effects, dict(zip([effect.name for effect in effects], sizes)), logarithmic=False)
+    priors = replace(priors, scales=np.ones(len(sizes)), low=priors.low / sizes, high=priors.high / sizes)
+    gram = Gram(columns.T @ columns, columns.T @ target, np.zeros(len(sizes)))
+    worth = Weigher(gram, priors, rivals_of(effects))
+    best, _ = without_weak(search(worth, families=families_of(effects)).sets[0], worth, needed)
+    values = {
+        effects[one].name: float(np.clip(effects[one].neutral + sizes[one] * value, *effects[one].bounds))
+        for one, value in zip(best.members, best.values)
+    }
+    told = np.flatnonzero(units != 1)
+    return Start(values, {effects[one].name: float(sizes[one]) for one in told})

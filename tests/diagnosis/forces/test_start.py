@@ -1,0 +1,67 @@
+"""Where a search begins: missing forces name what joints lack, at first sight, and nothing of a right model."""
+
+import numpy as np
+import pytest
+
+from skat.diagnosis.forces.start import start_in_forces
+from skat.simulators import FunctionSimulator, MujocoSimulator
+from tests.diagnosis.forces.test_force_space import ARM, JOINTS, log_of
+
+FRICTION, DAMPING = (0.12, 0.05), (0.08, 0.03)
+
+
+@pytest.fixture(scope="module")
+def simulator():
+    return MujocoSimulator(ARM, frame_skip=5)
+
+
+def started(simulator, log, **options):
+    return start_in_forces(simulator, log, simulator.effects(), needed=-np.log(0.01), **options).values
+
+
+def test_all_that_the_joints_lack_is_found_at_once(simulator):
+    start = started(simulator, log_of(0, friction=FRICTION, damping=DAMPING, noise=0.0005))
+    for family, truth in (("dry_friction", FRICTION), ("damping", DAMPING)):
+        for joint, value in zip(JOINTS, truth):
+            assert start[f"{family}[{joint}]"] == pytest.approx(value, rel=0.3)
+
+
+def test_sizes_are_those_of_the_forces_that_act(simulator):
+    log = log_of(1, damping=DAMPING)
+    sizes = start_in_forces(simulator, log, simulator.effects(), needed=4.6).sizes
+    known = {effect.name: effect for effect in simulator.effects()}
+    assert {known[name].force_share for name in sizes} == {0.3}
+    # .3 of the force that the elbow lacks, which damping makes of its speed.
+    lacking = np.sqrt(np.mean((DAMPING[1] * log[0][:, 3]) ** 2))
+    assert sizes["dry_friction[elbow]"] == pytest.approx(0.3 * lacking, rel=0.5)
+
+
+def test_of_members_that_differ_each_is_named_and_not_all(simulator):
+    start = started(simulator, log_of(2, damping=(0.3, 0.03), noise=0.0005))
+    assert "damping[all]" not in start
+    assert {"damping[shoulder]", "damping[elbow]"} <= set(start)
+
+
+def test_a_typical_size_of_a_user_s_own_holds_a_value(simulator):
+    log = log_of(3, damping=(0.1, 0.0), noise=0.0005)
+    assert "damping[shoulder]" in started(simulator, log)
+    held = started(simulator, log, typical={"damping[shoulder]": 1e-6, "damping[all]": 1e-6})
+    assert held.get("damping[shoulder]", 0.0) < 0.05
+
+
+def test_where_no_force_can_be_told_there_is_no_start(simulator):
+    X, y, groups = log_of(4, friction=FRICTION)
+    assert started(simulator, (X, y, np.arange(len(X)) // 5)) == {}
+    unread = X.copy()
+    unread[:, 0] = np.nan
+    later = y.copy()
+    later[:, 0] = np.nan
+    assert started(simulator, (unread, later, groups)) == {}
+    function = FunctionSimulator(
+        lambda X: X[:, :4],
+        input_names=(*simulator.state_names, "a", "b"),
+        output_names=simulator.state_names,
+        state_names=simulator.state_names,
+        dt=0.01,
+    )
+    assert start_in_forces(function, (X, y, groups), function.effects(), needed=4.6).values == {}
