@@ -363,7 +363,9 @@ def test_what_is_also_seen_has_a_value_and_an_interval_around_it():
     diagnosis = copy.copy(fitted())
     diagnosis._found = SimpleNamespace(**vars(diagnosis._found) | {"values": {}})
     diagnosis.causes_, diagnosis.also_seen_ = [], {"damping": 0.6}
-    (one,) = type(diagnosis.report_)(diagnosis, diagnosis.report_.log).content.also_seen
+    report = type(diagnosis.report_)(diagnosis, diagnosis.report_.log)
+    (one,) = report.content.also_seen
+    assert "Also seen" in report.html(figures=False)
     assert one.interval[0] < 0.6 < one.interval[1]
     np.testing.assert_allclose(one.interval, fitted().causes_[0].interval, rtol=0.05)
 
