@@ -13,7 +13,7 @@ from skat._compat import (
     is_numpy_namespace,
     supported_float_dtypes,
 )
-from skat.gaussian.moments import Moments, SideBySide, row_moments
+from skat.gaussian.moments import Moments, SideBySide, held_well, row_moments
 
 __all__ = ["apply_map", "beside", "is_dask", "moments_of", "on_host", "to_namespace"]
 
@@ -109,7 +109,12 @@ def to_namespace(array: Any, like: Any) -> Any:
     xp, _, device = get_namespace_and_device(like)
     if is_numpy_namespace(xp):
         return array
-    return xp.asarray(array.astype(str(_widest(xp, device)).rpartition(".")[2]), device=device)
+    return xp.asarray(array.astype(_name(_widest(xp, device))), device=device)
+
+
+def _name(dtype: Any) -> str:
+    """Return a type's name in NumPy, whichever library's it is."""
+    return str(dtype).rpartition(".")[2]
 
 
 def _eager_moments(rows: Any, weight: Any) -> Any:
@@ -129,9 +134,9 @@ def _widest(xp: Any, device: Any) -> Any:
 
 
 def _device_moments(rows: Any, weight: Any, xp: Any, device: Any) -> Any:
-    """Return moments computed on the rows' own device, with a factor by QR there."""
+    """Return moments computed on the rows' own device: by a product of the rows, by QR where that loses digits."""
     dtype, eps = _widest(xp, device), float(xp.finfo(rows.dtype).eps)
-    rows = xp.astype(rows, dtype)
+    rows = xp.astype(rows, dtype, copy=False)
     n_rows, heaviest = rows.shape[0], 0
     if weight is None:
         total = squared = float(n_rows)
@@ -142,6 +147,10 @@ def _device_moments(rows: Any, weight: Any, xp: Any, device: Any) -> Any:
         n_rows, heaviest = int(np.count_nonzero(host_weight)), int(np.argmax(host_weight))
         total, squared = float(host_weight.sum()), float(host_weight @ host_weight)
         weight = xp.asarray(weight, dtype=dtype, device=device)
+
+    def host(array: Any) -> Any:
+        return np.asarray(convert_to_numpy(array, xp), dtype=np.float64)
+
     # A row without weight may be anywhere, and would take the digits of the others.
     shift = rows[heaviest, :]
     shifted = rows - shift
@@ -149,28 +158,41 @@ def _device_moments(rows: Any, weight: Any, xp: Any, device: Any) -> Any:
     shifted = shifted - offset
     if weight is not None:
         shifted = xp.sqrt(weight)[:, None] * shifted
-    if shifted.shape[0] > shifted.shape[1]:
-        shifted = xp.linalg.qr(shifted, mode="reduced")[1]
-    factor = np.asarray(convert_to_numpy(shifted, xp), dtype=np.float64)
-    shift, offset = (np.asarray(convert_to_numpy(part, xp), dtype=np.float64) for part in (shift, offset))
-    mean = shift + offset
-    return Moments(n_rows, total, squared, mean, offset - (mean - shift), factor=factor, eps=eps)
+    host_shift, host_offset = host(shift), host(offset)
+    mean = host_shift + host_offset
+    remainder = host_offset - (mean - host_shift)
+    if shifted.shape[0] <= shifted.shape[1]:
+        return Moments(n_rows, total, squared, mean, remainder, factor=host(shifted), eps=eps)
+
+    def row_factor() -> Any:
+        return host(xp.linalg.qr(shifted, mode="reduced")[1])
+
+    if dtype != xp.float64:
+        return Moments(n_rows, total, squared, mean, remainder, factor=row_factor(), eps=eps)
+    scatter = host(shifted.T @ shifted)
+    return held_well(Moments(n_rows, total, squared, mean, remainder, scatter, eps=eps), row_factor)
 
 
 def _apply_on_device(affine: Any, X: Any, keep: Any, check: Any, xp: Any, device: Any) -> Any:
-    dtype = _widest(xp, device)
+    working = X.dtype if affine.is_tame else _widest(xp, device)
+    rows = xp.astype(X, working, copy=False)
     coef, source_mean, target_mean = (
-        to_namespace(part, X) for part in (affine.coef, affine.source_mean, affine.target_mean)
+        xp.asarray(part, device=device) for part in affine.rounded(_name(working))
     )
-    carried = (xp.astype(X, dtype) - source_mean) @ coef.T + target_mean
+    carried = (rows - source_mean) @ coef.T + target_mean
     if affine.untouched is not None:
         untouched = xp.asarray(affine.untouched, device=device)[None, :]
-        carried = xp.where(untouched, xp.astype(X, dtype), carried)
+        carried = xp.where(untouched, rows, carried)
     if keep is not None:
-        carried = xp.where(xp.asarray(keep, device=device)[:, None], xp.astype(X, dtype), carried)
-    if check is not None and not bool(xp.all(xp.isfinite(carried))):
+        carried = xp.where(xp.asarray(keep, device=device)[:, None], rows, carried)
+    # NaN or infinity in a row reaches its image, and so the sum of all.
+    if (
+        check is not None
+        and not bool(xp.isfinite(xp.sum(carried)))
+        and not bool(xp.all(xp.isfinite(carried)))
+    ):
         check(convert_to_numpy(X, xp))
-    return xp.astype(carried, X.dtype)
+    return xp.astype(carried, X.dtype, copy=False)
 
 
 def _lazy_moments(X: Any, weight: Any) -> Any:

@@ -117,6 +117,15 @@ class AffineMap:
         carried = np.square(self.coef @ source.covariance_factor.T).sum(axis=1)
         return replace(self, is_tame=bool((terms <= MOST_CANCELLED * carried).all()))
 
+    def rounded(self, dtype: Any) -> tuple[Any, Any, Any]:
+        """Return `coef`, `source_mean` and `target_mean` in a floating type.
+
+        What rounding took from the source's mean is the same for all rows, and goes into the target's.
+        """
+        source_mean = self.source_mean.astype(dtype)
+        target_mean = self.target_mean - self.coef @ (self.source_mean - source_mean)
+        return self.coef.astype(dtype), source_mean, target_mean.astype(dtype)
+
     def __getstate__(self) -> dict[str, Any]:
         # The optimal map is symmetric in the units that it was found in: half the numbers do.
         found = self.coef if self.unscaled is None else self.unscaled
@@ -148,10 +157,8 @@ class AffineMap:
         carried = np.empty(rows.shape, dtype=rows.dtype if rows.dtype == np.float32 else np.float64)
         working = np.float32 if self.is_tame and carried.dtype == np.float32 else np.float64
         size = max(BLOCK_ELEMENTS // rows.shape[1], 256)
-        transposed = np.ascontiguousarray(self.coef.T, dtype=working)
-        source_mean = self.source_mean.astype(working)
-        # What rounding took from the mean is the same for all rows.
-        target_mean = (self.target_mean - self.coef @ (self.source_mean - source_mean)).astype(working)
+        coef, source_mean, target_mean = self.rounded(working)
+        transposed = np.ascontiguousarray(coef.T)
 
         def carry(starts: Any) -> None:
             buffer = np.empty((min(size, len(rows)), rows.shape[1]), dtype=working)

@@ -1,5 +1,6 @@
 """Mean and covariance of weighted rows: accurate, mergeable, and computed without a centred copy."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, Self
@@ -8,7 +9,7 @@ import numpy as np
 from scipy.linalg import lapack
 from scipy.sparse.linalg import LinearOperator, eigsh
 
-__all__ = ["Moments", "SideBySide", "row_moments", "triangle"]
+__all__ = ["Moments", "SideBySide", "held_well", "row_moments", "triangle"]
 
 # A product X'X squares the condition of X. Beyond this condition of the correlation matrix it costs more than
 # about ten digits of the smallest direction, and the rows go through QR instead.
@@ -300,15 +301,31 @@ def row_moments(rows: Any, weight: Any = None) -> Any:
             shift = shift + offset
             scatter, offset = _scatter_about(rows, weight, shift)
         mean, remainder = _sum_with_remainder(shift, offset)
-        held, factor = {"scatter": scatter}, None
-        if np.isfinite(scatter).all():
-            factor = _factor_if_well_conditioned(scatter)
-            if factor is None:
-                held = {"factor": _row_factor(rows, weight, mean)}
-    moments = Moments(n_rows, total, squared, mean, remainder, **held, eps=eps)
-    if factor is not None:
-        # What the condition was seen from is what every map is made of.
-        vars(moments)["covariance_factor"] = factor / np.sqrt(total)
+        moments = Moments(n_rows, total, squared, mean, remainder, scatter, eps=eps)
+        return held_well(moments, lambda: _row_factor(rows, weight, mean))
+
+
+def held_well(moments: Moments, row_factor: Callable[[], Any]) -> Moments:
+    """Return moments that hold a product of the rows as they are, or with a factor where it has lost digits.
+
+    Parameters
+    ----------
+    moments : Moments
+        That hold a scatter.
+    row_factor : callable
+        Returns a factor of it, for which the rows are read once more.
+
+    Returns
+    -------
+    Moments
+    """
+    if not np.isfinite(moments.scatter).all():
+        return moments
+    factor = _factor_if_well_conditioned(moments.scatter)
+    if factor is None:
+        return replace(moments, scatter=None, factor=row_factor())
+    # What the condition was seen from is what every map is made of.
+    vars(moments)["covariance_factor"] = factor / np.sqrt(moments.weight)
     return moments
 
 

@@ -4,6 +4,8 @@ from typing import Any
 
 import numpy as np
 
+from skat.gaussian.backends import on_host
+
 __all__ = ["domain_signs"]
 
 WORDS = {"source": 1, "sim": 1, "simulated": 1, "simulation": 1, "target": -1, "real": -1, "measured": -1}
@@ -39,7 +41,7 @@ def domain_signs(sample_domain: Any, n_rows: int | None = None, source_domain: A
     >>> domain_signs([0, 1, 1], source_domain=0)
     array([ 1, -1, -1])
     """
-    domain = np.asarray(sample_domain)
+    domain = on_host(sample_domain)
     if domain.ndim != 1:
         raise ValueError(
             f"sample_domain must be a 1-D array of one label per row; it has shape {domain.shape}."

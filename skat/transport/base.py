@@ -318,7 +318,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
             return Samples(X, X, (domain > 0) * one, (domain < 0) * one, stacked=True)
         parts: list[AnyArray | None] = []
         weights: list[AnyArray | None] = []
-        xp, _, _ = get_namespace_and_device(X)
+        xp, _, device = get_namespace_and_device(X)
         for name, mask in (("source (positive)", domain > 0), ("target (negative)", domain < 0)):
             if not mask.any() and not either:
                 raise ValueError(
@@ -331,7 +331,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
             elif is_numpy_namespace(xp):
                 parts.append(X[mask])
             else:
-                parts.append(xp.take(X, xp.asarray(np.flatnonzero(mask)), axis=0))
+                parts.append(xp.take(X, xp.asarray(np.flatnonzero(mask), device=device), axis=0))
             weights.append(None if weight is None else weight[mask])
         source, target = parts
         return Samples(source, target, weights[0], weights[1], stacked=True)

@@ -485,7 +485,7 @@ class MomentTransport(BaseTransport):
 
     def _carry(self, X: AnyArray, keep: AnyArray | None = None) -> AnyArray:
         self._look_outside(X, keep)
-        if self._map.is_tame is None and str(getattr(X, "dtype", None)) == "float32":
+        if self._map.is_tame is None and str(getattr(X, "dtype", None)).endswith("float32"):
             self._map = self._map.tame(self._learned[0])
         return apply_map(self._map, X, keep=keep, check=self._refuse_rows)
 

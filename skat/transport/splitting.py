@@ -7,6 +7,7 @@ import numpy as np
 from sklearn.utils.metadata_routing import UNCHANGED, MetadataRequest
 
 from skat.gaussian.arrays import AnyArray, Places
+from skat.gaussian.backends import on_host
 from skat.metrics.domains import domain_signs
 
 if TYPE_CHECKING:
@@ -118,7 +119,7 @@ class TargetRows:
             raise ValueError(
                 f"pairs are as many on both sides; there are {len(source)} and {len(target)} rows."
             )
-        y, groups = (None if given is None else np.asarray(given)[target] for given in (y, groups))
+        y, groups = (None if given is None else on_host(given)[target] for given in (y, groups))
         for train, test in self._cv(y).split(np.empty((len(target), 1)), y, groups):
             yield _alternating(source[train] if self.paired else source, target[train]), target[test]
 

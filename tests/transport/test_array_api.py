@@ -73,8 +73,10 @@ ON_CUDA = """
 import numpy as np
 import torch
 from sklearn import config_context
+from sklearn.linear_model import Ridge
 from sklearn.model_selection import cross_val_score
-from skat import AffineTransport, ConditionalAffineTransport, ProcrustesAffineTransport
+from sklearn.pipeline import make_pipeline
+from skat import AffineTransport, ConditionalAffineTransport, ProcrustesAffineTransport, TargetRows
 from skat.metrics import affinity_scorer, paired_error_scorer
 
 rng = np.random.default_rng(0)
@@ -96,6 +98,22 @@ with config_context(array_api_dispatch=True):
             np.testing.assert_allclose(
                 scores, cross_val_score(transport, X, y, cv=3, scoring=scoring), rtol=1e-9
             )
+    # Domains, labels and groups on the device as well, in front of a predictor.
+    rows, labels, domain = np.vstack([X, y]), rng.normal(size=600), np.repeat([1.0, -1.0], 300)
+    model = make_pipeline(AffineTransport(unlabelled="target"), Ridge(solver="svd"))
+
+    def scores(array):
+        return cross_val_score(
+            model,
+            array(rows),
+            array(labels),
+            cv=TargetRows(3, sample_domain=array(domain)),
+            params={"affinetransport__sample_domain": array(domain)},
+            error_score="raise",
+        )
+
+    on_device = scores(lambda values: torch.asarray(values, device="cuda"))
+    np.testing.assert_allclose(on_device, scores(np.asarray), rtol=1e-7)
 """
 
 CHECKS = """
