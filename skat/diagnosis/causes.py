@@ -44,7 +44,7 @@ DENSE_TURNS = 2
 COARSE_ROWS = 10_000
 # Effects whose slopes are taken anew with the causes in, of those that promise most.
 LIVE = 24
-# The weakest causes, so many, must be missed by a fit of their own of the others.
+# The weakest causes, so many, must be missed by a fit of their own of the others, and their rivals' too.
 REFITTED = 3
 # Chords of an effect that has no slope where it is neutral, to each of its bounds.
 CHORDS = 10
@@ -397,14 +397,19 @@ def _without(worth: Weigher, now: Fit, dropped: Sequence[int] | set[int]) -> Wei
 def _superfluous(compared: Comparison, worth: Weigher, needed: float) -> Fit | None:
     """Return the fit of the set without the member that the others hardly need, if there is one."""
     now = compared.now
-    losses = worth.losses(worth(now.members))
-    for one in sorted(losses, key=lambda one: losses[one])[:REFITTED]:
+    for one in _weakest(worth, now):
         rest = _without(worth, now, {one})
         # Where paths near by differ by as much, one that is the others' own may say that they do not need it.
         unsure = compared.gain(rest.members, rest.values) + now.error > -needed
         if unsure and (moved := compared.taken(rest, needed)) is not None:
             return moved
     return None
+
+
+def _weakest(worth: Weigher, now: Fit) -> list[int]:
+    """Return the members of a set that slopes say are worth least."""
+    losses = worth.losses(worth(now.members))
+    return sorted(losses, key=lambda one: losses[one])[:REFITTED]
 
 
 def _rivals(compared: Comparison, worth: Weigher, first: Gram) -> tuple[list[Rival], Fit | None]:
@@ -415,7 +420,7 @@ def _rivals(compared: Comparison, worth: Weigher, first: Gram) -> tuple[list[Riv
     """
     found: list[Rival] = []
     now, grams = compared.now, (worth.gram, first)
-    for cause in now.members[:REFITTED]:
+    for cause in _weakest(worth, now):
         looks = np.stack([gram.cosines(cause) for gram in grams])
         alike = looks.max(axis=0)
         alike[list(now.members)] = 0.0

@@ -193,15 +193,24 @@ def shares_of(rows: Rows) -> Array:
 
 
 def with_friction(
-    simulator: MujocoSimulator, half: Half, rows: Rows, effects: Sequence[Effect], sizes: Array
+    simulator: MujocoSimulator,
+    half: Half,
+    rows: Rows,
+    effects: Sequence[Effect],
+    sizes: Array,
+    machine: Model | None = None,
 ) -> Rows:
-    """Return rows about no dry friction with columns of what a typical size of it exerts: a slope tells another law."""
+    """Return rows about no dry friction with columns of what a typical size of it exerts: a slope tells another law.
+
+    ``machine``, without dry friction, is the one that it would brake; the model as it is by default. The lighter what a
+    joint moves, the softer is MuJoCo's friction there.
+    """
     dry = [place for place, effect in enumerate(effects) if effect.family == "dry_friction"]
     if not dry:
         return rows
     columns = rows.columns.copy()
     candidates = [Candidate(effects[place], 1.0, {}) for place in dry]
-    columns[:, dry] = columns_of(simulator, half, Model({}), candidates, sizes[dry], share=1.0)
+    columns[:, dry] = columns_of(simulator, half, machine or Model({}), candidates, sizes[dry], share=1.0)
     return replace(rows, columns=columns)
 
 

@@ -89,17 +89,26 @@ def start_in_forces(
         ]
     )
     sizes = sizes * units
-    rows = with_friction(simulator, half, replace(rows, columns=rows.columns * units), effects, sizes)
-    target, columns = rows.whitened(noise_beside(rows))
+    rows = replace(rows, columns=rows.columns * units)
     # In units of the sizes.
     priors = priors_of(effects, dict(zip([effect.name for effect in effects], sizes)), logarithmic=False)
     priors = replace(priors, scales=np.ones(len(sizes)), low=priors.low / sizes, high=priors.high / sizes)
-    gram = Gram(columns.T @ columns, columns.T @ target, np.zeros(len(sizes)))
-    worth = Weigher(gram, priors, rivals_of(effects))
-    best, _ = without_weak(search(worth, families=families_of(effects)).sets[0], worth, needed)
-    values = {
-        effects[one].name: float(np.clip(effects[one].neutral + sizes[one] * value, *effects[one].bounds))
-        for one, value in zip(best.members, best.values)
-    }
+
+    def found(machine: Model) -> dict[str, float]:
+        braked = with_friction(simulator, half, rows, effects, sizes, machine)
+        target, columns = braked.whitened(noise_beside(braked))
+        gram = Gram(columns.T @ columns, columns.T @ target, np.zeros(len(sizes)))
+        worth = Weigher(gram, priors, rivals_of(effects))
+        best, _ = without_weak(search(worth, families=families_of(effects)).sets[0], worth, needed)
+        return {
+            effects[one].name: float(np.clip(effects[one].neutral + sizes[one] * value, *effects[one].bounds))
+            for one, value in zip(best.members, best.values)
+        }
+
+    values = found(model)
+    rotors = {name: value for name, value in values.items() if name.startswith("armature[")}
+    if rotors:
+        # MuJoCo's friction of a light joint is as soft as its damping, and hardens with a rotor's inertia.
+        values = found(Model(rotors))
     told = np.flatnonzero(units != 1)
     return Start(values, {effects[one].name: float(sizes[one]) for one in told})

@@ -1,5 +1,6 @@
 """Where a search begins: missing forces name what joints lack, at first sight, and nothing of a right model."""
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -40,6 +41,34 @@ def test_of_members_that_differ_each_is_named_and_not_all(simulator):
     start = started(simulator, log_of(2, damping=(0.3, 0.03), noise=0.0005))
     assert "damping[all]" not in start
     assert {"damping[shoulder]", "damping[elbow]"} <= set(start)
+
+
+def test_friction_of_a_light_wheel_is_told_beside_its_rotor():
+    wheel = """
+    <mujoco>
+      <option timestep="0.002" integrator="implicitfast" gravity="0 0 0"/>
+      <worldbody>
+        <body name="wheel">
+          <joint name="axle" axis="0 1 0"/>
+          <geom type="cylinder" size="0.01 0.01" mass="0.1"/>
+        </body>
+      </worldbody>
+      <actuator><motor name="axle" joint="axle"/></actuator>
+    </mujoco>"""
+    truth = {"armature[axle]": 0.02, "dry_friction[axle]": 0.3, "damping[axle]": 0.1}
+    real, rng = mujoco.MjModel.from_xml_string(wheel), np.random.default_rng(0)
+    real.dof_armature[0], real.dof_frictionloss[0], real.dof_damping[0] = truth.values()
+    data, states = mujoco.MjData(real), []
+    mujoco.mj_setConst(real, data)
+    commands = np.sin(0.03 * np.arange(1201)) + 0.5 * np.sin(0.11 * np.arange(1201) + 1)
+    for command in commands:
+        states.append(np.r_[data.qpos, data.qvel])
+        data.ctrl[:] = command
+        mujoco.mj_step(real, data, 5)
+    states = np.array(states) + 0.0005 * rng.normal(size=(1201, 2)) * [1, 10]
+    X = np.column_stack([states[:-1], commands[:-1]])
+    start = started(MujocoSimulator(wheel, frame_skip=5), (X, states[1:], np.zeros(1200, dtype=int)))
+    assert start == pytest.approx(truth, rel=0.3)
 
 
 def test_a_typical_size_of_a_user_s_own_holds_a_value(simulator):
