@@ -303,10 +303,10 @@ def find_causes(
         misled = misled and state.dense is not None
         compared = Comparison(fits, now)
         proposals = list(_proposals(ranked, worth, now, needed))
-        begun = []
+        guess = []
         if state.turn == 0 and state.dense is not None:
-            begun = _begun_with(start.values, worth, compared, proposals[:1])
-        for one in [*begun, *proposals]:
+            guess = _first_guess(start.values, worth, fits, now, proposals, needed)
+        for one in [*guess, *proposals]:
             if compared.prefers(one.members, one.values, needed):
                 moved = compared.taken(one, needed)
             if moved is not None:
@@ -330,7 +330,7 @@ def find_causes(
             stands = True
             break
         # Far from where slopes were taken they say nothing.
-        afar = any(one.members == moved.members for one in begun)
+        afar = any(one.members == moved.members for one in guess)
         live = list(range(len(effects))) if afar else _live(ranked, moved.members)
         slopes = state.slopes.copy()
         slopes[..., live] = _slopes(fits, moved, live)
@@ -356,18 +356,32 @@ def _begun(fits: Fits, now: Fit, length: int) -> Search:
     return Search(0, length, now, dense, slopes, None, ())
 
 
-def _begun_with(
-    start: Mapping[str, float], worth: Weigher, compared: Comparison, others: Sequence[Weighed]
+def _first_guess(
+    start: Mapping[str, float],
+    worth: Weigher,
+    fits: Fits,
+    now: Fit,
+    proposals: Sequence[Weighed],
+    needed: float,
 ) -> list[Weighed]:
-    """Return the set of values to begin with, if the log prefers it as it is to none, and to what slopes propose."""
-    fits, now = compared.fits, compared.now
+    """Return the set that missing forces ask for, if the log is likelier with it, as it is, than with none.
+
+    And than with the first of what slopes propose, as it is, by what more names need.
+    """
     members = [place for place, effect in enumerate(fits.effects) if effect.name in start]
-    if not members or fits.bound(start, now) <= now.fitted.bound:
+    if not members:
         return []
     places = np.array([coordinate(fits.effects[one], start[fits.effects[one].name]) for one in members])
     own = replace(worth(members), values=places)
-    gain = compared.gain(own.members, own.values)
-    return [own] if all(gain > compared.gain(one.members, one.values) for one in others) else []
+
+    def likelihood(one: Weighed) -> float:
+        effects = [fits.effects[member] for member in one.members]
+        values = {effect.name: value_at(effect, at) for effect, at in zip(effects, one.values)}
+        return fits.bound(values, now) - needed * len(effects)
+
+    bound = likelihood(own)
+    others = [now.fitted.bound, *map(likelihood, proposals[:1])]
+    return [own] if all(bound > other for other in others) else []
 
 
 def _proposals(ranked: Ranked, worth: Weigher, now: Fit, needed: float) -> Iterator[Weighed]:

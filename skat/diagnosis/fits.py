@@ -101,9 +101,10 @@ class Fits:
         start, best = near.fitted, None
         # Values are known to about what they were moved by last.
         widths = np.abs(places - origin)
-        for _ in range(FIT_TURNS):
+        for turn in range(FIT_TURNS):
             values = {effect.name: value_at(effect, at) for effect, at in zip(chosen, places)}
-            fitted = self._settled(values, start, own_slopes=own_slopes)
+            # A comparison looks for a memory once.
+            fitted = self._settled(values, start, own_slopes=own_slopes, memories=own_slopes or turn == 0)
             fit, one = self._weighed(members, fitted, widths)
             moved, deviations = one.values, one.deviations
             # Within its standard errors no step goes too far: what it loses is another path's.
@@ -144,7 +145,12 @@ class Fits:
         return gram_of(self.space, fitted, slopes, chosen).gram
 
     def _settled(
-        self, values: Mapping[str, float], start: Fitted | None, *, own_slopes: bool = True
+        self,
+        values: Mapping[str, float],
+        start: Fitted | None,
+        *,
+        own_slopes: bool = True,
+        memories: bool = True,
     ) -> Fitted:
         return settled(
             self.space,
@@ -154,6 +160,7 @@ class Fits:
             given=self.given,
             tolerance=self.tolerance,
             own_slopes=own_slopes,
+            memories=memories,
         )
 
     def _place(self, member: int, values: Mapping[str, float]) -> float:

@@ -121,6 +121,7 @@ def settled(
     given: Array | None = None,
     tolerance: float = TOLERANCE,
     own_slopes: bool = True,
+    memories: bool = True,
 ) -> Fitted:
     """Return the fit at given values: path smoothed, slopes taken over what is not known, noise estimated.
 
@@ -141,16 +142,20 @@ def settled(
     own_slopes : bool, default=True
         Whether slopes are taken; otherwise those of `start` do: a fraction of the cost, for a fit of which only its
         worth beside `start` is wanted.
+    memories : bool, default=True
+        Whether random forces may be given a memory that they do not have in `start`.
     """
     known = Known(floor, given, tolerance)
-    best = _settled_near(space, values, start, known, turns, own_slopes=own_slopes)
+    best = _settled_near(space, values, start, known, turns, own_slopes=own_slopes, memories=memories)
     if start is None or not own_slopes or best.restless < STILL or remembers(space.simulator, values):
         return best
     gain, other = _run_freely(space, best)
     if gain < STILL:
         return best
     return max(
-        best, _settled_near(space, values, other, known, turns, own_slopes=True), key=lambda one: one.bound
+        best,
+        _settled_near(space, values, other, known, turns, own_slopes=True, memories=memories),
+        key=lambda one: one.bound,
     )
 
 
@@ -192,6 +197,7 @@ def _settled_near(
     turns: int,
     *,
     own_slopes: bool,
+    memories: bool,
 ) -> Fitted:
     """Return the fit at given values about a path that is near the start; see `settled`."""
     given = known.given
@@ -252,7 +258,7 @@ def _settled_near(
             linear = with_chains(space, linear, of_chains(part, moved, better[chosen]), better)
         else:
             linear = moved
-        if turn == 0 and space.real.shape[1] > FEWEST_FOR_MEMORY:
+        if turn == 0 and space.real.shape[1] > FEWEST_FOR_MEMORY and (memories or len(shares)):
             # With another fit's slopes forces have the memory that they have there, if any.
             climbs = own_slopes or not len(shares)
             estimate, shares = _with_best_memory(space, linear, estimate.noise, shares, known, climbs=climbs)
