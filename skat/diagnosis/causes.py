@@ -22,7 +22,6 @@ from skat.diagnosis.fitting import (
     slopes_of,
     value_at,
 )
-from skat.diagnosis.forces.start import NOWHERE, Start
 from skat.diagnosis.noise import TOLERANCE
 from skat.diagnosis.search import ALIAS_FACTOR, Ranked, families_of, rivals_of, search, without_weak
 from skat.diagnosis.statespace import CHAIN_LENGTH, StateSpace, derivatives
@@ -214,7 +213,7 @@ def find_causes(
     turns: int = TURNS,
     coarse: bool = False,
     shorter: Callable[[int], StateSpace] | None = None,
-    start: Start | None = None,
+    start: Mapping[str, float] | None = None,
     resumed: Search | None = None,
     checkpoint: Callable[[Search], None] | None = None,
     progress: Callable[[str, int, int], None] | None = None,
@@ -246,7 +245,7 @@ def find_causes(
         and from what acts much like it; otherwise fits without it, and of the other in its place, do.
     shorter : callable, optional
         ``shorter(length)`` lays the log out in chains of at most so many transitions.
-    start : Start, optional
+    start : mapping from name to value, optional
         What missing forces ask for, which is tried first if the log prefers it to what slopes propose.
     resumed : Search, optional
         Go on from there.
@@ -267,9 +266,7 @@ def find_causes(
     length = CHAIN_LENGTH if resumed is None else resumed.chain_length
     if length != CHAIN_LENGTH and shorter is not None:
         space = shorter(length)
-    start = NOWHERE if start is None else start
-    sizes = np.array([start.sizes.get(effect.name, scale) for effect, scale in zip(effects, priors.scales)])
-    fits = Fits(space, tuple(effects), priors, floor, given, power, STILL if coarse else TOLERANCE, sizes)
+    fits = Fits(space, tuple(effects), priors, floor, given, power, STILL if coarse else TOLERANCE)
     state = resumed
     if state is None:
         first = fits.first()
@@ -305,7 +302,7 @@ def find_causes(
         proposals = list(_proposals(ranked, worth, now, needed))
         guess = []
         if state.turn == 0 and state.dense is not None:
-            guess = _first_guess(start.values, worth, fits, now, proposals, needed)
+            guess = _first_guess(start or {}, worth, fits, now, proposals, needed)
         for one in [*guess, *proposals]:
             if compared.prefers(one.members, one.values, needed):
                 moved = compared.taken(one, needed)
@@ -558,11 +555,12 @@ def _slopes(fits: Fits, now: Fit, members: Sequence[int]) -> Array:
     space, fitted = fits.space, now.fitted
     chosen, priors = [fits.effects[one] for one in members], fits.priors.part(members)
     widths = dict(zip(now.members, now.widths))
-    sizes = fits.sizes_of(members)
-    slopes = slopes_of(space, fitted, chosen, sizes, np.array([widths.get(one, 0.0) for one in members]))
+    slopes = slopes_of(
+        space, fitted, chosen, priors.scales, np.array([widths.get(one, 0.0) for one in members])
+    )
     dead = ~np.any(slopes, axis=(0, 1))
     ends = {
-        place: _ends_of_chords(space.simulator, effect, float(sizes[place]), bool(dead[place]))
+        place: _ends_of_chords(space.simulator, effect, float(priors.scales[place]), bool(dead[place]))
         for place, effect in enumerate(chosen)
         if effect.name not in fitted.values
     }

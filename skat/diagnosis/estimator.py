@@ -21,7 +21,7 @@ from skat.diagnosis.doubts import warn_of_doubts
 from skat.diagnosis.filtering import Array
 from skat.diagnosis.findings import Alias, Cause, Gain
 from skat.diagnosis.fitting import value_at
-from skat.diagnosis.forces.start import NOWHERE, Start, start_in_forces
+from skat.diagnosis.forces.start import start_in_forces
 from skat.diagnosis.identifiability import identifiability, preflight
 from skat.diagnosis.log import Log, check_log, check_matrix, tangent_variances, without_channels
 from skat.diagnosis.posterior import Posterior
@@ -645,9 +645,9 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             n_jobs=self.n_jobs,
         )
 
-    def _start(self, log: Log, effects: Sequence[Effect]) -> Start:
+    def _start(self, log: Log, effects: Sequence[Effect]) -> dict[str, float]:
         if not log.consecutive:
-            return NOWHERE
+            return {}
         rows = log.X, log.y, log.episodes
         needed = -float(np.log(self.alpha))
         return start_in_forces(self.simulator, rows, effects, typical=self.priors, needed=needed)

@@ -63,8 +63,6 @@ class Fits:
         To which the likelihood is taken.
     tolerance : float, default=0.1
         To which noise is estimated, nats.
-    sizes : ndarray of shape (k,), optional
-        Over which shares slopes are taken; typical sizes by default.
     """
 
     space: StateSpace
@@ -74,7 +72,6 @@ class Fits:
     given: Array | None
     power: float
     tolerance: float = TOLERANCE
-    sizes: Array | None = None
 
     def first(self) -> Fit:
         """Return the fit of no cause, about a path from the log alone."""
@@ -133,15 +130,10 @@ class Fits:
         """Return the coordinates of a fit's values."""
         return np.array([self._place(one, fit.values) for one in fit.members])
 
-    def sizes_of(self, members: Sequence[int]) -> Array:
-        """Return over which sizes slopes by some effects are taken."""
-        sizes = self.priors.scales if self.sizes is None else self.sizes
-        return sizes[list(members)]
-
     def gram(self, fitted: Fitted, members: Sequence[int], widths: Array | None = None) -> Gram:
         """Return the Gram matrices of some effects at a fit; see `slopes_of`."""
         chosen = [self.effects[one] for one in members]
-        slopes = slopes_of(self.space, fitted, chosen, self.sizes_of(members), widths)
+        slopes = slopes_of(self.space, fitted, chosen, self.priors.scales[list(members)], widths)
         return gram_of(self.space, fitted, slopes, chosen).gram
 
     def _settled(

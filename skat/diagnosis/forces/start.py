@@ -1,7 +1,7 @@
 """Where a search begins: sets of causes in the forces that joints lack."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,25 +15,6 @@ from skat.effects import Effect
 from skat.simulators import MujocoSimulator, Simulator
 
 
-@dataclass(frozen=True)
-class Start:
-    """What missing forces ask for.
-
-    Attributes
-    ----------
-    values : mapping from name to value
-        Of effects, in their units.
-    sizes : mapping from name to size
-        Of effects that add a force: as much of it as is typical beside the forces that act in the log.
-    """
-
-    values: Mapping[str, float]
-    sizes: Mapping[str, float]
-
-
-NOWHERE = Start({}, {})
-
-
 def start_in_forces(
     simulator: Simulator,
     log: Log,
@@ -41,8 +22,8 @@ def start_in_forces(
     *,
     typical: Mapping[str, float] | None = None,
     needed: float,
-) -> Start:
-    """Return what a log's missing forces ask for, nothing where no force can be told.
+) -> dict[str, float]:
+    """Return what a log's missing forces ask for: effects and their values, none where no force can be told.
 
     Far from the truth a simulation of the next row misleads: a light wrist without its friction accelerates by
     thousands of rad/s^2, and the cheapest way to explain that it does not is a motor that does nothing. The force that
@@ -61,7 +42,8 @@ def start_in_forces(
 
     Returns
     -------
-    Start
+    dict of str to float
+        Values of effects, in their units.
 
     References
     ----------
@@ -70,11 +52,11 @@ def start_in_forces(
     typical = typical or {}
     effects = [effect for effect in effects if effect.family not in UNSEEN]
     if not isinstance(simulator, MujocoSimulator) or not effects:
-        return NOWHERE
+        return {}
     try:
         half = half_of(simulator, log, "")
     except ValueError:  # contacts, pieces that are too short, a free joint: where to begin is not known
-        return NOWHERE
+        return {}
     model = Model({})
     sizes = priors_of(effects, typical, logarithmic=False).scales
     rows = rows_about(simulator, half, model, effects, sizes)
@@ -110,5 +92,4 @@ def start_in_forces(
     if rotors:
         # MuJoCo's friction of a light joint is as soft as its damping, and hardens with a rotor's inertia.
         values = found(Model(rotors))
-    told = np.flatnonzero(units != 1)
-    return Start(values, {effects[one].name: float(sizes[one]) for one in told})
+    return values
