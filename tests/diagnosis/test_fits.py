@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skat.diagnosis.causes import Comparison
-from skat.diagnosis.evidence import Weighed
+from skat.diagnosis.causes import Comparison, _first_guess
+from skat.diagnosis.evidence import Weighed, Weigher
 from skat.diagnosis.fits import Fit, Fits, _lowest
 from skat.diagnosis.fitting import Fitted, _blocks, _run_freely, priors_of, settled
 from skat.diagnosis.statespace import linearise, of_chains, state_space, with_chains
@@ -95,6 +95,32 @@ def test_sets_with_the_slopes_of_another_fit_differ_as_fits_of_their_own_do(fits
         # Of 350 nats.
         assert both.gain((), np.zeros(0)) == pytest.approx(nothing.evidence - damped.evidence, abs=5.0)
         assert both.gain((1,), np.zeros(1)) == pytest.approx(gravity.evidence - damped.evidence, abs=5.0)
+
+
+def test_a_first_guess_is_tried_where_it_is_likelier_as_it_is_than_nothing_and_than_what_slopes_propose(
+    fits, nothing
+):
+    worth = Weigher(fits.gram(nothing.fitted, (0, 1)), fits.priors)
+
+    def guess(value, *proposals):
+        values = {} if value is None else {"damping[hinge]": value}
+        sets = [replace(worth((0,)), values=np.array([one])) for one in proposals]
+        return [tuple(one.values) for one in _first_guess(values, worth, fits, nothing, sets, 4.6)]
+
+    # The pendulum's damping is larger by .1.
+    neutral = fits.effects[0].neutral
+    assert guess(neutral + 0.1) == guess(neutral + 0.1, 1.0) == [(pytest.approx(0.1),)]
+    assert guess(None) == guess(neutral + 3.0) == []
+    assert guess(neutral + 0.13, 0.1, 3.0) == []
+
+
+def test_forces_are_given_no_memory_where_none_is_looked_for(space, nothing):
+    assert len(settled(space, {}, None, np.zeros(space.d)).shares)
+    bare = settled(space, {}, None, np.zeros(space.d), memories=False)
+    assert not len(bare.shares)
+    assert not len(settled(space, {}, bare, np.zeros(space.d), own_slopes=False, memories=False).shares)
+    kept = settled(space, {}, nothing.fitted, np.zeros(space.d), own_slopes=False, memories=False)
+    assert len(kept.shares) == len(nothing.fitted.shares)
 
 
 def test_a_chain_runs_freely_where_that_is_likelier(space):
