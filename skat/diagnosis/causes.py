@@ -43,11 +43,8 @@ DENSE_TURNS = 2
 COARSE_ROWS = 10_000
 # Effects whose slopes are taken anew with the causes in, of those that promise most.
 LIVE = 24
-# The weakest causes, so many, must be missed by a fit of their own of the others.
+# The weakest causes, so many, must be missed by a fit of their own of the others, and their rivals' too.
 REFITTED = 3
-# Sets that slopes put so many nats behind are not fitted: of a log that tells much, the noise of a fit takes up nine
-# tenths of that, and leaves them far behind.
-HOPELESS = 1000.0
 # Chords of an effect that has no slope where it is neutral, to each of its bounds.
 CHORDS = 10
 # Effects whose responses make a smaller angle than this cosine may be the same: so many are fitted in a cause's place.
@@ -411,10 +408,7 @@ def _without(worth: Weigher, now: Fit, dropped: Sequence[int] | set[int]) -> Wei
 def _superfluous(compared: Comparison, worth: Weigher, needed: float) -> Fit | None:
     """Return the fit of the set without the member that the others hardly need, if there is one."""
     now = compared.now
-    losses = worth.losses(worth(now.members))
-    for one in sorted(losses, key=lambda one: losses[one])[:REFITTED]:
-        if losses[one] > HOPELESS:
-            break
+    for one in _weakest(worth, now):
         rest = _without(worth, now, {one})
         # Where paths near by differ by as much, one that is the others' own may say that they do not need it.
         unsure = compared.gain(rest.members, rest.values) + now.error > -needed
@@ -423,48 +417,35 @@ def _superfluous(compared: Comparison, worth: Weigher, needed: float) -> Fit | N
     return None
 
 
+def _weakest(worth: Weigher, now: Fit) -> list[int]:
+    """Return the members of a set that slopes say are worth least."""
+    losses = worth.losses(worth(now.members))
+    return sorted(losses, key=lambda one: losses[one])[:REFITTED]
+
+
 def _rivals(compared: Comparison, worth: Weigher, first: Gram) -> tuple[list[Rival], Fit | None]:
     """Return sets in which an effect that acts much like a cause has its place, and the one that does better, if any.
 
-    Slopes say that two effects act alike for small values; whether they do at this one, a fit must say, of those first
-    that slopes put least behind. Some act alike only where neither is a cause yet: of two limits the lower one hides
-    the other.
+    Slopes say that two effects act alike for small values; whether they do at this one, a fit must say. Some act alike
+    only where neither is a cause yet: of two limits the lower one hides the other.
     """
     found: list[Rival] = []
-    for cause, other, one in _exchanges(worth, (worth.gram, first), compared.now.members)[
-        : REFITTED * RIVALS
-    ]:
-        if compared.prefers(one.members, one.values, 0.0) and (moved := compared.taken(one, 0.0)) is not None:
-            return found, moved
-        found.append(Rival(cause, other, compared.gain(one.members, one.values)))
-    return found, None
-
-
-def _exchanges(
-    worth: Weigher, grams: Sequence[Gram], members: tuple[int, ...]
-) -> list[tuple[int, int, Weighed]]:
-    """Return causes, effects that act much like them by some Gram matrices, and the sets with these in their places.
-
-    That which slopes put least behind comes first; none that they put far behind.
-    """
-    exchanges = []
-    present = [weigh(gram, worth.priors, members).evidence for gram in grams]
-    for cause in members:
+    now, grams = compared.now, (worth.gram, first)
+    for cause in _weakest(worth, now):
         looks = np.stack([gram.cosines(cause) for gram in grams])
         alike = looks.max(axis=0)
-        alike[list(members)] = 0.0
+        alike[list(now.members)] = 0.0
         for other in np.argsort(-alike, kind="stable")[:RIVALS]:
-            exchanged = tuple(sorted({*members, int(other)} - {cause}))
-            if alike[other] < ALIKE or not worth.allows(exchanged):
+            if alike[other] < ALIKE:
+                break
+            members = tuple(sorted({*now.members, int(other)} - {cause}))
+            if not worth.allows(members):
                 continue
-            nearest = int(np.argmax(looks[:, other]))
-            one = weigh(grams[nearest], worth.priors, exchanged)
-            behind = present[nearest] - one.evidence
-            if behind < HOPELESS:
-                exchanges.append((behind, cause, int(other), one))
-    return [
-        (cause, other, one) for _, cause, other, one in sorted(exchanges, key=lambda exchange: exchange[0])
-    ]
+            one = weigh(grams[int(np.argmax(looks[:, other]))], worth.priors, members)
+            if compared.prefers(members, one.values, 0.0) and (moved := compared.taken(one, 0.0)) is not None:
+                return found, moved
+            found.append(Rival(cause, int(other), compared.gain(members, one.values)))
+    return found, None
 
 
 def _found(
