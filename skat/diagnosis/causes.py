@@ -140,14 +140,17 @@ class Comparison:
     def taken(self, one: Weighed, needed: float) -> Fit | None:
         """Return the fit of a set with slopes of its own, if it is preferred.
 
-        What more names are worth must be so with the slopes of both; fewer are preferred if those of one say so.
+        What more names are worth must be so with the slopes of both; fewer are preferred if those of one say so. Nor may
+        fits with slopes of their own differ the other way, but by what other paths near by make.
         """
         near = self.fit(one.members, one.values)
         moved = self.fits.of(one.members, self.fits.places(near), self.now)
         own = Comparison(self.fits, self.now, moved).gain(moved.members, self.fits.places(moved))
         gains = self.gain(one.members, one.values), own
         fewer = len(moved.members) < len(self.now.members)
-        return moved if self._is_better(moved.members, (max if fewer else min)(gains), needed) else None
+        apart = moved.evidence - self.now.evidence + moved.error + self.now.error
+        gain = min((max if fewer else min)(gains), apart)
+        return moved if self._is_better(moved.members, gain, needed) else None
 
     def _is_better(self, members: Sequence[int], gain: float, needed: float) -> bool:
         more = len(members) - len(self.now.members)

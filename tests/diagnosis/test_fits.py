@@ -1,6 +1,7 @@
 """Fits of sets of causes: going on from one loses nothing, chains go their own ways, sets are compared by both fits."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -36,29 +37,29 @@ def nothing(fits):
     return fits.first()
 
 
-def a_fit(members, evidence):
-    """Return a fit of which only members and evidence matter."""
-    return Fit(members, {}, None, evidence, np.zeros(len(members)))
+def a_fit(members, evidence, error=100.0):
+    """Return a fit of which only members and evidence matter, and how much of that may be another path's."""
+    return Fit(members, {}, SimpleNamespace(losses=np.array([error])), evidence, np.zeros(len(members)))
 
 
 class Told:
     """Fits of which the evidence of each set is told: with the slopes of the present set, of another, and its own."""
 
-    def __init__(self, **evidences):
+    def __init__(self, error=100.0, **evidences):
+        self.error = error
         self.evidences = {tuple(map(int, name[1:])): told for name, told in evidences.items()}
 
     def places(self, fit):
         return np.zeros(len(fit.members))
 
     def of(self, members, places, near, own_slopes=True):
-        return (
-            a_fit(members, 1) if own_slopes else a_fit(members, self.evidences[tuple(members)][near.evidence])
-        )
+        evidence = 1 if own_slopes else self.evidences[tuple(members)][near.evidence]
+        return a_fit(members, evidence, self.error)
 
 
-def compared(now, **evidences):
+def compared(now, error=100.0, **evidences):
     """Return sets beside a present one; ``s01=(1.0, 2.0)`` is {0, 1}, with its slopes and with those of the other."""
-    return Comparison(Told(**evidences), a_fit(now, 0))
+    return Comparison(Told(error, **evidences), a_fit(now, 0, error))
 
 
 def a_set(members):
@@ -85,6 +86,13 @@ def test_more_names_are_taken_if_the_slopes_of_either_set_prefer_them(theirs, ow
 def test_fewer_names_are_taken_if_the_slopes_of_one_set_prefer_them(theirs, own, is_taken):
     taken = compared((0,), s=(0, 100), s0=(theirs, own)).taken(a_set(()), 5.0)
     assert (taken is not None) is is_taken
+
+
+def test_a_set_that_its_own_fit_contradicts_is_not_taken():
+    # One name more needs 5 nats; fits of their own have 1 between them, and of each so much may be another path's.
+    assert compared((), 2.1, s=(0, 100), s0=(6, 106)).taken(a_set((0,)), 5.0) is not None
+    assert compared((), 1.9, s=(0, 100), s0=(6, 106)).taken(a_set((0,)), 5.0) is None
+    assert compared((0,), 0.0, s0=(0, 100), s1=(1, 101)).taken(a_set((1,)), 0.0) is not None
 
 
 def test_sets_with_the_slopes_of_another_fit_differ_as_fits_of_their_own_do(fits, nothing):
