@@ -24,7 +24,7 @@ from tests.diagnosis.cart_pole import (
 
 FEW = STRETCHES * STRETCH_ROWS[0]
 # A log that several tests look at: a motor of four fifths of its strength shows in half of the usual rows.
-SHORT = {"n_episodes": 4, "gain": 0.8}
+SHORT = {"n_episodes": 6, "n_steps": 20, "gain": 0.8}
 
 
 @pytest.fixture
@@ -45,14 +45,14 @@ def diagnosed():
 @pytest.fixture(scope="module")
 def of_clean():
     """Diagnoses of logs in which nothing is hidden, and the noise of each."""
-    logs = [measure(100 + seed, n_steps=20) for seed in range(30)]
+    logs = [measure(100 + seed, n_steps=20) for seed in range(20)]
     return [(fitted(make_simulator(), log), log[3]) for log in logs]
 
 
 @pytest.fixture(scope="module")
 def of_heavier():
     """Diagnoses of logs of a bob that is 10 % heavier, and the noise of each."""
-    logs = [measure(200 + seed, bob=1.1, n_steps=20) for seed in range(20)]
+    logs = [measure(200 + seed, bob=1.1, n_steps=20) for seed in range(14)]
     return [(fitted(make_simulator(), log, effects=["bob", "drag", "gain"]), log[3]) for log in logs]
 
 
@@ -74,14 +74,15 @@ def test_world_and_simulation_are_the_same_physics(simulator, hidden):
     ("name", "value"),
     [
         ("bob", 1.1),
-        ("pole", 0.9),
+        pytest.param("pole", 0.9, marks=pytest.mark.long),
         ("pole", 1.6),
         ("gain", 0.9),
         ("gain", -1.0),
         ("drag", 0.2),
-        ("dry_friction", 0.2),
-        ("gravity", 1.05),
-        ("hinge", 0.01),
+        *(
+            pytest.param(*case, marks=pytest.mark.long)
+            for case in [("dry_friction", 0.2), ("gravity", 1.05), ("hinge", 0.01)]
+        ),
         ("bias[angle]", 0.1),
         ("scale[v]", 1.05),
     ],
@@ -109,7 +110,15 @@ def test_hidden_effect_is_named_with_its_size(simulator, diagnosed, name, value)
     assert diagnosis.gain_.extended < diagnosis.gain_.nominal
 
 
-@pytest.mark.parametrize("hidden", [{"bob": 1.3}, {"pole": 0.9}, {"gain": 0.9}, {"drag": 0.2}])
+@pytest.mark.parametrize(
+    "hidden",
+    [
+        {"bob": 1.3},
+        pytest.param({"pole": 0.9}, marks=pytest.mark.long),
+        pytest.param({"gain": 0.9}, marks=pytest.mark.long),
+        {"drag": 0.2},
+    ],
+)
 def test_most_of_an_excess_well_above_the_noise_is_explained(simulator, hidden):
     gain = fitted(simulator, measure(3, noise=0.0005, n_steps=20, **hidden)).gain_
     assert gain.nominal > 10
@@ -169,7 +178,7 @@ def test_effect_with_narrow_bounds_is_named():
 
 
 def test_force_that_no_effect_is_like_is_unexplained(simulator):
-    diagnosis = fitted(simulator, measure(5, magnet=4.0))
+    diagnosis = fitted(simulator, measure(5, magnet=4.0, n_episodes=12, n_steps=20))
     assert diagnosis.verdict_ == "unexplained"
     assert diagnosis.remainder_.parts[0].name == "v"
     assert "x" in diagnosis.remainder_.parts[0].regressor
@@ -177,7 +186,7 @@ def test_force_that_no_effect_is_like_is_unexplained(simulator):
 
 def test_cause_that_was_not_offered_is_unexplained(simulator):
     others = [name for name in NEUTRAL if name not in ("pole", "gravity", "bob")]
-    diagnosis = fitted(simulator, measure(3, pole=1.6, n_episodes=12), effects=others)
+    diagnosis = fitted(simulator, measure(3, pole=1.6, n_episodes=16, n_steps=20), effects=others)
     assert diagnosis.verdict_ == "unexplained"
     assert diagnosis.remainder_.evidence > -np.log(0.01)
 
@@ -192,8 +201,8 @@ def test_errors_above_a_noise_that_is_known_are_unexplained(simulator):
 
 def test_clean_logs_raise_no_more_alarms_than_alpha_allows(of_clean):
     verdicts = [diagnosis.verdict_ for diagnosis, _ in of_clean]
-    # With the chance of 1 % each, more than two alarms of 30 come in 0.3 % of runs.
-    assert sum(verdict != "nothing detected" for verdict in verdicts) <= 2
+    # With the chance of 1 % each, more than one alarm of 20 comes in 1.7 % of runs.
+    assert sum(verdict != "nothing detected" for verdict in verdicts) <= 1
 
 
 def test_intervals_cover_the_truth_as_often_as_they_say(of_heavier):
@@ -202,8 +211,8 @@ def test_intervals_cover_the_truth_as_often_as_they_say(of_heavier):
         intervals = {cause.name: cause.interval for cause in diagnosis.causes_}
         assert "bob" in intervals
         covered.append(intervals["bob"][0] <= 1.1 <= intervals["bob"][1])
-    # With the chance of 95 % each, fewer than 85 % of 20 come in 1.6 % of runs.
-    assert np.mean(covered) >= 0.85
+    # With the chance of 95 % each, fewer than 12 of 14 come in 3.0 % of runs.
+    assert sum(covered) >= 12
 
 
 @pytest.mark.parametrize("logs", ["of_clean", "of_heavier"])
@@ -561,10 +570,10 @@ def test_a_cause_with_a_twin_is_ambiguous_and_has_at_most_half_of_the_probabilit
         dt=0.05,
     )
     rng = np.random.default_rng(0)
-    speed = np.repeat(rng.uniform(-10, 10, (6, 6)), 20, axis=1)
-    place = np.pad(np.cumsum(0.05 * 1.5 * speed, axis=1), ((0, 0), (1, 0))) + 0.02 * rng.normal(size=(6, 121))
+    speed = np.repeat(rng.uniform(-10, 10, (18, 2)), 20, axis=1)
+    place = np.pad(np.cumsum(0.05 * 1.5 * speed, axis=1), ((0, 0), (1, 0))) + 0.02 * rng.normal(size=(18, 41))
     X = np.column_stack([place[:, :-1].ravel(), speed.ravel()])
-    diagnosis = fitted(drive, (X, place[:, 1:].reshape(-1, 1), np.repeat(np.arange(6), 120)))
+    diagnosis = fitted(drive, (X, place[:, 1:].reshape(-1, 1), np.repeat(np.arange(18), 40)))
     (cause,) = diagnosis.causes_
     assert diagnosis.verdict_ == "ambiguous"
     twins = {alias.name: alias.probability for alias in cause.aliases}

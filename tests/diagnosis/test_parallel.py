@@ -29,11 +29,11 @@ EFFECTS = ["mass[cart]", "armature[rail]", "gain[motor]", "damping[hinge]"]
 def log():
     rng = np.random.default_rng(0)
     simulator = MujocoSimulator(CART, frame_skip=2)
-    commands = rng.normal(scale=3, size=(8, 40, 1))
-    states = simulator.rollout(rng.normal(size=(8, 4)), commands, n_steps=40, effects={"mass[cart]": 1.15})
+    commands = rng.normal(scale=3, size=(12, 15, 1))
+    states = simulator.rollout(rng.normal(size=(12, 4)), commands, n_steps=15, effects={"mass[cart]": 1.15})
     states += 0.01 * states.std(axis=(0, 1)) * rng.normal(size=states.shape)
     X = np.concatenate([states[:, :-1], commands], axis=2).reshape(-1, 5)
-    return X, states[:, 1:].reshape(-1, 4), np.repeat(np.arange(8), 40)
+    return X, states[:, 1:].reshape(-1, 4), np.repeat(np.arange(12), 15)
 
 
 def findings(log, **parameters):

@@ -36,7 +36,7 @@ def a_diagnosis(**parameters):
 @pytest.fixture(scope="module")
 def of_function():
     """A diagnosis of a function simulator, and its log."""
-    log = measure(4, n_episodes=6, n_steps=30, drag=0.3, pole=1.1)[:3]
+    log = measure(4, n_episodes=8, n_steps=20, drag=0.3, pole=1.1)[:3]
     return a_diagnosis().fit(*log), log
 
 
@@ -46,7 +46,7 @@ def of_mujoco():
     simulator = MujocoSimulator(
         pendulum.NOMINAL, frame_skip=pendulum.FRAME_SKIP, built_in={"gain[motor]": 1.0, "gravity": 0.99}
     )
-    X, y, groups = pendulum.measured(HEAVIER, 0, rows=60)
+    X, y, groups = pendulum.measured(HEAVIER, 0, rows=40)
     X[70, 1] = y[69, 1] = np.nan
     log = X, y, np.array(["first", "second", "third"])[groups]
     effects = ["damping[hinge]", "gravity", "mass[rod]", "delay[action]", "bias[qpos.hinge]"]
