@@ -33,7 +33,7 @@ MODEL = """
 """
 
 
-def measured_cart(n_episodes=6, n_rows=25, damping=0.6, noise=1e-4, seed=0):
+def measured_cart(n_episodes=8, n_rows=15, damping=0.6, noise=1e-4, seed=0):
     """A log of the cart in a world with viscous friction, which the model has not."""
     model = mujoco.MjModel.from_xml_string(MODEL)
     model.dof_damping[:] = damping
@@ -132,7 +132,7 @@ def test_help_loads_nothing_heavy():
 
 
 def test_diagnose_names_the_hidden_friction_and_writes_a_report(drawing):
-    measured_cart(n_rows=40).to_csv(drawing / "log.csv", index=False)
+    measured_cart(n_episodes=6, n_rows=40).to_csv(drawing / "log.csv", index=False)
     result = skat("diagnose", "model.xml", "log.csv", "--effect", "damping[rail]", "--effect", "mass[cart]")
     assert result.exit_code == 0, result.output
     assert "(95 %: " in result.stdout
@@ -196,7 +196,7 @@ def test_warnings_are_shown_and_remembered_for_the_report(capsys):
 
 
 def test_a_column_that_was_guessed_is_hidden_from_the_diagnosis(here):
-    guessed = edited(here, **{"qvel.rail": np.zeros(150)})
+    guessed = edited(here, **{"qvel.rail": np.zeros(120)})
     result = skat("diagnose", "model.xml", guessed, "--hidden", "qvel.rail", "--effect", "damping[rail]")
     assert result.exit_code == 0, result.output
     assert "Log: named" in result.stdout
@@ -365,7 +365,7 @@ def test_too_few_rows_are_refused(here):
 
 def test_a_lost_row_is_told(here):
     time = pd.read_csv(here / "log.csv")["time"]
-    time[10:25] += 0.02
+    time[10:15] += 0.02
     result = skat("check", "model.xml", edited(here, time=time))
     assert result.exit_code == 0, result.output
     assert "rows are lost" in result.stdout

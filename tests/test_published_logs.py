@@ -23,8 +23,8 @@ ORIGINALS = {
     "measured.csv": "ricmonk/TVLQR_3xForward_170gm_asymmetricLoad.csv.gz",
     "ricmonk.urdf": "ricmonk/ricmonk.urdf",
 }
-# Of these a first look takes seconds.
-QUICK = ("pendulum.xml",)
+# Of these a first look takes seconds, at the effects that are most alike.
+QUICK = {"pendulum.xml": ["dry_friction[hinge]", "damping[hinge]"]}
 # Of each model: what is found in the log, in words of the output.
 FOUND = {
     "pendulum.xml": "3999 rows of 0.005 s",
@@ -77,9 +77,13 @@ def test_a_published_log_is_read_by_its_command(here, command):
 @pytest.mark.parametrize(
     "command",
     [
-        pytest.param(command, id=model, marks=[] if model in QUICK else [pytest.mark.long])
-        for command in COMMANDS
-        for model in [command.split()[1]]
+        *(
+            pytest.param(" --effect ".join([command, *QUICK[model]]), id=f"{model}, few effects")
+            for command in COMMANDS
+            for model in [command.split()[1]]
+            if model in QUICK
+        ),
+        *(pytest.param(command, id=command.split()[1], marks=pytest.mark.long) for command in COMMANDS),
     ],
 )
 @pytest.mark.filterwarnings("ignore::UserWarning")  # of velocities that lag or were computed

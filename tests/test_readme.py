@@ -26,7 +26,7 @@ OF_A_ROBOT, OF_SAMPLES = (
 
 
 # A short log of a robot with the model's own time step, and one effect, is enough to see that the lines run.
-QUICK = {"timestep": 0.002, "n_episodes": 4, "n_rows": 40}
+QUICK = {"timestep": 0.002, "n_episodes": 6, "n_rows": 24}
 LOGS = [QUICK, pytest.param({}, marks=pytest.mark.long, id="as written")]
 
 

@@ -121,6 +121,7 @@ def test_exact_transport_of_too_many_rows_names_the_estimate_before_it_allocates
         tracemalloc.stop()
 
 
+@pytest.mark.long  # of fewer rows beyond a smaller limit test_metrics_scorers.py says the same
 def test_score_of_too_many_rows_is_the_estimate():
     X, y = np.random.default_rng(0).normal(size=(2, 40_000, 2))
     transport = AffineTransport().fit(X, y)

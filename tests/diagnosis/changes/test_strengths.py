@@ -265,13 +265,15 @@ def named(question):
     return _named(worth, NEEDED)[0]
 
 
-@pytest.mark.parametrize("apart", [0.0, 0.01, 0.1])
+@pytest.mark.parametrize("apart", [0.0, pytest.param(0.01, marks=pytest.mark.long), 0.1])
 def test_nothing_is_named_where_every_effect_differs_a_little(simulator, apart):
     wrong = sum(bool(named(misfit_question(simulator, seed, apart=apart)).members) for seed in range(20))
     assert wrong <= 1
 
 
-@pytest.mark.parametrize(("apart", "change"), [(0.0, 3.0), (0.01, 3.0), (0.1, 6.0)])
+@pytest.mark.parametrize(
+    ("apart", "change"), [(0.0, 3.0), pytest.param(0.01, 3.0, marks=pytest.mark.long), (0.1, 6.0)]
+)
 def test_an_effect_that_changed_alone_is_named_with_its_value(simulator, apart, change):
     found = [named(misfit_question(simulator, seed, apart=apart, change=change)) for seed in range(8)]
     right = [one for one in found if one.members == (2,)]
