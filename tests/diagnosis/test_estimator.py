@@ -43,6 +43,15 @@ def diagnosed():
 
 
 @pytest.fixture(scope="module")
+def refitted(diagnosed):
+    """A clone of the diagnosis of the short log that was fitted anew; its parameters before, and what it was given."""
+    blank, given = clone(diagnosed(5, **SHORT)), measure(5, **SHORT)[:3]
+    assert not hasattr(blank, "verdict_")
+    before = blank.get_params()
+    return blank.fit(*given), before, given
+
+
+@pytest.fixture(scope="module")
 def of_clean():
     """Diagnoses of logs in which nothing is hidden, and the noise of each."""
     logs = [measure(100 + seed, n_steps=20) for seed in range(20)]
@@ -228,9 +237,9 @@ def findings(diagnosis):
     return diagnosis.verdict_, [(cause.name, cause.value, cause.interval) for cause in diagnosis.causes_]
 
 
-def test_same_random_state_gives_the_same_answer(simulator, diagnosed):
+def test_same_random_state_gives_the_same_answer(simulator, diagnosed, refitted):
     log = measure(5, **SHORT)
-    first, second = diagnosed(5, **SHORT), fitted(simulator, log)
+    first, (second, _, _) = diagnosed(5, **SHORT), refitted
     assert findings(first) == findings(second)
     assert first.gain_ == second.gain_
     assert first.evaluate(*log[:3]) == second.evaluate(*log[:3])
@@ -240,22 +249,16 @@ def test_same_random_state_gives_the_same_answer(simulator, diagnosed):
 def test_clone_pickle_and_deepcopy_keep_what_they_should(diagnosed):
     log = measure(5, **SHORT)
     diagnosis = diagnosed(5, **SHORT)
-    blank = clone(diagnosis)
-    assert not hasattr(blank, "verdict_")
-    assert findings(blank.fit(*log[:2], groups=log[2])) == findings(diagnosis)
+    assert not hasattr(clone(diagnosis), "verdict_")
     for twin in (pickle.loads(pickle.dumps(diagnosis)), copy.deepcopy(diagnosis)):
         assert findings(twin) == findings(diagnosis)
         np.testing.assert_array_equal(twin.predict(log[0]), diagnosis.predict(log[0]))
 
 
-def test_fit_leaves_the_parameters_and_the_log_alone(simulator):
-    X, y, groups, _ = measure(5, **SHORT)
-    kept = X.copy(), y.copy(), groups.copy()
-    diagnosis = SimulationDiagnosis(simulator, random_state=0)
-    before = diagnosis.get_params()
-    diagnosis.fit(X, y, groups=groups)
+def test_fit_leaves_the_parameters_and_the_log_alone(refitted):
+    diagnosis, before, given = refitted
     assert diagnosis.get_params() == before
-    for now, then in zip((X, y, groups), kept):
+    for now, then in zip(given, measure(5, **SHORT)):
         np.testing.assert_array_equal(now, then)
 
 
@@ -267,7 +270,7 @@ def test_only_the_effects_given_are_considered(simulator):
 
 def test_max_effects_bounds_the_number_of_causes(simulator):
     log = measure(4, drag=0.2, pole=1.2, n_steps=20)
-    assert len(fitted(simulator, log, max_effects=1).causes_) == 1
+    assert len(fitted(simulator, log, effects=["drag", "pole", "gain"], max_effects=1).causes_) == 1
 
 
 def test_without_test_rows_there_is_no_gain(simulator):
@@ -285,7 +288,7 @@ def test_noise_that_is_given_is_kept(simulator):
 
 
 def test_single_episode_warns_and_is_diagnosed(simulator):
-    log = measure(6, bob=1.2, n_episodes=1, n_steps=150)
+    log = measure(6, bob=1.2, n_episodes=1, n_steps=90)
     with pytest.warns(UserWarning, match="single episode"):
         diagnosis = fitted(simulator, log)
     assert "bob" in [cause.name for cause in diagnosis.causes_]
@@ -485,8 +488,9 @@ def test_one_shot_simulation_needs_no_episodes(throw):
 
 
 def test_one_shot_simulation_without_an_error_is_left_alone(throw):
-    verdicts = [SimulationDiagnosis(throw, random_state=0).fit(*throws(10 + k)).verdict_ for k in range(20)]
-    assert sum(verdict != "nothing detected" for verdict in verdicts) <= 2
+    verdicts = [SimulationDiagnosis(throw, random_state=0).fit(*throws(10 + k)).verdict_ for k in range(12)]
+    # With the chance of 1 % each, more than one alarm of 12 comes in 0.6 % of runs.
+    assert sum(verdict != "nothing detected" for verdict in verdicts) <= 1
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e3, 1e-6])

@@ -22,7 +22,7 @@ CART = """
 </mujoco>
 """
 
-EFFECTS = ["mass[cart]", "armature[rail]", "gain[motor]", "damping[hinge]"]
+EFFECTS = ["mass[cart]", "armature[rail]"]
 
 
 @pytest.fixture(scope="module")

@@ -42,8 +42,16 @@ def largest_plausible_count(n_trials, probability):
     return binom.ppf(0.9999, n_trials, probability)
 
 
-@pytest.mark.parametrize("n_features", [2, 5])
-@pytest.mark.parametrize("in_sample", [False, True])
+# The quick run has each null once, in as many features as it costs the least in.
+@pytest.mark.parametrize(
+    ("in_sample", "n_features"),
+    [
+        (False, 5),
+        (True, 2),
+        pytest.param(False, 2, marks=pytest.mark.long),
+        pytest.param(True, 5, marks=pytest.mark.long),
+    ],
+)
 @pytest.mark.parametrize("rows", ["equal numbers", "unequal numbers", "pairs"])
 def test_test_rejects_a_right_map_at_most_as_often_as_promised(rows, in_sample, n_features):
     rng = np.random.default_rng(0)
@@ -59,8 +67,8 @@ def test_test_rejects_a_right_map_at_most_as_often_as_promised(rows, in_sample, 
         options = {"paired": rows == "pairs", "in_sample": in_sample, "n_permutations": 9}
         rejected += affinity_test(X, y, **options, random_state=rng.integers(2**31)).p_value <= 0.1
     assert rejected <= largest_plausible_count(n_trials, 0.1)
-    # It is not merely that nothing is ever rejected.
-    assert rejected >= binom.ppf(0.0001, n_trials, 0.1)
+    # It is not merely that nothing is ever rejected: of 80 that comes in .02 % of runs.
+    assert rejected > 0
 
 
 def test_test_rejects_a_law_of_another_shape():
