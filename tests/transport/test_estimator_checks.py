@@ -60,11 +60,30 @@ EXPECTED_FAILURES = {
         ExactTransport(),
         IdentityTransport(),
         ResidualTransport(),
-    ],
-    expected_failed_checks=lambda estimator: EXPECTED_FAILURES,
+    ]
 )
 def test_estimators_themselves_pass_all_checks_but_those_that_give_labels_for_a_target(estimator, check):
-    check(estimator)
+    if name_of(check) not in EXPECTED_FAILURES:
+        check(estimator)
+        return
+    # No xfail, for which pytest writes a traceback, and parses all of scikit-learn's checks anew for each of its lines.
+    with pytest.raises((ValueError, AssertionError)) as caught:
+        check(estimator)
+    assert any("needs target rows" in str(error) for error in answered(caught.value))
+
+
+def name_of(check):
+    """Return the name of the function that a check calls."""
+    while hasattr(check, "func") or hasattr(check, "__wrapped__"):
+        check = check.func if hasattr(check, "func") else check.__wrapped__
+    return check.__name__
+
+
+def answered(error):
+    """Yield an error, and those in whose handling it was raised."""
+    while error is not None:
+        yield error
+        error = error.__cause__ or error.__context__
 
 
 def test_no_more_than_thirty_checks_are_expected_to_fail():
