@@ -140,8 +140,8 @@ class Comparison:
     def taken(self, one: Weighed, needed: float) -> Fit | None:
         """Return the fit of a set with slopes of its own, if it is preferred.
 
-        What more names are worth must be so with the slopes of both; fewer are preferred if those of one say so. Nor may
-        fits with slopes of their own differ the other way, but by what other paths near by make.
+        What more names are worth must be so with the slopes of both; fewer are preferred if those of one say so. Nor
+        may fits with slopes of their own differ the other way, but by what other paths near by make.
         """
         near = self.fit(one.members, one.values)
         moved = self.fits.of(one.members, self.fits.places(near), self.now)
