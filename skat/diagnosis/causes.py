@@ -272,7 +272,7 @@ def find_causes(
     fits = Fits(space, tuple(effects), priors, floor, given, power, STILL if coarse else TOLERANCE)
     state = resumed
     if state is None:
-        first = fits.first()
+        first = fits.first(patience=np.inf if shorter is None else needed)
         if first.fitted.restless > needed and shorter is not None:
             # Where something hits there is more than one path: the shorter a chain, the fewer.
             length = SHORT_CHAIN

@@ -73,9 +73,9 @@ class Fits:
     power: float
     tolerance: float = TOLERANCE
 
-    def first(self) -> Fit:
-        """Return the fit of no cause, about a path from the log alone."""
-        return self._weighed((), self._settled({}, None), np.zeros(0))[0]
+    def first(self, patience: float = np.inf) -> Fit:
+        """Return the fit of no cause, about a path from the log alone; see `settled`."""
+        return self._weighed((), self._settled({}, None, patience=patience), np.zeros(0))[0]
 
     def of(self, members: Sequence[int], places: Array, near: Fit, *, own_slopes: bool = True) -> Fit:
         """Return the fit of a set, about the path and from the noise of another fit.
@@ -143,6 +143,7 @@ class Fits:
         *,
         own_slopes: bool = True,
         memories: bool = True,
+        patience: float = np.inf,
     ) -> Fitted:
         return settled(
             self.space,
@@ -153,6 +154,7 @@ class Fits:
             tolerance=self.tolerance,
             own_slopes=own_slopes,
             memories=memories,
+            patience=patience,
         )
 
     def _place(self, member: int, values: Mapping[str, float]) -> float:

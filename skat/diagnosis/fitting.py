@@ -122,6 +122,7 @@ def settled(
     tolerance: float = TOLERANCE,
     own_slopes: bool = True,
     memories: bool = True,
+    patience: float = np.inf,
 ) -> Fitted:
     """Return the fit at given values: path smoothed, slopes taken over what is not known, noise estimated.
 
@@ -144,9 +145,13 @@ def settled(
         worth beside `start` is wanted.
     memories : bool, default=True
         Whether random forces may be given a memory that they do not have in `start`.
+    patience : float, optional
+        What a full step may cost a chain, nats; the first that costs more ends the fit where it is.
     """
     known = Known(floor, given, tolerance)
-    best = _settled_near(space, values, start, known, turns, own_slopes=own_slopes, memories=memories)
+    best = _settled_near(
+        space, values, start, known, turns, own_slopes=own_slopes, memories=memories, patience=patience
+    )
     if start is None or not own_slopes or best.restless < STILL or remembers(space.simulator, values):
         return best
     gain, other = _run_freely(space, best)
@@ -198,6 +203,7 @@ def _settled_near(
     *,
     own_slopes: bool,
     memories: bool,
+    patience: float = np.inf,
 ) -> Fitted:
     """Return the fit at given values about a path that is near the start; see `settled`."""
     given = known.given
@@ -213,9 +219,14 @@ def _settled_near(
         noise = normal_noise(linear.chains, _force_guess(linear, typical), typical)
         chains, shares = linear.chains, np.zeros(0)
     else:
-        taken = None if own_slopes else start.linear
+        near = not own_slopes or start.values == values
         linear = linearise(
-            space, start.linear.path, values, _covariances(space, start.estimate), slopes=taken
+            space,
+            start.linear.path,
+            values,
+            _covariances(space, start.estimate),
+            slopes=start.linear if near else None,
+            renewed=own_slopes,
         )
         noise, shares = start.estimate.noise, start.shares
         chains = _remembering(space, linear, shares)
@@ -270,7 +281,8 @@ def _settled_near(
             best = Fitted(
                 dict(values), linear, _remembering(space, linear, shares), estimate, shares, paces, losses
             )
-        if not going.any() or (gain < STILL and not (paces[going] < 1).any()):
+        done = not going.any() or (gain < STILL and not (paces[going] < 1).any())
+        if done or losses.max() > patience:
             break
     if best is None:
         raise ValueError("turns must be at least 1")
