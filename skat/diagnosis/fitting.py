@@ -146,7 +146,7 @@ def settled(
     memories : bool, default=True
         Whether random forces may be given a memory that they do not have in `start`.
     patience : float, optional
-        What a full step may cost a chain, nats; the first that costs more ends the fit where it is.
+        Most that a full step may cost a chain, nats; the fit ends where it costs more, before it rests.
     """
     known = Known(floor, given, tolerance)
     best = _settled_near(
@@ -219,14 +219,9 @@ def _settled_near(
         noise = normal_noise(linear.chains, _force_guess(linear, typical), typical)
         chains, shares = linear.chains, np.zeros(0)
     else:
-        near = not own_slopes or start.values == values
+        taken = None if own_slopes else start.linear
         linear = linearise(
-            space,
-            start.linear.path,
-            values,
-            _covariances(space, start.estimate),
-            slopes=start.linear if near else None,
-            renewed=own_slopes,
+            space, start.linear.path, values, _covariances(space, start.estimate), slopes=taken
         )
         noise, shares = start.estimate.noise, start.shares
         chains = _remembering(space, linear, shares)
@@ -281,8 +276,8 @@ def _settled_near(
             best = Fitted(
                 dict(values), linear, _remembering(space, linear, shares), estimate, shares, paces, losses
             )
-        done = not going.any() or (gain < STILL and not (paces[going] < 1).any())
-        if done or losses.max() > patience:
+        rests = not going.any() or (gain < STILL and not (paces[going] < 1).any())
+        if rests or (best is not None and best.restless > patience):
             break
     if best is None:
         raise ValueError("turns must be at least 1")

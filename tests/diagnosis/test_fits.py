@@ -3,6 +3,7 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -15,6 +16,18 @@ from skat.simulators import MujocoSimulator
 from tests.diagnosis import pendulum
 
 SIMULATOR = MujocoSimulator(pendulum.NOMINAL, frame_skip=pendulum.FRAME_SKIP)
+BALL = """
+<mujoco>
+  <option timestep="0.002"/>
+  <worldbody>
+    <geom type="plane" size="1 1 .1" solref="-40000 -2"/>
+    <body pos="0 0 .05">
+      <joint name="z" type="slide" axis="0 0 1"/>
+      <geom type="sphere" size=".05" mass=".1" solref="-40000 -2"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
 HEAVIER = pendulum.TEXT.format(damping=0.15)
 
 
@@ -35,6 +48,24 @@ def fits(space):
 def nothing(fits):
     """The fit of no cause that all others begin at."""
     return fits.first()
+
+
+def bouncing():
+    """Return the state space of a ball that bounces, measured with noise, in chains of 64 rows."""
+    model = mujoco.MjModel.from_xml_string(BALL)
+    data, rng = mujoco.MjData(model), np.random.default_rng(0)
+    states = []
+    for height in (0.3, 0.5):
+        mujoco.mj_resetData(model, data)
+        data.qpos[0] = height
+        for _ in range(128):
+            states.append([data.qpos[0], data.qvel[0]])
+            mujoco.mj_step(model, data, nstep=5)
+    states = np.array(states) + rng.normal(scale=(0.02, 0.4), size=(len(states), 2))
+    last = np.arange(len(states)) % 128 == 127
+    before, after = states[~last], states[np.roll(~last, 1)]
+    simulator = MujocoSimulator(BALL, frame_skip=5)
+    return state_space(simulator, before, after, np.repeat([0, 1], 127), consecutive=True, chain_length=64)
 
 
 def a_fit(members, evidence, error=100.0):
@@ -153,6 +184,27 @@ def test_a_chain_runs_freely_where_that_is_likelier(space):
     first = space.places[0] == 0
     ends = space.simulator.predict(space.rows(mended.linear.path)[first], effects=fitted.values)
     np.testing.assert_allclose(ends[:, :n_states], space.path_ends(mended.linear.path)[first], atol=1e-9)
+
+
+def test_a_fit_of_long_chains_ends_early_where_something_hits_and_nowhere_else(space, monkeypatch):
+    turns = []
+
+    def counted(*args, **options):
+        turns.append(None)
+        return linearise(*args, **options)
+
+    monkeypatch.setattr("skat.diagnosis.fitting.linearise", counted)
+
+    def fitted(space, patience):
+        turns.clear()
+        fit = settled(space, {}, None, np.zeros(space.d), patience=patience)
+        return fit, len(turns)
+
+    (whole, most), (ended, least) = (fitted(bouncing(), patience) for patience in (np.inf, 5.0))
+    assert min(whole.restless, ended.restless) > 5.0
+    assert least < most
+    (whole, most), (ended, least) = (fitted(space, patience) for patience in (np.inf, 5.0))
+    assert (ended.bound, least) == (whole.bound, most)
 
 
 def test_going_on_from_a_fit_that_rests_loses_nothing(space):
