@@ -24,7 +24,7 @@ from skat.diagnosis.fitting import (
 )
 from skat.diagnosis.noise import TOLERANCE
 from skat.diagnosis.search import ALIAS_FACTOR, Ranked, families_of, rivals_of, search, without_weak
-from skat.diagnosis.statespace import CHAIN_LENGTH, StateSpace, derivatives
+from skat.diagnosis.statespace import StateSpace, derivatives
 from skat.effects import Effect
 from skat.simulators.base import Simulator
 
@@ -35,8 +35,6 @@ KNOWN_UNITS = ("rad", "m", "rad/s", "m/s")
 BIAS_SHARE = 0.03
 # Moves from a set to a better one, or to better values; so many for a first look.
 TURNS, QUICK_TURNS = 16, 3
-# Transitions of a chain where fits of one set about longer ones differ.
-SHORT_CHAIN = 4
 # How often noise and what all effects explain are taken in turns, before any is a cause.
 DENSE_TURNS = 2
 # No model is exact: a log of so many rows counts half [Miller, Dunson 2019].
@@ -81,8 +79,6 @@ class Found:
     best : Weighed
     settled : bool
         Whether the search stands still.
-    chain_length : int
-        Of the chains that it was made with.
     """
 
     effects: tuple[Effect, ...]
@@ -98,14 +94,12 @@ class Found:
     ranked: Ranked
     best: Weighed
     settled: bool
-    chain_length: int
 
 
 class Comparison:
     """Sets of causes beside the present one, with the slopes of its fit; and of theirs, before one is taken.
 
-    About paths of their own, fits of one set may differ by more than a cause is worth where something hits; with the
-    same slopes, what they differ by is in both sets, and a set costs a simulation of each row.
+    With the same slopes a set costs a simulation of each row.
 
     Parameters
     ----------
@@ -133,22 +127,34 @@ class Comparison:
         present = self.fit(self.now.members, self.fits.places(self.now))
         return self.fit(members, places).evidence - present.evidence
 
+    def gains(self, members: Sequence[int], places: Array) -> tuple[float, float]:
+        """Return the same by the slopes of the present set and by its own, as it is: either favour theirs."""
+        other = self.fit(members, places)
+        look = self.fits.about(other.members, self.fits.places(other), self.now)
+        turned = Comparison(self.fits, self.now, look).gain(look.members, self.fits.places(look))
+        return self.gain(members, places), turned
+
     def prefers(self, members: Sequence[int], places: Array, needed: float) -> bool:
-        """Whether a set is to be preferred to the present one: by what more names need."""
-        return self._is_better(members, self.gain(members, places), needed)
+        """Whether a set is to be preferred to the present one: by what more names need.
+
+        Fewer are if the slopes of one of both say so.
+        """
+        fewer = len(members) < len(self.now.members)
+        gain = max(self.gains(members, places)) if fewer else self.gain(members, places)
+        return self._is_better(members, gain, needed)
 
     def taken(self, one: Weighed, needed: float) -> Fit | None:
         """Return the fit of a set with slopes of its own, if it is preferred.
 
         What more names are worth must be so with the slopes of both; fewer are preferred if those of one say so. Nor
-        may fits with slopes of their own differ the other way, but by what other paths near by make.
+        may fits with slopes of their own differ the other way.
         """
         near = self.fit(one.members, one.values)
         moved = self.fits.of(one.members, self.fits.places(near), self.now)
         own = Comparison(self.fits, self.now, moved).gain(moved.members, self.fits.places(moved))
         gains = self.gain(one.members, one.values), own
         fewer = len(moved.members) < len(self.now.members)
-        apart = moved.evidence - self.now.evidence + moved.error + self.now.error
+        apart = moved.evidence - self.now.evidence
         gain = min((max if fewer else min)(gains), apart)
         return moved if self._is_better(moved.members, gain, needed) else None
 
@@ -165,8 +171,6 @@ class Search:
     ----------
     turn : int
         Of this relinearisation.
-    chain_length : int
-        Of the chains that it was made with.
     now : Fit
         The best so far.
     dense : Fitted or None
@@ -180,7 +184,6 @@ class Search:
     """
 
     turn: int
-    chain_length: int
     now: Fit
     dense: Fitted | None
     slopes: Array
@@ -215,7 +218,6 @@ def find_causes(
     max_effects: int | None = None,
     turns: int = TURNS,
     coarse: bool = False,
-    shorter: Callable[[int], StateSpace] | None = None,
     start: Mapping[str, float] | None = None,
     resumed: Search | None = None,
     checkpoint: Callable[[Search], None] | None = None,
@@ -246,8 +248,6 @@ def find_causes(
     coarse : bool, default=False
         Whether noise is estimated no finer than a path, and slopes alone tell what a cause is worth beside the others
         and from what acts much like it; otherwise fits without it, and of the other in its place, do.
-    shorter : callable, optional
-        ``shorter(length)`` lays the log out in chains of at most so many transitions.
     start : mapping from name to value, optional
         What missing forces ask for, which is tried first if the log prefers it to what slopes propose.
     resumed : Search, optional
@@ -266,19 +266,8 @@ def find_causes(
     priors = priors_of(effects, {**_typical_biases(space, effects), **(typical or {})})
     power = COARSE_ROWS / (COARSE_ROWS + len(space.X))
     needed = -float(np.log(alpha))
-    length = CHAIN_LENGTH if resumed is None else resumed.chain_length
-    if length != CHAIN_LENGTH and shorter is not None:
-        space = shorter(length)
     fits = Fits(space, tuple(effects), priors, floor, given, power, STILL if coarse else TOLERANCE)
-    state = resumed
-    if state is None:
-        first = fits.first(patience=np.inf if shorter is None else needed)
-        if first.fitted.restless > needed and shorter is not None:
-            # Where something hits there is more than one path: the shorter a chain, the fewer.
-            length = SHORT_CHAIN
-            fits = replace(fits, space=shorter(length))
-            first = fits.first()
-        state = _begun(fits, first, length)
+    state = _begun(fits) if resumed is None else resumed
     ask = partial(search, families=families_of(effects), most=max_effects)
     exclusive = rivals_of(effects)
     rivals: list[Rival] = []
@@ -323,7 +312,7 @@ def find_causes(
                 rest = _without(worth, now, held)
                 moved = fits.of(rest.members, rest.values, now)
         if moved is None and not coarse:
-            moved = _superfluous(compared, worth, needed)
+            moved = _as_one(compared, worth, exclusive) or _superfluous(compared, worth, needed)
         if moved is None and not coarse:
             rivals, moved = _rivals(compared, worth, state.first or gram)
         if moved is None:
@@ -334,26 +323,26 @@ def find_causes(
         live = list(range(len(effects))) if afar else _live(ranked, moved.members)
         slopes = state.slopes.copy()
         slopes[..., live] = _slopes(fits, moved, live)
-        state = Search(state.turn + 1, length, moved, None, slopes, state.first, tuple(sorted(banned)))
+        state = Search(state.turn + 1, moved, None, slopes, state.first, tuple(sorted(banned)))
     best = worth(now.members)
     if misled:
         # What slopes say of other sets was seen to be wrong.
         inside = (one for one in ranked.sets if set(one.members) < set(now.members))
         ranked = Ranked(tuple(sorted((best, *inside), key=lambda one: -one.evidence)))
     also = {} if misled else _also(ask, gram, priors, effects, exclusive, best, needed, state.banned)
-    return _found(fits, now, worth, ranked, rivals, also, needed, stands, length)
+    return _found(fits, now, worth, ranked, rivals, also, needed, stands)
 
 
-def _begun(fits: Fits, now: Fit, length: int) -> Search:
+def _begun(fits: Fits) -> Search:
     """Return the search at its first fit, with a noise from which what all effects explain is taken out."""
-    space, effects, priors = fits.space, fits.effects, fits.priors
+    space, effects, priors, now = fits.space, fits.effects, fits.priors, fits.first()
     slopes = _slopes(fits, now, range(len(effects)))
     dense = now.fitted
     for _ in range(DENSE_TURNS):
         columns = gram_of(space, dense, slopes, effects)
         moves = columns.dense(priors.scales)
         dense = noise_without(space, dense, slopes, moves, fits.floor, given=fits.given)
-    return Search(0, length, now, dense, slopes, None, ())
+    return Search(0, now, dense, slopes, None, ())
 
 
 def _first_guess(
@@ -413,11 +402,34 @@ def _superfluous(compared: Comparison, worth: Weigher, needed: float) -> Fit | N
     now = compared.now
     for one in _weakest(worth, now):
         rest = _without(worth, now, {one})
-        # Where paths near by differ by as much, one that is the others' own may say that they do not need it.
-        unsure = compared.gain(rest.members, rest.values) + now.error > -needed
-        if unsure and (moved := compared.taken(rest, needed)) is not None:
-            return moved
+        if compared.prefers(rest.members, rest.values, needed):
+            moved = compared.taken(rest, needed)
+            if moved is not None:
+                return moved
     return None
+
+
+def _as_one(compared: Comparison, worth: Weigher, exclusive: Mapping[int, Sequence[int]]) -> Fit | None:
+    """Return the fit of the set with all of a family in the place of its members that are causes, if it is likelier."""
+    now = set(compared.now.members)
+    for every, family in exclusive.items():
+        if len(now.intersection(family)) > 1:
+            one = _all_of(compared, worth, sorted(now.intersection(family)), every)
+            if compared.prefers(one.members, one.values, 0.0):
+                moved = compared.taken(one, 0.0)
+                if moved is not None:
+                    return moved
+    return None
+
+
+def _all_of(compared: Comparison, worth: Weigher, some: Sequence[int], every: int) -> Weighed:
+    """Return the set with all of a family in the place of some members, at the value that is nearest to theirs."""
+    gram, now = worth.gram, compared.now
+    places = dict(zip(now.members, compared.fits.places(now)))
+    G = gram.products[np.ix_(some, some)]
+    mean = G.sum(axis=0) @ [places[one] for one in some] / G.sum()
+    members = tuple(sorted({*set(now.members).difference(some), every}))
+    return replace(worth(members), values=np.array([places.get(one, mean) for one in members]))
 
 
 def _weakest(worth: Weigher, now: Fit) -> list[int]:
@@ -447,7 +459,7 @@ def _rivals(compared: Comparison, worth: Weigher, first: Gram) -> tuple[list[Riv
             one = weigh(grams[int(np.argmax(looks[:, other]))], worth.priors, members)
             if compared.prefers(members, one.values, 0.0) and (moved := compared.taken(one, 0.0)) is not None:
                 return found, moved
-            found.append(Rival(cause, int(other), compared.gain(members, one.values)))
+            found.append(Rival(cause, int(other), float(np.mean(compared.gains(members, one.values)))))
     return found, None
 
 
@@ -460,7 +472,6 @@ def _found(
     also: dict[str, float],
     needed: float,
     stands: bool,
-    length: int,
 ) -> Found:
     effects, priors, gram = fits.effects, fits.priors, worth.gram
     names, best = priors.names, worth(now.members)
@@ -492,7 +503,6 @@ def _found(
         ranked,
         best,
         stands,
-        length,
     )
 
 

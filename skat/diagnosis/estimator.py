@@ -20,7 +20,7 @@ from skat.diagnosis.changes import find_changes
 from skat.diagnosis.doubts import warn_of_doubts
 from skat.diagnosis.filtering import Array
 from skat.diagnosis.findings import Alias, Cause, Gain
-from skat.diagnosis.fitting import value_at
+from skat.diagnosis.fitting import hits, value_at
 from skat.diagnosis.forces.start import start_in_forces
 from skat.diagnosis.identifiability import identifiability, preflight
 from skat.diagnosis.log import Log, check_log, check_matrix, tangent_variances, without_channels
@@ -220,6 +220,9 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         self.n_rows_fitted_ = len(fitted)
         first_look = self.n_rows_fitted_ < self.n_rows_
         space = self._space(fitted)
+        if hits(space):
+            # Where something hits, what a wrong model makes of a state misleads about the rows after it.
+            space = self._space(fitted, chain_length=1)
         least = least + _rounding(space)
         found = find_causes(
             space,
@@ -231,13 +234,11 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             max_effects=self.max_effects,
             turns=QUICK_TURNS if first_look else TURNS,
             coarse=first_look,
-            shorter=partial(self._space, fitted),
             start=self._start(fitted, effects),
             resumed=begun.search,
             checkpoint=None if checkpoint is None else partial(checkpoint.write, begun),
             progress=progress,
         )
-        space = self._space(fitted, found.chain_length)
         self._found = found
         self._values = dict(found.values)
         self.causes_ = _causes(found)

@@ -142,6 +142,28 @@ class Filtered:
         return (self.factors @ self.innovations[..., None])[..., 0]
 
 
+def updated(chains: Chains, filtered: Filtered, error_variances: Array) -> tuple[Array, Array]:
+    """Return means and covariances of the deviations given what was measured until then, the same instant with it.
+
+    Parameters
+    ----------
+    chains : Chains
+    filtered : Filtered
+    error_variances : ndarray of shape (n_chains, n_steps + 1, d)
+        Those that the filter ran with.
+
+    Returns
+    -------
+    means : ndarray of shape (n_chains, n_steps + 1, d)
+    covariances : ndarray of shape (n_chains, n_steps + 1, d, d)
+    """
+    gains, P = filtered.gains, filtered.covariances
+    means = filtered.means + (gains @ filtered.innovations[..., None])[..., 0]
+    kept = np.eye(means.shape[-1]) - gains
+    own = np.where(chains.mask, error_variances, 0.0)
+    return means, kept @ P @ kept.swapaxes(2, 3) + (gains * own[:, :, None]) @ gains.swapaxes(2, 3)
+
+
 @dataclass(frozen=True)
 class Smoothed:
     """States and disturbances given all measurements.

@@ -7,7 +7,17 @@ import numpy as np
 
 from skat.diagnosis.evidence import NO_CAUSE, Gram, Priors, Weighed, weigh
 from skat.diagnosis.filtering import Array
-from skat.diagnosis.fitting import STILL, Fitted, coordinate, gram_of, settled, slopes_of, value_at
+from skat.diagnosis.fitting import (
+    STILL,
+    Fitted,
+    compared,
+    coordinate,
+    first_fit,
+    gram_of,
+    next_fit,
+    slopes_of,
+    value_at,
+)
 from skat.diagnosis.noise import TOLERANCE
 from skat.diagnosis.statespace import StateSpace
 from skat.effects import Effect
@@ -15,7 +25,7 @@ from skat.effects import Effect
 # Of its standard errors: values that move by less stand still.
 STANDS_STILL = 0.1
 # Steps of Gauss and Newton in the fit of a set; one that leads to where the log is less likely is halved.
-FIT_TURNS = 8
+FIT_TURNS = 16
 
 
 @dataclass(frozen=True)
@@ -39,11 +49,6 @@ class Fit:
     fitted: Fitted
     evidence: float
     widths: Array
-
-    @property
-    def error(self) -> float:
-        """By how much the evidence may differ about other paths near by, nats: each chain may be on another."""
-        return float(self.fitted.losses.sum())
 
 
 @dataclass(frozen=True)
@@ -73,9 +78,10 @@ class Fits:
     power: float
     tolerance: float = TOLERANCE
 
-    def first(self, patience: float = np.inf) -> Fit:
-        """Return the fit of no cause, about a path from the log alone; see `settled`."""
-        return self._weighed((), self._settled({}, None, patience=patience), np.zeros(0))[0]
+    def first(self) -> Fit:
+        """Return the fit of no cause, about a path from the log alone."""
+        fitted = first_fit(self.space, {}, self.floor, given=self.given, tolerance=self.tolerance)
+        return self._weighed((), fitted, np.zeros(0))[0]
 
     def of(self, members: Sequence[int], places: Array, near: Fit, *, own_slopes: bool = True) -> Fit:
         """Return the fit of a set, about the path and from the noise of another fit.
@@ -87,24 +93,25 @@ class Fits:
             Coordinates to begin with.
         near : Fit
         own_slopes : bool, default=True
-            Whether slopes by the state are taken about its own path; otherwise it keeps those of the other fit, at a
-            fraction of the cost: of two sets with the same slopes, what paths near by differ by is not between them.
+            Whether path and slopes by the state are its own; see `next_fit` and `compared`.
         """
         members = tuple(members)
         chosen = [self.effects[one] for one in members]
         origin = np.array([self._place(one, near.values) for one in members])
         # What the set has beside `near` cannot make the log less likely, but for a step too far.
-        reached = _lowest(near.fitted) if set(near.members) <= set(members) else -np.inf
+        reached = near.fitted.bound - STILL if set(near.members) <= set(members) else -np.inf
         start, best = near.fitted, None
         # Values are known to about what they were moved by last.
         widths = np.abs(places - origin)
         for turn in range(FIT_TURNS):
             values = {effect.name: value_at(effect, at) for effect, at in zip(chosen, places)}
             # A comparison looks for a memory once.
-            fitted = self._settled(values, start, own_slopes=own_slopes, memories=own_slopes or turn == 0)
+            fitted = (
+                self._next(values, start) if own_slopes else self._compared(values, start, memories=turn == 0)
+            )
             fit, one = self._weighed(members, fitted, widths)
             moved, deviations = one.values, one.deviations
-            # Within its standard errors no step goes too far: what it loses is another path's.
+            # Within its standard errors no step goes too far.
             too_far = fitted.bound < reached and bool(np.any(np.abs(places - origin) > deviations))
             gained = fit.evidence - (-np.inf if best is None else best.evidence)
             step = moved - np.asarray(places)
@@ -114,17 +121,25 @@ class Fits:
                 places = (np.asarray(places) + origin) / 2
                 widths = np.abs(places - origin)
                 continue
-            if gained < STILL or np.all(np.abs(step) < STANDS_STILL * deviations):
+            still = np.all(np.abs(step) < STANDS_STILL * deviations)
+            if gained < STILL or (still and not own_slopes):
                 break
-            origin, places, start, reached = places, moved, fitted, _lowest(fitted)
+            origin, places, start, reached = places, moved, fitted, fitted.bound - STILL
             widths = np.maximum(np.abs(step), deviations)
         if best is None:
             raise RuntimeError("no turn was made")
         return best
 
+    def about(self, members: Sequence[int], places: Array, near: Fit) -> Fit:
+        """Return a set as it is at given places, about the path of another fit but with slopes of its own."""
+        effects = [self.effects[one] for one in members]
+        values = {effect.name: value_at(effect, at) for effect, at in zip(effects, places)}
+        fitted = self._next(values, near.fitted)
+        return self._weighed(tuple(members), fitted, np.zeros(len(members)))[0]
+
     def bound(self, values: Mapping[str, float], near: Fit) -> float:
-        """Return the bound of the log likelihood at given values, with the slopes by the state of another fit."""
-        return self._settled(values, near.fitted, own_slopes=False).bound
+        """Return the bound of the log likelihood at given values, with path and slopes of another fit."""
+        return self._compared(values, near.fitted).bound
 
     def places(self, fit: Fit) -> Array:
         """Return the coordinates of a fit's values."""
@@ -136,25 +151,18 @@ class Fits:
         slopes = slopes_of(self.space, fitted, chosen, self.priors.scales[list(members)], widths)
         return gram_of(self.space, fitted, slopes, chosen).gram
 
-    def _settled(
-        self,
-        values: Mapping[str, float],
-        start: Fitted | None,
-        *,
-        own_slopes: bool = True,
-        memories: bool = True,
-        patience: float = np.inf,
-    ) -> Fitted:
-        return settled(
+    def _next(self, values: Mapping[str, float], start: Fitted) -> Fitted:
+        return next_fit(self.space, values, start, self.floor, given=self.given, tolerance=self.tolerance)
+
+    def _compared(self, values: Mapping[str, float], start: Fitted, *, memories: bool = True) -> Fitted:
+        return compared(
             self.space,
             values,
             start,
             self.floor,
             given=self.given,
             tolerance=self.tolerance,
-            own_slopes=own_slopes,
             memories=memories,
-            patience=patience,
         )
 
     def _place(self, member: int, values: Mapping[str, float]) -> float:
@@ -171,11 +179,6 @@ class Fits:
         one = weigh(gram, priors, range(len(members)), power=self.power)
         evidence = self.power * (fitted.bound - one.likelihood) + one.evidence
         return Fit(members, values, fitted, evidence, widths), one
-
-
-def _lowest(fitted: Fitted) -> float:
-    """Return the bound that the same set may have about another path near by."""
-    return fitted.bound - STILL - fitted.restless
 
 
 __all__ = ["STANDS_STILL", "Fit", "Fits"]

@@ -7,24 +7,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skat.diagnosis.evidence import Gram, Priors
-from skat.diagnosis.filtering import Array, Chains, Filtered, Mask, filter_columns, kalman_filter
+from skat.diagnosis.filtering import Array, Chains, Filtered, Mask, filter_columns, updated
 from skat.diagnosis.noise import TOLERANCE, Estimate, Noise, estimate_noise, normal_noise, passed
 from skat.diagnosis.statespace import (
     Linear,
     StateSpace,
     derivatives,
+    is_bent,
     linearise,
     moved_path,
-    of_chains,
-    remembers,
-    with_chains,
+    tangents,
 )
 from skat.diagnosis.velocities import noise_variance
 from skat.effects import Effect
 
-# A path stands still when taking it anew gains less than so many nats; a chain's own, when less than so many. A step is
-# halved where it gains nothing, to this share of it; the next fit begins with one this many times longer.
-STILL, RESTS, SLOWEST, LONGER = 1.0, 0.05, 0.05, 4
+# A path stands still when taking it anew changes the bound by less than so many nats.
+STILL = 1.0
+# What hits bends a row by so much of the standard deviation of what is not known of where it ends; a motor that reaches
+# its limit, by less.
+HIT = 0.5
+# How often path and slopes are taken anew at most.
+TURNS = 16
 # Of an effect's typical size: slopes are taken over no less.
 SMALL_SHARE = 0.05
 # Memories of random forces that are tried, in rows; of at most this share of an episode, so that what is steady stays a
@@ -45,17 +48,13 @@ class Fitted:
     ----------
     values : mapping from name to value
     linear : Linear
-        About the smoothed path.
+        About the filtered path: each state as what was measured until then has it.
     estimate : Estimate
         Noise, and the pass of filter and smoother with it.
     chains : Chains
         Those of `linear`, with forces of memory where the noise has such.
     shares : ndarray of shape (n_forces,) or (0,)
         What is left of such a force a row later.
-    paces : ndarray of shape (n_chains,)
-        Share of a step that each chain's path was moved by last.
-    losses : ndarray of shape (n_chains,)
-        By how much a full step made each chain less likely when it was last tried, nats: there are other paths near by.
     """
 
     values: Mapping[str, float]
@@ -63,18 +62,11 @@ class Fitted:
     chains: Chains
     estimate: Estimate
     shares: Array
-    paces: Array
-    losses: Array
 
     @property
     def bound(self) -> float:
         """Of the log likelihood, at this fit's own noise."""
         return self.estimate.bound
-
-    @property
-    def restless(self) -> float:
-        """Largest loss of a chain by a full step, nats."""
-        return float(self.losses.max())
 
 
 def priors_of(
@@ -111,27 +103,25 @@ def priors_of(
     )
 
 
-def settled(
+def first_fit(
     space: StateSpace,
     values: Mapping[str, float],
-    start: Fitted | None,
     floor: Array,
     *,
-    turns: int = 16,
+    turns: int = TURNS,
     given: Array | None = None,
     tolerance: float = TOLERANCE,
-    own_slopes: bool = True,
-    memories: bool = True,
-    patience: float = np.inf,
 ) -> Fitted:
-    """Return the fit at given values: path smoothed, slopes taken over what is not known, noise estimated.
+    """Return the fit at given values, begun at what was measured: path filtered, slopes taken, noise estimated.
+
+    Each row is linear about what was measured until it begins, over what is not known of its state. So the path is what
+    values and noise make of the log, wherever it was begun: a smoothed one follows what was measured later, about
+    contacts to any of several places.
 
     Parameters
     ----------
     space : StateSpace
     values : mapping from name to value
-    start : Fitted, optional
-        Begin with the path and the noise of this one.
     floor : ndarray of shape (d,)
         Least variance of each channel's noise.
     turns : int, default=16
@@ -140,156 +130,109 @@ def settled(
         Standard deviation of each channel's noise, where it is known.
     tolerance : float, default=0.1
         To which noise is estimated, nats.
-    own_slopes : bool, default=True
-        Whether slopes are taken; otherwise those of `start` do: a fraction of the cost, for a fit of which only its
-        worth beside `start` is wanted.
-    memories : bool, default=True
-        Whether random forces may be given a memory that they do not have in `start`.
-    patience : float, optional
-        Most that a full step may cost a chain, nats; the fit ends where it costs more, before it rests.
     """
-    known = Known(floor, given, tolerance)
-    best = _settled_near(
-        space, values, start, known, turns, own_slopes=own_slopes, memories=memories, patience=patience
-    )
-    if start is None or not own_slopes or best.restless < STILL or remembers(space.simulator, values):
-        return best
-    gain, other = _run_freely(space, best)
-    if gain < STILL:
-        return best
-    return max(
-        best,
-        _settled_near(space, values, other, known, turns, own_slopes=True, memories=memories),
-        key=lambda one: one.bound,
-    )
+    linear = linearise(space, space.measured, values)
+    if not linear.valid.any():
+        raise RuntimeError("The simulation diverges in every row: check the units of the states and actions.")
+    residuals = np.where(linear.valid[:, None], linear.chains.drive[space.places], np.nan)
+    typical = (1.4826 * np.nanmedian(np.abs(residuals), axis=0)) ** 2 / 2 + 1e-12 * space.spread**2
+    typical = np.minimum(typical, _rough(space)) if given is None else given**2
+    noise = normal_noise(linear.chains, _force_guess(linear, typical), typical)
+    estimate = Known(floor, given, tolerance).estimated(linear.chains, noise, space.real)
+    fitted = Fitted(dict(values), linear, linear.chains, estimate, np.zeros(0))
+    for turn in range(turns):
+        before = fitted.bound
+        fitted = next_fit(
+            space,
+            values,
+            fitted,
+            floor,
+            given=given,
+            tolerance=tolerance,
+            afresh=turn == 0,
+            memories=turn == 0,
+        )
+        if turn and abs(fitted.bound - before) < STILL:
+            break
+    return fitted
 
 
-def _run_freely(space: StateSpace, fitted: Fitted) -> tuple[float, Fitted]:
-    """Return the fit with chains that run freely from their first state where that is likelier, and what it gains.
-
-    A step from row to row seldom leaves a path on which something hits a row too early or too late. Where nothing but
-    the model moves it, a chain's own run does; only chains that have other paths near by are tried.
-    """
-    chosen = fitted.losses > RESTS
-    part, here, estimate = space.part(chosen), of_chains(space, fitted.linear, chosen), fitted.estimate
-    n_states = len(space.simulator.state_names)
-    path = moved_path(part, here.path, estimate.smoothed.means[chosen][..., : space.d])
-    rows, (chain, step) = part.rows(path), part.places
-    for time in range(path.shape[1] - 1):
-        now = np.flatnonzero(step == time)
-        inputs = rows[now]
-        inputs[:, :n_states] = path[chain[now], time]
-        (ends,) = space.simulator.predict_many(inputs, [fitted.values], groups=np.arange(len(now)))
-        finite = np.isfinite(ends).all(axis=1)
-        path[chain[now[finite]], time + 1] = ends[finite]
-    moved = linearise(part, path, fitted.values, _covariances(space, estimate)[chosen])
-    gains = np.zeros(len(chosen))
-    gains[chosen] = _likelihoods(part, moved, fitted.shares, estimate, chosen) - _likelihoods(
-        part, here, fitted.shares, estimate, chosen
-    )
-    better = gains > 0
-    linear = with_chains(space, fitted.linear, of_chains(part, moved, better[chosen]), better)
-    return float(gains[better].sum()), replace(
-        fitted, linear=linear, paces=np.where(better, 1.0, fitted.paces)
-    )
-
-
-def _settled_near(
+def next_fit(
     space: StateSpace,
     values: Mapping[str, float],
-    start: Fitted | None,
-    known: "Known",
-    turns: int,
+    start: Fitted,
+    floor: Array,
     *,
-    own_slopes: bool,
-    memories: bool,
-    patience: float = np.inf,
+    given: Array | None = None,
+    tolerance: float = TOLERANCE,
+    afresh: bool = False,
+    memories: bool = True,
 ) -> Fitted:
-    """Return the fit at given values about a path that is near the start; see `settled`."""
-    given = known.given
-    if start is None:
-        linear = linearise(space, space.measured, values)
-        if not linear.valid.any():
-            raise RuntimeError(
-                "The simulation diverges in every row: check the units of the states and actions."
-            )
-        residuals = np.where(linear.valid[:, None], linear.chains.drive[space.places], np.nan)
-        typical = (1.4826 * np.nanmedian(np.abs(residuals), axis=0)) ** 2 / 2 + 1e-12 * space.spread**2
-        typical = np.minimum(typical, _rough(space)) if given is None else given**2
-        noise = normal_noise(linear.chains, _force_guess(linear, typical), typical)
-        chains, shares = linear.chains, np.zeros(0)
-    else:
-        taken = None if own_slopes else start.linear
-        linear = linearise(
-            space, start.linear.path, values, _covariances(space, start.estimate), slopes=taken
-        )
-        noise, shares = start.estimate.noise, start.shares
-        chains = _remembering(space, linear, shares)
-    estimate = known.estimated(chains, noise, space.real)
-    best: Fitted | None = None
-    at_once = remembers(space.simulator, values)
-    paces, losses = np.ones(len(space.real)), np.zeros(len(space.real))
-    if start is not None:
-        # A path that was cut short there will be here.
-        paces, losses = np.minimum(1.0, LONGER * start.paces), start.losses
-    going: Mask = np.ones(len(space.real), dtype=bool)
-    for turn in range(turns):
-        part = space if at_once else space.part(going)
-        here = linear if at_once else of_chains(space, linear, going)
-        chosen = np.ones(len(space.real), dtype=bool) if at_once else going
-        steps = (paces[:, None, None] * estimate.smoothed.means[..., : space.d])[chosen]
-        moved = linearise(
-            part,
-            moved_path(space, here.path, steps),
-            values,
-            _covariances(space, estimate)[chosen],
-            slopes=here if start is not None or turn else None,
-            renewed=own_slopes,
-        )
-        if turn or start is not None:
-            # Each chain goes on only where that does better: about contacts the end of a full step may be anywhere.
-            gains = np.zeros(len(space.real))
-            # Of all chains as they are here the noise was estimated, by a pass over them.
-            before = (
-                estimate.filtered.log_likelihoods
-                if chosen.all()
-                else _likelihoods(space, here, shares, estimate, chosen)
-            )
-            gains[chosen] = _likelihoods(space, moved, shares, estimate, chosen) - before
-            better = chosen & (gains > 0)
-            losses = np.where(chosen & (paces == 1), np.maximum(0.0, -gains), losses)
-            shorter = going & ~better
-            going = np.where(better, gains > RESTS, shorter & (paces > SLOWEST) & (gains < -RESTS))
-            paces = np.where(better, np.minimum(1.0, 2 * paces), np.where(shorter, paces / 2, paces))
-            linear = with_chains(space, linear, of_chains(part, moved, better[chosen]), better)
-        else:
-            linear = moved
-        if turn == 0 and space.real.shape[1] > FEWEST_FOR_MEMORY and (memories or len(shares)):
-            # With another fit's slopes forces have the memory that they have there, if any.
-            climbs = own_slopes or not len(shares)
-            estimate, shares = _with_best_memory(space, linear, estimate.noise, shares, known, climbs=climbs)
-        else:
-            chains = _remembering(space, linear, shares)
-            estimate = known.estimated(chains, estimate.noise, space.real)
-        gain = np.inf if best is None else estimate.bound - best.bound
-        if gain > 0:
-            best = Fitted(
-                dict(values), linear, _remembering(space, linear, shares), estimate, shares, paces, losses
-            )
-        rests = not going.any() or (gain < STILL and not (paces[going] < 1).any())
-        if rests or (best is not None and best.restless > patience):
-            break
-    if best is None:
-        raise ValueError("turns must be at least 1")
-    return best
+    """Return the fit at given values that follows another one: path and slopes are taken anew once, at its noise.
+
+    Parameters
+    ----------
+    space, values, floor, given, tolerance
+        As in `first_fit`.
+    start : Fitted
+    afresh : bool, default=False
+        Whether slopes are taken anew in every row; otherwise in those alone that do not go as the ones before say.
+    memories : bool, default=True
+        Whether the memory of random forces is looked for; otherwise it is that of `start`.
+    """
+    means, covariances = updated(start.chains, start.estimate.filtered, start.estimate.noise.error_variances)
+    path = moved_path(space, start.linear.path, means[..., : space.d])
+    covariances = covariances[..., : space.d, : space.d]
+    slopes = None if afresh else start.linear
+    linear = linearise(space, path, values, covariances, slopes=slopes, renewed=True)
+    return _estimated(space, values, linear, start, Known(floor, given, tolerance), memories=memories)
 
 
-def _likelihoods(space: StateSpace, linear: Linear, shares: Array, estimate: Estimate, chosen: Mask) -> Array:
-    """Return the log likelihood of chains about a path, at the noise of all."""
-    noise = estimate.noise
+def compared(
+    space: StateSpace,
+    values: Mapping[str, float],
+    start: Fitted,
+    floor: Array,
+    *,
+    given: Array | None = None,
+    tolerance: float = TOLERANCE,
+    memories: bool = True,
+) -> Fitted:
+    """Return the fit at given values about the path of another and with its slopes: a simulation of each row.
+
+    Of two sets about one path, with the same slopes, what these differ by is not between them.
+
+    Parameters
+    ----------
+    space, values, start, floor, given, tolerance
+        As in `next_fit`.
+    memories : bool, default=True
+        Whether random forces may be given a memory that they do not have in `start`.
+    """
+    linear = linearise(space, start.linear.path, values, slopes=start.linear)
+    known = Known(floor, given, tolerance)
+    # Forces have the memory that they have there, if any.
+    climbs = not len(start.shares)
+    return _estimated(space, values, linear, start, known, memories=memories or not climbs, climbs=climbs)
+
+
+def _estimated(
+    space: StateSpace,
+    values: Mapping[str, float],
+    linear: Linear,
+    start: Fitted,
+    known: "Known",
+    *,
+    memories: bool,
+    climbs: bool = True,
+) -> Fitted:
+    """Return the fit about a path, noise estimated from that of another fit on."""
+    noise, shares = start.estimate.noise, start.shares
+    if memories and space.real.shape[1] > FEWEST_FOR_MEMORY:
+        estimate, shares = _with_best_memory(space, linear, noise, shares, known, climbs=climbs)
+        return Fitted(dict(values), linear, _remembering(space, linear, shares), estimate, shares)
     chains = _remembering(space, linear, shares)
-    variances = noise.force_variances[chosen], noise.error_variances[chosen]
-    return kalman_filter(chains, *variances).log_likelihoods
+    return Fitted(dict(values), linear, chains, known.estimated(chains, noise, space.real), shares)
 
 
 def _rough(space: StateSpace) -> Array:
@@ -297,16 +240,25 @@ def _rough(space: StateSpace) -> Array:
 
     A start from larger noise may never find a force that passes for it.
     """
-    names = space.simulator.output_names
-    variances = np.full(space.d, np.inf)
     episodes = np.repeat(np.arange(len(space.measured)), space.measured.shape[1])
-    for channel, name in enumerate(space.simulator.residual_names):
-        if name in names:
-            read = space.measured[..., names.index(name)]
-            series = np.where(space.mask[..., channel], read, np.nan).ravel()
-            variance = noise_variance(series, episodes)
-            variances[channel] = variance if variance > 0 else np.inf
-    return variances
+    flat = space.measured.reshape(len(episodes), -1)
+    read = np.where(space.mask.reshape(len(episodes), -1), tangents(space.simulator, flat), np.nan)
+    variances = np.array([noise_variance(series, episodes) for series in read.T])
+    return np.where(variances > 0, variances, np.inf)
+
+
+def hits(space: StateSpace) -> bool:
+    """Whether something hits in a log: some row is bent as far as sensors alone know where it starts.
+
+    Of a log in which a state was not measured this is not known: False.
+    """
+    noise = _rough(space)
+    if not space.simulator.state_names or not np.isfinite(noise).all():
+        return False
+    known = np.tile(np.diag(np.minimum(noise, space.spread**2)), (*space.mask.shape[:2], 1, 1))
+    chains, places = linearise(space, space.measured, {}, known).chains, space.places
+    bent = is_bent(chains.transitions[places], chains.bends[places], known[:, :-1][places], HIT)
+    return bool(bent.any())
 
 
 def _with_best_memory(
@@ -438,11 +390,6 @@ class Known:
             return None
         mask: Mask = np.arange(chains.drive.shape[-1]) < len(self.floor)
         return mask
-
-
-def _covariances(space: StateSpace, estimate: Estimate) -> Array:
-    covariances: Array = estimate.smoothed.covariances[..., : space.d, : space.d]
-    return covariances
 
 
 def slopes_of(

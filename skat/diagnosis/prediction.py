@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from skat.diagnosis.filtering import Array, Chains, Mask, kalman_filter, smooth
+from skat.diagnosis.filtering import Array, Chains, Mask, kalman_filter, smooth, updated
 from skat.diagnosis.findings import Gain
 from skat.diagnosis.fitting import Fitted
 from skat.diagnosis.noise import Estimate, Noise, normal_noise, passed, precisions
@@ -102,7 +102,7 @@ class Seen:
     Attributes
     ----------
     linear : Linear
-        About the smoothed path.
+        About the filtered path.
     chains : Chains
         Those of `linear`, with forces of memory where the noise has such.
     estimate : Estimate
@@ -239,8 +239,9 @@ def look(space: StateSpace, fitted: Fitted, values: Mapping[str, float]) -> Seen
             noise = _weighted(estimate, space.real, chains.mask)
         estimate = passed(chains, noise, space.real, covariances=True)
         if turn < turns - 1:
-            path = moved_path(space, linear.path, estimate.smoothed.means[..., : space.d])
-            covariances = estimate.smoothed.covariances[..., : space.d, : space.d]
+            means, known = updated(chains, estimate.filtered, noise.error_variances)
+            path = moved_path(space, linear.path, means[..., : space.d])
+            covariances = known[..., : space.d, : space.d]
     return Seen(linear, chains, estimate, shares)
 
 
@@ -253,12 +254,8 @@ def filtered(space: StateSpace, seen: Seen) -> tuple[Array, Array]:
     covariances : ndarray of shape (n_rows, d_all, d_all)
         Of the deviation from the truth, with the forces of memory behind.
     """
-    one, chains = seen.estimate.filtered, seen.chains
-    means = one.means + np.einsum("ctij,ctj->cti", one.gains, one.innovations)
-    kept = np.eye(means.shape[-1]) - one.gains
-    noise = np.where(chains.mask, seen.estimate.noise.error_variances, 0.0)
-    covariances = kept @ one.covariances @ kept.swapaxes(2, 3)
-    covariances += (one.gains * noise[:, :, None]) @ one.gains.swapaxes(2, 3)
+    estimate = seen.estimate
+    means, covariances = updated(seen.chains, estimate.filtered, estimate.noise.error_variances)
     states = moved_path(space, seen.linear.path, means[..., : space.d])
     return states[:, :-1][space.places], covariances[:, :-1][space.places]
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from joblib import Parallel, delayed, effective_n_jobs
 from numpy.typing import NDArray
+from scipy.stats import chi2, ortho_group
 
 from skat.diagnosis.filtering import Array, Chains, Mask
 from skat.simulators import Simulator
@@ -23,6 +24,12 @@ VALUES_AT_ONCE = 2e7
 SMALL_FORCE = 1e-3
 # Smallest step of a derivative, where the state is known better than that.
 SMALLEST_STEP = 1e-7
+# Outer points of Gauss and Hermite's rule of three, in standard deviations.
+OUTER = 3**0.5
+# A row is bent where what a line leaves has more than this share of the standard deviation of what is not known.
+BENT = 0.1
+# Pairs of points about the state of such a row, at least.
+PAIRS = 32
 # A row from near which states end so many times their spread away has diverged, as contacts do: it has no slopes.
 FAR = 1e3
 # Slopes are kept where a row ends off from where they say by no more than this share of what is not known of its state.
@@ -76,20 +83,6 @@ class StateSpace:
         if self.simulator.state_names:
             X[:, : path.shape[-1]] = path[:, :-1][self.places]
         return X
-
-    def part(self, chosen: Mask) -> "StateSpace":
-        """Return the log of some chains, for a simulation that needs no rows before them; `chosen` is (n_chains,)."""
-        inside = chosen[self.places[0]]
-        chain = (np.cumsum(chosen) - 1)[self.places[0][inside]]
-        return replace(
-            self,
-            X=self.X[inside],
-            groups=self.groups[inside],
-            places=(chain, self.places[1][inside]),
-            measured=self.measured[chosen],
-            mask=self.mask[chosen],
-            real=self.real[chosen],
-        )
 
     def simulated(self, rows: Array, candidates: Sequence[Mapping[str, float]]) -> Array:
         """Return the outputs of rows under each candidate, (n_candidates, n_rows, n_outputs)."""
@@ -179,7 +172,7 @@ def state_space(
     X = X.copy()
     d = len(simulator.residual_names)
     seen = np.isfinite(states)
-    if n_states and consecutive:
+    if n_states and consecutive and chain_length > 1:
         # A state at which an episode was cut belongs to the chain that it begins.
         last = np.r_[starts_rows[1:] - 1]
         cut = episodes[last] == episodes[last + 1]
@@ -266,9 +259,10 @@ def linearise(
 
     Notes
     -----
-    The points of a row are its state and, along each principal axis of the covariance, one standard deviation to
-    both sides. A function that is quadratic between them has the mean f + sum(h) / 2 and, beside its slope, the
-    covariance sum(h h') / 2, h being its second differences.
+    The points of a row are its state and, along each principal axis of the covariance, those of Gauss and Hermite's
+    rule of three. With h the second differences between them, f has the mean f + sum(h) / 6 and, beside its slope, the
+    covariance sum(h h') / 18, if it is quadratic; nearer points say the same of such a function, and are led far
+    astray by one that jumps. Where that covariance is large there are more points, see `_averaged`.
     """
     simulator, places = space.simulator, space.places
     rows, after = space.rows(path), space.path_ends(path)
@@ -352,41 +346,100 @@ def _sloped(
     space: StateSpace, rows: Array, after: Array, values: Mapping[str, float], covariances: Array | None
 ) -> _ByRow:
     """Return rows with slopes taken over what is not known of the states that they start from, (n_rows, d, d)."""
-    simulator, d, n = space.simulator, space.d, len(rows)
-    known = covariances is not None
+    d, n, units = space.d, len(rows), space.spread
     if covariances is None:
-        axes, widths = np.tile(np.eye(d), (n, 1, 1)), np.tile(FIRST_STEP * space.spread, (n, 1))
+        roots = np.tile(np.diag(FIRST_STEP * units), (n, 1, 1))
     else:
-        units = space.spread
         variances, axes = np.linalg.eigh(covariances / (units[:, None] * units))
-        widths = np.sqrt(np.clip(variances, SMALLEST_STEP**2, 1.0))
-        axes = axes * units[:, None]
+        roots = axes * units[:, None] * np.sqrt(np.clip(variances, SMALLEST_STEP**2, 1.0))[:, None]
+    base, up, down = _ends(space, rows, after, values, OUTER * roots)
+    inverse = np.linalg.inv(roots)
+    transitions = ((up - down) / (2 * OUTER)) @ inverse
+    far = np.any(np.maximum(np.abs(up), np.abs(down)) > FAR * units[:, None], axis=(1, 2))
+    base = np.where(far[:, None], np.nan, base)
+    bends, beyond = np.zeros((n, d, d)), np.zeros((n, d))
+    carrier = _joint_carrier(space, rows, values, base, after)
+    if covariances is not None:
+        second = up + down
+        beyond = second.sum(axis=-1) / (2 * OUTER**2)
+        bends = np.einsum("nia,nja->nij", second, second) / (2 * OUTER**4)
+        bent = is_bent(transitions, bends, covariances) & ~far
+        if bent.any():
+            every = remembers(space.simulator, values)
+            chosen = np.full(n, True) if every else bent
+            part = replace(space, groups=space.groups[chosen])
+            many = _averaged(part, rows[chosen], after[chosen], values, roots[chosen])
+            for own, one in zip((transitions, bends, beyond), many):
+                own[bent] = one[bent[chosen]]
+            transitions[bent] = transitions[bent] @ inverse[bent]
+    return _ByRow(
+        base, transitions, bends, beyond, rows[:, : len(space.simulator.state_names)], base, carrier
+    )
+
+
+def _averaged(
+    space: StateSpace, rows: Array, after: Array, values: Mapping[str, float], roots: Array
+) -> tuple[Array, Array, Array]:
+    """Return slopes by standard normal variables, the covariance of what these leave, and means beyond the centre.
+
+    Over points along axes turned at random, the same for all rows, as far out as quantiles of a normal law: first and
+    second moments of the points are exact.
+    """
+    d = space.d
+    times = max(2, -(-PAIRS // d))
+    turned = ortho_group.rvs(d, size=times, random_state=0) if d > 1 else np.ones((times, 1, 1))
+    squares = chi2.ppf((np.arange(times) + 0.5) / times, d)
+    radii = np.sqrt(squares * d / squares.mean())
+    Z = np.concatenate(radii[:, None, None] * turned, axis=1)
+    _, up, down = _ends(space, rows, after, values, roots @ Z)
+    odd, even = (up - down) / 2, (up + down) / 2
+    slopes = odd @ Z.T / Z.shape[1]
+    beyond = even.mean(axis=-1)
+    left, scatter = odd - slopes @ Z, even - beyond[..., None]
+    bends = left @ left.swapaxes(1, 2) / (Z.shape[1] - d) + scatter @ scatter.swapaxes(1, 2) / (
+        Z.shape[1] - 1
+    )
+    return slopes, bends, beyond
+
+
+def _ends(
+    space: StateSpace, rows: Array, after: Array, values: Mapping[str, float], offsets: Array
+) -> tuple[Array, Array, Array]:
+    """Return where rows end, and by how much off from there if they start displaced by offsets or by their negatives.
+
+    Both are of shape (n_rows, d, k), as `offsets` is.
+    """
+    simulator = space.simulator
     moved = [rows]
-    for axis in range(d):
-        offset = axes[:, :, axis] * widths[:, axis, None]
+    for offset in np.moveaxis(offsets, -1, 0):
         moved += [simulator.displace(rows, offset), simulator.displace(rows, -offset)]
     copies = np.concatenate(
         [space.groups + copy * (int(space.groups.max()) + 1) for copy in range(len(moved))]
     )
     (outputs,) = simulator.predict_many(np.concatenate(moved), [values], groups=copies)
-    outputs = outputs.reshape(len(moved), n, -1)
-    base = outputs[0]
-    safe = _finite(base, after)
-    up = np.stack([simulator.residual(_finite(one, safe), safe) for one in outputs[1::2]], axis=-1)
-    down = np.stack([simulator.residual(_finite(one, safe), safe) for one in outputs[2::2]], axis=-1)
-    # Of orthonormal axes in units: rows of the inverse are directions.
-    inverse = np.linalg.inv(axes) if known else axes
-    transitions = ((up - down) / (2 * widths[:, None])) @ inverse
-    far = np.any(np.maximum(np.abs(up), np.abs(down)) > FAR * space.spread[:, None], axis=(1, 2))
-    base = np.where(far[:, None], np.nan, base)
-    bends, beyond = np.zeros((n, d, d)), np.zeros((n, d))
-    if known:
-        second = up + down
-        beyond = second.sum(axis=-1) / 2
-        bends = np.einsum("nia,nja->nij", second, second) / 2
-    carrier = _joint_carrier(space, rows, values, base, after)
-    origins = rows[:, : len(simulator.state_names)]
-    return _ByRow(base, transitions, bends, beyond, origins, base, carrier)
+    outputs = outputs.reshape(len(moved), len(rows), -1)
+    safe = _finite(outputs[0], after)
+    off = np.stack([simulator.residual(_finite(one, safe), safe) for one in outputs[1:]], axis=-1)
+    return outputs[0], off[..., ::2], off[..., 1::2]
+
+
+def is_bent(transitions: Array, bends: Array, covariances: Array, share: float = BENT) -> Mask:
+    """Return which rows end off from where any line has them, as far as it is known where they start.
+
+    Parameters
+    ----------
+    transitions, bends : ndarray of shape (n_rows, d, d)
+        As in `Chains`.
+    covariances : ndarray of shape (n_rows, d, d)
+        Of the states that the rows start from.
+    share : float, default=0.1
+        Of the standard deviation of what is not known of where they end: from so much on.
+    """
+    unknown = transitions @ covariances @ transitions.swapaxes(1, 2) + covariances
+    bent: Mask = np.any(
+        np.diagonal(bends, axis1=1, axis2=2) > share**2 * np.diagonal(unknown, axis1=1, axis2=2), axis=1
+    )
+    return bent
 
 
 def _joint_carrier(
@@ -443,49 +496,6 @@ def derivatives(
             columns[:, :, column] = difference / (steps[name][1] - steps[name][0])
     columns[~linear.valid] = 0.0
     return columns
-
-
-def with_chains(space: StateSpace, linear: Linear, other: Linear, chosen: Mask) -> Linear:
-    """Return the simulation about a path where some chains are those of another: `other` holds these alone."""
-
-    def filled(whole: Array, part: Array) -> Array:
-        out = whole.copy()
-        out[chosen] = part
-        return out
-
-    rows = chosen[space.places[0]]
-    by_row = {}
-    for name in ("outputs", "valid", "beyond", "origins", "ends"):
-        by_row[name] = getattr(linear, name).copy()
-        by_row[name][rows] = getattr(other, name)
-    ours, theirs = linear.chains, other.chains
-    return Linear(
-        filled(linear.path, other.path),
-        Chains(
-            filled(ours.transitions, theirs.transitions),
-            filled(ours.drive, theirs.drive),
-            filled(ours.bends, theirs.bends),
-            filled(ours.carrier, theirs.carrier),
-            filled(ours.measured, theirs.measured),
-            ours.mask,
-            ours.prior,
-        ),
-        **by_row,
-    )
-
-
-def of_chains(space: StateSpace, linear: Linear, chosen: Mask) -> Linear:
-    """Return the simulation about the paths of some chains."""
-    rows = chosen[space.places[0]]
-    return Linear(
-        linear.path[chosen],
-        linear.chains.of(chosen),
-        linear.outputs[rows],
-        linear.valid[rows],
-        linear.beyond[rows],
-        linear.origins[rows],
-        linear.ends[rows],
-    )
 
 
 def remembers(simulator: Simulator, values: Mapping[str, float]) -> bool:

@@ -72,6 +72,4 @@ def known(space, values, force, *, share=None, nu=np.inf):
         chains,
         passed(chains, noise, space.real, covariances=True),
         shares,
-        np.ones(len(space.real)),
-        np.zeros(len(space.real)),
     )

@@ -28,10 +28,10 @@ from skat.diagnosis.fitting import (
     _without_memory,
     _worth_of_memories,
     coordinate,
+    first_fit,
     gram_of,
     on_logarithm,
     priors_of,
-    settled,
     slopes_of,
     value_at,
 )
@@ -143,7 +143,7 @@ def pushed(gain=1.0, error=0.1, n=40, seed=0, times=1.0):
 
 def test_slopes_count_by_the_coordinate_of_the_search():
     space = pushed()
-    fitted = settled(space, {}, None, np.zeros(1), turns=2)
+    fitted = first_fit(space, {}, np.zeros(1), turns=2)
     effects = (GAIN, SHIFT)
     slopes = slopes_of(space, fitted, effects, priors_of(effects).scales)
     chord = (np.exp(0.01) - 1) / 0.01
@@ -159,19 +159,17 @@ def test_slopes_count_by_the_coordinate_of_the_search():
     assert np.abs(step).max() < 4
 
 
-def test_a_fit_at_given_noise_keeps_it_and_one_without_a_turn_is_none():
+def test_a_fit_at_given_noise_keeps_it():
     space = pushed()
-    given = settled(space, {}, None, np.zeros(1), given=np.array([0.3]), turns=2)
+    given = first_fit(space, {}, np.zeros(1), given=np.array([0.3]), turns=2)
     assert given.estimate.noise.error[0] == pytest.approx(0.09)
-    free = settled(space, {}, None, np.zeros(1))
+    free = first_fit(space, {}, np.zeros(1))
     assert free.estimate.noise.error[0] == pytest.approx(0.01, rel=0.35)
-    with pytest.raises(ValueError, match="turns must be at least 1"):
-        settled(space, {}, None, np.zeros(1), turns=0)
 
 
 def test_the_right_value_is_likelier_than_others():
     space = pushed(gain=1.3)
-    bounds = [settled(space, {"gain": value}, None, np.zeros(1)).bound for value in (1.0, 1.3, 1.6)]
+    bounds = [first_fit(space, {"gain": value}, np.zeros(1)).bound for value in (1.0, 1.3, 1.6)]
     assert bounds[1] > max(bounds[0], bounds[2]) + 10
 
 

@@ -1,18 +1,19 @@
-"""Fits of sets of causes: going on from one loses nothing, chains go their own ways, sets are compared by both fits."""
+"""Fits of sets of causes: the same wherever they are begun; sets are compared by the slopes of both."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import mujoco
 import numpy as np
 import pytest
 
-from skat.diagnosis.causes import Comparison, _first_guess
+from skat.diagnosis.causes import Comparison, _as_one, _first_guess
 from skat.diagnosis.evidence import Weighed, Weigher
-from skat.diagnosis.fits import Fit, Fits, _lowest
-from skat.diagnosis.fitting import Fitted, _blocks, _run_freely, priors_of, settled
-from skat.diagnosis.statespace import linearise, of_chains, state_space, with_chains
-from skat.simulators import MujocoSimulator
+from skat.diagnosis.fits import Fit, Fits
+from skat.diagnosis.fitting import _blocks, compared, first_fit, hits, next_fit, priors_of
+from skat.diagnosis.search import rivals_of
+from skat.diagnosis.statespace import state_space
+from skat.effects import Effect
+from skat.simulators import FunctionSimulator, MujocoSimulator
 from tests.diagnosis import pendulum
 
 SIMULATOR = MujocoSimulator(pendulum.NOMINAL, frame_skip=pendulum.FRAME_SKIP)
@@ -28,6 +29,7 @@ BALL = """
   </worldbody>
 </mujoco>
 """
+predict = SIMULATOR.predict_many
 HEAVIER = pendulum.TEXT.format(damping=0.15)
 
 
@@ -50,8 +52,8 @@ def nothing(fits):
     return fits.first()
 
 
-def bouncing():
-    """Return the state space of a ball that bounces, measured with noise, in chains of 64 rows."""
+def bouncing(chain_length=64, hidden=()):
+    """Return the state space of a ball that bounces, measured with noise, and that without some of its states."""
     model = mujoco.MjModel.from_xml_string(BALL)
     data, rng = mujoco.MjData(model), np.random.default_rng(0)
     states = []
@@ -62,35 +64,42 @@ def bouncing():
             states.append([data.qpos[0], data.qvel[0]])
             mujoco.mj_step(model, data, nstep=5)
     states = np.array(states) + rng.normal(scale=(0.02, 0.4), size=(len(states), 2))
+    states[:, list(hidden)] = np.nan
     last = np.arange(len(states)) % 128 == 127
     before, after = states[~last], states[np.roll(~last, 1)]
     simulator = MujocoSimulator(BALL, frame_skip=5)
-    return state_space(simulator, before, after, np.repeat([0, 1], 127), consecutive=True, chain_length=64)
+    return state_space(
+        simulator, before, after, np.repeat([0, 1], 127), consecutive=True, chain_length=chain_length
+    )
 
 
-def a_fit(members, evidence, error=100.0):
-    """Return a fit of which only members and evidence matter, and how much of that may be another path's."""
-    return Fit(members, {}, SimpleNamespace(losses=np.array([error])), evidence, np.zeros(len(members)))
+def a_fit(members, evidence):
+    """Return a fit of which only members and evidence matter."""
+    return Fit(members, {}, None, evidence, np.zeros(len(members)))
 
 
 class Told:
     """Fits of which the evidence of each set is told: with the slopes of the present set, of another, and its own."""
 
-    def __init__(self, error=100.0, **evidences):
-        self.error = error
+    def __init__(self, own=50.0, **evidences):
+        self.own = own
         self.evidences = {tuple(map(int, name[1:])): told for name, told in evidences.items()}
 
     def places(self, fit):
         return np.zeros(len(fit.members))
 
     def of(self, members, places, near, own_slopes=True):
-        evidence = 1 if own_slopes else self.evidences[tuple(members)][near.evidence]
-        return a_fit(members, evidence, self.error)
+        if own_slopes:
+            return a_fit(members, self.own)
+        return a_fit(members, self.evidences[tuple(members)][near.evidence != 0])
+
+    def about(self, members, places, near):
+        return a_fit(members, self.own)
 
 
-def compared(now, error=100.0, **evidences):
+def beside(now, own=50.0, **evidences):
     """Return sets beside a present one; ``s01=(1.0, 2.0)`` is {0, 1}, with its slopes and with those of the other."""
-    return Comparison(Told(error, **evidences), a_fit(now, 0, error))
+    return Comparison(Told(own, **evidences), a_fit(now, 0))
 
 
 def a_set(members):
@@ -98,32 +107,60 @@ def a_set(members):
 
 
 def test_more_names_must_be_worth_what_they_need():
-    assert compared((), s=(0,), s0=(6,)).gain((0,), np.zeros(1)) == 6
-    assert compared((), s=(0,), s0=(6,)).prefers((0,), np.zeros(1), 5.0)
-    assert not compared((), s=(0,), s0=(5,)).prefers((0,), np.zeros(1), 5.0)
-    assert compared((0,), s=(0,), s0=(4,)).prefers((), np.zeros(0), 5.0)
-    assert not compared((0,), s=(0,), s0=(5,)).prefers((), np.zeros(0), 5.0)
-    assert compared((0,), s0=(0,), s1=(1,)).prefers((1,), np.zeros(1), 5.0)
-    assert not compared((0,), s0=(0,), s1=(0,)).prefers((1,), np.zeros(1), 5.0)
+    assert beside((), s=(0,), s0=(6,)).gain((0,), np.zeros(1)) == 6
+    assert beside((), s=(0,), s0=(6,)).prefers((0,), np.zeros(1), 5.0)
+    assert not beside((), s=(0,), s0=(5,)).prefers((0,), np.zeros(1), 5.0)
+    for told in ((4, 109), (9, 104)):
+        assert beside((0,), s=(0, 100), s0=told).prefers((), np.zeros(0), 5.0)
+    assert not beside((0,), s=(0, 100), s0=(5, 105)).prefers((), np.zeros(0), 5.0)
+    assert beside((0,), s0=(0,), s1=(1,)).prefers((1,), np.zeros(1), 5.0)
+    assert not beside((0,), s0=(0,), s1=(0,)).prefers((1,), np.zeros(1), 5.0)
 
 
 @pytest.mark.parametrize(("theirs", "own", "is_taken"), [(6, 106, True), (6, 104, False), (4, 106, False)])
 def test_more_names_are_taken_if_the_slopes_of_either_set_prefer_them(theirs, own, is_taken):
-    taken = compared((), s=(0, 100), s0=(theirs, own)).taken(a_set((0,)), 5.0)
+    taken = beside((), s=(0, 100), s0=(theirs, own)).taken(a_set((0,)), 5.0)
     assert (taken is not None) is is_taken
 
 
 @pytest.mark.parametrize(("theirs", "own", "is_taken"), [(4, 106, True), (6, 104, True), (6, 106, False)])
 def test_fewer_names_are_taken_if_the_slopes_of_one_set_prefer_them(theirs, own, is_taken):
-    taken = compared((0,), s=(0, 100), s0=(theirs, own)).taken(a_set(()), 5.0)
+    taken = beside((0,), s=(0, 100), s0=(theirs, own)).taken(a_set(()), 5.0)
     assert (taken is not None) is is_taken
 
 
 def test_a_set_that_its_own_fit_contradicts_is_not_taken():
-    # One name more needs 5 nats; fits of their own have 1 between them, and of each so much may be another path's.
-    assert compared((), 2.1, s=(0, 100), s0=(6, 106)).taken(a_set((0,)), 5.0) is not None
-    assert compared((), 1.9, s=(0, 100), s0=(6, 106)).taken(a_set((0,)), 5.0) is None
-    assert compared((0,), 0.0, s0=(0, 100), s1=(1, 101)).taken(a_set((1,)), 0.0) is not None
+    # One name more needs 5 nats, and fits of their own have so many between them.
+    assert beside((), 6, s=(0, 100), s0=(6, 106)).taken(a_set((0,)), 5.0) is not None
+    assert beside((), 4, s=(0, 100), s0=(6, 106)).taken(a_set((0,)), 5.0) is None
+    assert beside((0,), 1, s0=(0, 100), s1=(1, 101)).taken(a_set((1,)), 0.0) is not None
+
+
+def test_sets_are_compared_by_the_slopes_of_either():
+    assert beside((0,), s0=(0, 100), s1=(-6, 102)).gains((1,), np.zeros(1)) == (-6, 2)
+
+
+@pytest.mark.parametrize(("values", "one"), [((1.2, 1.2), True), ((1.2, 1.3), False)])
+def test_members_of_a_family_are_one_cause_where_the_log_is_likelier_so(values, one):
+    names = ("gain[a]", "gain[b]", "gain[all]")
+    effects = tuple(Effect(name, unit="1", neutral=1.0, bounds=(0.0, 2.0), typical=0.3) for name in names)
+
+    def law(X, **values):
+        a, b, every = (values[name] for name in names)
+        return X @ np.diag([a, b]) * every
+
+    simulator = FunctionSimulator(law, input_names=("p", "q"), output_names=("y", "z"), effects=effects)
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(200, 2))
+    y = X * values + 0.1 * rng.normal(size=(200, 2))
+    space = state_space(simulator, X, y, np.arange(200), consecutive=False)
+    fits = Fits(space, effects, priors_of(effects), np.zeros(2), None, 1.0)
+    both = fits.of((0, 1), np.full(2, 0.1), fits.first())
+    worth = Weigher(fits.gram(both.fitted, range(3)), fits.priors, rivals_of(effects))
+    found = _as_one(Comparison(fits, both), worth, rivals_of(effects))
+    assert (None if found is None else found.members) == ((2,) if one else None)
+    if one:
+        assert found.values["gain[all]"] == pytest.approx(1.2, abs=0.02)
 
 
 def test_sets_with_the_slopes_of_another_fit_differ_as_fits_of_their_own_do(fits, nothing):
@@ -154,71 +191,30 @@ def test_a_first_guess_is_tried_where_it_is_likelier_as_it_is_than_nothing_and_t
 
 
 def test_forces_are_given_no_memory_where_none_is_looked_for(space, nothing):
-    assert len(settled(space, {}, None, np.zeros(space.d)).shares)
-    bare = settled(space, {}, None, np.zeros(space.d), memories=False)
+    assert len(nothing.fitted.shares)
+    bare = first_fit(space, {}, np.zeros(space.d), turns=0)
     assert not len(bare.shares)
-    assert not len(settled(space, {}, bare, np.zeros(space.d), own_slopes=False, memories=False).shares)
-    kept = settled(space, {}, nothing.fitted, np.zeros(space.d), own_slopes=False, memories=False)
+    assert not len(compared(space, {}, bare, np.zeros(space.d), memories=False).shares)
+    assert len(compared(space, {}, bare, np.zeros(space.d)).shares)
+    kept = compared(space, {}, nothing.fitted, np.zeros(space.d), memories=False)
     assert len(kept.shares) == len(nothing.fitted.shares)
 
 
-def test_a_chain_runs_freely_where_that_is_likelier(space):
-    fitted = settled(space, {"damping[hinge]": 0.1}, None, np.zeros(space.d))
-    n_states = space.measured.shape[-1]
-    wrong = fitted.linear.path + np.random.default_rng(0).normal(scale=0.05, size=fitted.linear.path.shape)
-    wrong[:, 0] = fitted.linear.path[:, 0]
-    spoilt = replace(
-        fitted,
-        linear=linearise(space, wrong, fitted.values, fitted.estimate.smoothed.covariances),
-        estimate=replace(
-            fitted.estimate,
-            smoothed=replace(fitted.estimate.smoothed, means=np.zeros_like(fitted.estimate.smoothed.means)),
-        ),
-        losses=np.where(np.arange(len(space.real)) == 0, 1.0, 0.0),
-    )
-    gain, mended = _run_freely(space, spoilt)
-    assert gain > 0
-    # Only the chain that is restless was tried, and it obeys the model in each of its rows.
-    changed = np.any(mended.linear.path != wrong, axis=(1, 2))
-    assert changed.tolist() == [True] + [False] * (len(changed) - 1)
-    first = space.places[0] == 0
-    ends = space.simulator.predict(space.rows(mended.linear.path)[first], effects=fitted.values)
-    np.testing.assert_allclose(ends[:, :n_states], space.path_ends(mended.linear.path)[first], atol=1e-9)
+def test_a_fit_is_the_same_wherever_it_was_begun(space):
+    for one, other in ((space, {"damping[hinge]": 0.5}), (bouncing(chain_length=1), {"gravity": 0.8})):
+        floor = np.zeros(one.d)
+        first, far = first_fit(one, {}, floor), first_fit(one, other, floor)
+        for start in (first, far):
+            fitted = start
+            for _ in range(4):
+                fitted = next_fit(one, {}, fitted, floor)
+            assert fitted.bound == pytest.approx(first.bound, abs=1.5)
 
 
-def test_a_fit_of_long_chains_ends_early_where_something_hits_and_nowhere_else(space, monkeypatch):
-    turns = []
-
-    def counted(*args, **options):
-        turns.append(None)
-        return linearise(*args, **options)
-
-    monkeypatch.setattr("skat.diagnosis.fitting.linearise", counted)
-
-    def fitted(space, patience):
-        turns.clear()
-        fit = settled(space, {}, None, np.zeros(space.d), patience=patience)
-        return fit, len(turns)
-
-    (whole, most), (ended, least) = (fitted(bouncing(), patience) for patience in (np.inf, 5.0))
-    assert min(whole.restless, ended.restless) > 5.0
-    assert least < most
-    (whole, most), (ended, least) = (fitted(space, patience) for patience in (np.inf, 5.0))
-    assert (ended.bound, least) == (whole.bound, most)
-
-
-def test_going_on_from_a_fit_that_rests_loses_nothing(space):
-    first = settled(space, {}, None, np.zeros(space.d))
-    second = settled(space, {}, first, np.zeros(space.d))
-    assert second.bound > first.bound - 0.1
-    assert second.restless < 0.1
-    assert isinstance(second, Fitted)
-
-
-def test_a_fit_is_known_to_no_better_than_its_most_restless_chain_loses(space):
-    fitted = settled(space, {}, None, np.zeros(space.d))
-    restless = replace(fitted, losses=np.array([0.0, 7.0, 2.0]))
-    assert _lowest(restless) == pytest.approx(_lowest(replace(fitted, losses=np.zeros(3))) - 7.0)
+def test_only_where_something_hits_is_a_row_bent_and_only_where_all_is_measured_is_it_known(space):
+    assert hits(bouncing())
+    assert not hits(bouncing(hidden=(1,)))
+    assert not hits(space)
 
 
 def test_a_set_is_fitted_to_where_its_slopes_move_it_no_more(fits, nothing):
@@ -234,30 +230,17 @@ def test_a_set_is_fitted_to_where_its_slopes_move_it_no_more(fits, nothing):
 
 
 @pytest.mark.parametrize("members", [(0,), ()])
-def test_with_the_slopes_of_another_fit_a_fit_takes_none(fits, nothing, members, monkeypatch):
+def test_beside_another_fit_a_row_is_simulated_once(fits, nothing, members, monkeypatch):
     asked = []
-
-    def counted(*args, **options):
-        asked.append(options.get("slopes") is None)
-        return linearise(*args, **options)
-
-    monkeypatch.setattr("skat.diagnosis.fitting.linearise", counted)
+    monkeypatch.setattr(
+        SIMULATOR,
+        "predict_many",
+        lambda rows, *args, **options: asked.append(len(rows)) or predict(rows, *args, **options),
+    )
     values = {fits.effects[one].name: 0.1 for one in members}
-    settled(fits.space, values, nothing.fitted, fits.floor, own_slopes=False)
-    assert asked
-    assert not any(asked)
-
-
-def test_chains_are_taken_out_and_put_back_as_they_were(space):
-    linear = linearise(space, space.measured, {})
-    chosen = np.arange(len(space.real)) % 2 == 0
-    part = of_chains(space, linear, chosen)
-    own = linearise(space.part(chosen), space.measured[chosen], {})
-    np.testing.assert_allclose(part.chains.transitions, own.chains.transitions, atol=1e-9)
-    np.testing.assert_allclose(part.outputs, own.outputs, atol=1e-12)
-    whole = with_chains(space, linear, own, chosen)
-    np.testing.assert_allclose(whole.chains.drive, linear.chains.drive, atol=1e-12)
-    np.testing.assert_allclose(whole.outputs, linear.outputs, atol=1e-12)
+    fit = compared(fits.space, values, nothing.fitted, fits.floor)
+    assert asked == [len(fits.space.X)]
+    np.testing.assert_array_equal(fit.linear.path, nothing.fitted.linear.path)
 
 
 def test_blocks_of_time_are_as_long_in_short_chains_as_in_long_ones():

@@ -15,11 +15,11 @@ from skat.diagnosis.fitting import (
     _rough,
     _with_best_memory,
     around,
+    first_fit,
     gram_of,
     noise_without,
     priors_of,
     response,
-    settled,
     slopes_of,
 )
 from skat.diagnosis.noise import normal_noise
@@ -89,7 +89,7 @@ def test_a_fit_without_a_member_is_that_of_the_others(fits):
 @pytest.mark.parametrize("given", [None, np.array([0.3])])
 def test_what_effects_explain_is_no_noise(given):
     space, X, y = logged(200)
-    fitted = settled(space, {}, None, np.zeros(1), given=given)
+    fitted = first_fit(space, {}, np.zeros(1), given=given)
     slopes = slopes_of(space, fitted, EFFECTS, priors_of(EFFECTS).scales)
     np.testing.assert_allclose(slopes[:, 0], X, atol=1e-9)
     moves = np.array([1.0, 0.0, -0.4])
@@ -106,7 +106,7 @@ def test_what_effects_explain_is_no_noise(given):
 
 def test_scores_are_of_whitened_rows_in_blocks_of_time():
     space, X, y = logged(120)
-    fitted = settled(space, {}, None, np.zeros(1), given=np.array([SIGMA]))
+    fitted = first_fit(space, {}, np.zeros(1), given=np.array([SIGMA]))
     columns = gram_of(space, fitted, slopes_of(space, fitted, EFFECTS, priors_of(EFFECTS).scales), EFFECTS)
     np.testing.assert_allclose(columns.columns, X / SIGMA, atol=1e-9)
     np.testing.assert_allclose(columns.whitened, y / SIGMA, rtol=1e-9)
@@ -219,7 +219,7 @@ def test_a_simulation_that_diverges_everywhere_has_no_fit():
     with pytest.raises(
         RuntimeError, match=r"diverges in every row: check the units of the states and actions\."
     ):
-        settled(space, {}, None, np.zeros(1))
+        first_fit(space, {}, np.zeros(1))
 
 
 def test_values_to_both_sides_are_as_far_off_as_they_count_and_within_bounds():

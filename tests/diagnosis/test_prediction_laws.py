@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
+from skat.diagnosis.filtering import updated
 from skat.diagnosis.fitting import Fitted
 from skat.diagnosis.noise import Noise, normal_noise, passed
 from skat.diagnosis.prediction import (
@@ -82,15 +83,12 @@ def known(space, error, force=0.0, share=None):
         chains = chains.with_memory(shares, np.array(forces) / (1 - share**2))
         forces, errors = [0.0, *forces], [*errors, 1.0]
     noise = normal_noise(chains, np.array(forces), np.array(errors))
-    n = len(space.real)
     return Fitted(
         {},
         linear,
         chains,
         passed(chains, noise, space.real, covariances=True),
         shares,
-        np.ones(n),
-        np.zeros(n),
     )
 
 
@@ -248,7 +246,7 @@ def test_a_log_is_looked_at_about_the_mean_over_what_is_not_known_of_its_states(
     )
     space = read([30, 20], error=0.3, simulator=bent, centres=[0.5, 0.5])
     seen = look(space, known(space, 0.3, 0.01), {})
-    spread = seen.estimate.smoothed.covariances
+    _, spread = updated(seen.chains, seen.estimate.filtered, seen.estimate.noise.error_variances)
     mean, point = (linearise(space, seen.linear.path, {}, one) for one in (spread, None))
     np.testing.assert_allclose(seen.chains.drive, mean.chains.drive, atol=1e-6)
     assert np.abs(mean.chains.drive - point.chains.drive).max() > 1e-3
@@ -301,8 +299,6 @@ def test_without_a_state_an_error_ahead_is_that_of_the_sensor():
         linear.chains,
         passed(linear.chains, noise, space.real),
         np.zeros(0),
-        np.ones(20),
-        np.zeros(20),
     )
     np.testing.assert_array_equal(
         variances_ahead(space, look(space, fitted, {}), np.arange(3), 1), np.full((3, 1, 1), 0.04)

@@ -9,7 +9,7 @@ import pytest
 from scipy import special, stats
 
 from skat.diagnosis.findings import Gain
-from skat.diagnosis.fitting import Fitted, settled
+from skat.diagnosis.fitting import Fitted, first_fit
 from skat.diagnosis.noise import normal_noise, passed
 from skat.diagnosis.prediction import Seen, variances_ahead, windows
 from skat.diagnosis.remainder import (
@@ -260,7 +260,7 @@ def one_shot(n, seed, bent=0.0, error=0.5):
     linear = linearise(space, space.measured, {})
     noise = normal_noise(linear.chains, np.zeros(0), np.array([error**2]))
     estimate = passed(linear.chains, noise, space.real, covariances=True)
-    return space, Fitted({}, linear, linear.chains, estimate, np.zeros(0), np.ones(n), np.zeros(n))
+    return space, Fitted({}, linear, linear.chains, estimate, np.zeros(0))
 
 
 def test_the_law_of_what_is_read_is_the_mean_in_each_bin_drawn_to_zero_by_its_size():
@@ -324,7 +324,7 @@ def test_an_acceleration_that_a_function_lacks_is_found_in_its_unit():
     drag = 0.8
     space = rolled([80] * 4, drag=drag)
     remainder = find_remainder(
-        space, settled(space, {}, None, np.zeros(2)), random_state=np.random.RandomState(0), horizon=7
+        space, first_fit(space, {}, np.zeros(2)), random_state=np.random.RandomState(0), horizon=7
     )
     assert remainder.horizon == 7
     (part,) = remainder.parts
@@ -394,7 +394,7 @@ def resting(lengths, *, error=0.1, force=0.0):
     forces = np.array([force / space.carrier[0, 0] ** 2])
     noise = normal_noise(linear.chains, forces, np.array([error**2]))
     estimate = passed(linear.chains, noise, space.real, covariances=True)
-    return space, Fitted({}, linear, linear.chains, estimate, np.zeros(0), np.ones(len(lengths)), np.zeros(1))
+    return space, Fitted({}, linear, linear.chains, estimate, np.zeros(0))
 
 
 def test_a_force_adds_ahead_the_product_of_what_its_two_estimates_move():

@@ -95,15 +95,14 @@ def test_a_channel_that_rests_is_known_to_a_millionth_of_the_widest_at_worst():
     assert space.spread[1] == pytest.approx(1e-6 * space.spread[0])
 
 
-def test_a_part_of_a_log_holds_its_chains_and_their_rows():
-    space = state_space(of_states(drifting), *logged([10, 4, 13]), consecutive=True, chain_length=5)
-    chosen = np.arange(len(space.real)) % 2 == 1
-    part = space.part(chosen)
-    inside = chosen[space.places[0]]
-    np.testing.assert_array_equal(part.X, space.X[inside])
-    np.testing.assert_array_equal(part.path_ends(part.measured), space.path_ends(space.measured)[inside])
-    np.testing.assert_array_equal(part.rows(part.measured), space.rows(space.measured)[inside])
-    assert part.real.sum() == inside.sum()
+def test_in_chains_of_one_row_a_measurement_ends_one_and_begins_the_next():
+    X, y, groups = logged([10, 4])
+    space = state_space(of_states(drifting), X, y, groups, consecutive=True, chain_length=1)
+    assert space.mask.shape[:2] == (14, 2)
+    assert space.mask.all()
+    np.testing.assert_array_equal(space.measured[:, 0], X[:, :2])
+    np.testing.assert_array_equal(space.measured[:, 1], y)
+    assert space.groups.tolist() == groups.tolist()
 
 
 def test_what_was_not_measured_is_guessed_in_time_from_positions_or_from_the_rest_of_the_log():
@@ -171,7 +170,7 @@ def test_of_a_parabola_mean_slope_and_bend_are_those_of_the_normal_law():
 
     X, y, groups = logged([20])
     space = state_space(of_states(step), X, y, groups, consecutive=True)
-    variance = np.array([0.04, 0.09])
+    variance = np.array([0.001, 0.09])  # a hundredth of what is not known is bent: three points do
     covariances = np.broadcast_to(np.diag(variance), (1, 21, 2, 2))
     linear = linearise(space, space.measured, {}, covariances)
     ends = step(X)
@@ -194,6 +193,34 @@ def test_of_a_parabola_mean_slope_and_bend_are_those_of_the_normal_law():
     np.testing.assert_array_equal(again.chains.transitions, linear.chains.transitions)
     np.testing.assert_array_equal(again.chains.bends, linear.chains.bends)
     np.testing.assert_allclose(again.chains.drive[space.places], mean - y, atol=1e-9)
+
+
+@pytest.mark.parametrize("d", [2, 9])
+def test_of_a_kink_mean_slope_and_bend_are_about_those_of_the_normal_law(d):
+    """A wall that pushes back: of x + 4 max(-x, 0), x normal about 0, and of what is beside it."""
+    names = tuple(f"s{one}" for one in range(d))
+
+    def step(X):
+        out = X[:, :d].copy()
+        out[:, 0] += 4 * np.maximum(-X[:, 0], 0)
+        return out
+
+    rng = np.random.default_rng(0)
+    X = np.c_[rng.normal(size=(30, d)), np.zeros(30)]
+    X[::2, 0] = 0.0  # the others make its spread
+    simulator = FunctionSimulator(
+        step, input_names=(*names, "u"), output_names=names, state_names=names, dt=DT
+    )
+    space = state_space(simulator, X, step(X), np.arange(30), consecutive=False)
+    sigma = 0.1
+    covariances = np.broadcast_to(sigma**2 * np.eye(d), (30, 2, d, d))
+    linear = linearise(space, space.measured, {}, covariances)
+    # E max(z, 0) = 1 / sqrt(2 pi), its slope 1 / 2, and its variance 1 / 2 - 1 / (2 pi), of which the slope has 1 / 4.
+    np.testing.assert_allclose(linear.beyond[::2, 0], 4 * sigma / np.sqrt(2 * np.pi), rtol=0.03)
+    np.testing.assert_allclose(linear.beyond[::2, 1:], 0, atol=1e-12)
+    np.testing.assert_allclose(linear.chains.transitions[::2, 0, 0, 0], 1 - 2, atol=0.02)
+    bend = 16 * sigma**2 * (1 / 4 - 1 / (2 * np.pi))
+    np.testing.assert_allclose(linear.chains.bends[::2, 0, 0, 0], bend, rtol=0.15)
 
 
 def test_a_correlated_law_has_the_slopes_of_a_linear_step():
