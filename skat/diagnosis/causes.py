@@ -128,11 +128,17 @@ class Comparison:
         return self.fit(members, places).evidence - present.evidence
 
     def gains(self, members: Sequence[int], places: Array) -> tuple[float, float]:
-        """Return the same by the slopes of the present set and by its own, as it is: either favour theirs."""
+        """Return the same by the slopes of the present set and by its own, as it is.
+
+        Where rows are bent either favour their own set; elsewhere they are the same.
+        """
+        gain = self.gain(members, places)
+        if not self.fits.bends(self.now):
+            return gain, gain
         other = self.fit(members, places)
         look = self.fits.about(other.members, self.fits.places(other), self.now)
         turned = Comparison(self.fits, self.now, look).gain(look.members, self.fits.places(look))
-        return self.gain(members, places), turned
+        return gain, turned
 
     def prefers(self, members: Sequence[int], places: Array, needed: float) -> bool:
         """Whether a set is to be preferred to the present one: by what more names need.

@@ -10,6 +10,7 @@ from skat.diagnosis.filtering import Array
 from skat.diagnosis.fitting import (
     STILL,
     Fitted,
+    bends,
     compared,
     coordinate,
     first_fit,
@@ -136,6 +137,10 @@ class Fits:
         values = {effect.name: value_at(effect, at) for effect, at in zip(effects, places)}
         fitted = self._next(values, near.fitted)
         return self._weighed(tuple(members), fitted, np.zeros(len(members)))[0]
+
+    def bends(self, fit: Fit) -> bool:
+        """Whether some row of a fit is bent; see `fitting.bends`."""
+        return bends(self.space, fit.fitted)
 
     def bound(self, values: Mapping[str, float], near: Fit) -> float:
         """Return the bound of the log likelihood at given values, with path and slopes of another fit."""

@@ -180,12 +180,28 @@ def next_fit(
     memories : bool, default=True
         Whether the memory of random forces is looked for; otherwise it is that of `start`.
     """
-    means, covariances = updated(start.chains, start.estimate.filtered, start.estimate.noise.error_variances)
-    path = moved_path(space, start.linear.path, means[..., : space.d])
-    covariances = covariances[..., : space.d, : space.d]
+    means, covariances = _so_far(space, start)
+    path = moved_path(space, start.linear.path, means)
     slopes = None if afresh else start.linear
     linear = linearise(space, path, values, covariances, slopes=slopes, renewed=True)
     return _estimated(space, values, linear, start, Known(floor, given, tolerance), memories=memories)
+
+
+def _so_far(space: StateSpace, fitted: Fitted) -> tuple[Array, Array]:
+    """Return means and covariances of the states' deviations given what was measured until then."""
+    means, covariances = updated(
+        fitted.chains, fitted.estimate.filtered, fitted.estimate.noise.error_variances
+    )
+    return means[..., : space.d], covariances[..., : space.d, : space.d]
+
+
+def bends(space: StateSpace, fitted: Fitted) -> bool:
+    """Whether some row of a fit is bent: then slopes depend on whose values they were taken at."""
+    if not space.simulator.state_names:
+        return False
+    chains, places = fitted.linear.chains, space.places
+    _, covariances = _so_far(space, fitted)
+    return bool(is_bent(chains.transitions[places], chains.bends[places], covariances[:, :-1][places]).any())
 
 
 def compared(

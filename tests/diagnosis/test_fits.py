@@ -9,7 +9,7 @@ import pytest
 from skat.diagnosis.causes import Comparison, _as_one, _first_guess
 from skat.diagnosis.evidence import Weighed, Weigher
 from skat.diagnosis.fits import Fit, Fits
-from skat.diagnosis.fitting import _blocks, compared, first_fit, hits, next_fit, priors_of
+from skat.diagnosis.fitting import _blocks, bends, compared, first_fit, hits, next_fit, priors_of
 from skat.diagnosis.search import rivals_of
 from skat.diagnosis.statespace import state_space
 from skat.effects import Effect
@@ -81,8 +81,8 @@ def a_fit(members, evidence):
 class Told:
     """Fits of which the evidence of each set is told: with the slopes of the present set, of another, and its own."""
 
-    def __init__(self, own=50.0, **evidences):
-        self.own = own
+    def __init__(self, own=50.0, bent=True, **evidences):
+        self.own, self.bent = own, bent
         self.evidences = {tuple(map(int, name[1:])): told for name, told in evidences.items()}
 
     def places(self, fit):
@@ -93,13 +93,16 @@ class Told:
             return a_fit(members, self.own)
         return a_fit(members, self.evidences[tuple(members)][near.evidence != 0])
 
+    def bends(self, fit):
+        return self.bent
+
     def about(self, members, places, near):
         return a_fit(members, self.own)
 
 
-def beside(now, own=50.0, **evidences):
+def beside(now, own=50.0, bent=True, **evidences):
     """Return sets beside a present one; ``s01=(1.0, 2.0)`` is {0, 1}, with its slopes and with those of the other."""
-    return Comparison(Told(own, **evidences), a_fit(now, 0))
+    return Comparison(Told(own, bent, **evidences), a_fit(now, 0))
 
 
 def a_set(members):
@@ -138,6 +141,8 @@ def test_a_set_that_its_own_fit_contradicts_is_not_taken():
 
 def test_sets_are_compared_by_the_slopes_of_either():
     assert beside((0,), s0=(0, 100), s1=(-6, 102)).gains((1,), np.zeros(1)) == (-6, 2)
+    # Where no row is bent those of one do.
+    assert beside((0,), bent=False, s0=(0, 100), s1=(-6, 102)).gains((1,), np.zeros(1)) == (-6, -6)
 
 
 @pytest.mark.parametrize(("values", "one"), [((1.2, 1.2), True), ((1.2, 1.3), False)])
@@ -212,6 +217,8 @@ def test_a_fit_is_the_same_wherever_it_was_begun(space):
 
 
 def test_only_where_something_hits_is_a_row_bent_and_only_where_all_is_measured_is_it_known(space):
+    assert bends(bouncing(), first_fit(bouncing(), {}, np.zeros(2)))
+    assert not bends(space, first_fit(space, {}, np.zeros(space.d)))
     assert hits(bouncing())
     assert not hits(bouncing(hidden=(1,)))
     assert not hits(space)
