@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from os import PathLike
 from pathlib import Path
@@ -20,7 +21,7 @@ from skat.diagnosis.changes import find_changes
 from skat.diagnosis.doubts import warn_of_doubts
 from skat.diagnosis.filtering import Array
 from skat.diagnosis.findings import Alias, Cause, Gain
-from skat.diagnosis.fitting import hits, value_at
+from skat.diagnosis.fitting import first_fit, hits, value_at
 from skat.diagnosis.forces.start import start_in_forces
 from skat.diagnosis.identifiability import identifiability, preflight
 from skat.diagnosis.log import Log, check_log, check_matrix, tangent_variances, without_channels
@@ -219,18 +220,19 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             fitted, held_out = fitted.few(), None if held_out is None else held_out.few()
         self.n_rows_fitted_ = len(fitted)
         first_look = self.n_rows_fitted_ < self.n_rows_
-        space = self._space(fitted)
-        if hits(space):
-            # Where something hits, what a wrong model makes of a state misleads about the rows after it.
-            space = self._space(fitted, chain_length=1)
-        least = least + _rounding(space)
+        whole = self._space(fitted)
+        # Where something hits, what a wrong model makes of a state misleads about the rows after it.
+        self._chain_length = 1 if hits(whole) else CHAIN_LENGTH
+        space = self._space(fitted, chain_length=1) if self._chain_length == 1 else whole
+        least = least + _rounding(whole)
+        given = self._given_deviations()
         found = find_causes(
             space,
             effects,
             alpha=self.alpha,
             typical=self.priors,
             floor=least,
-            given=self._given_deviations(),
+            given=given,
             max_effects=self.max_effects,
             turns=QUICK_TURNS if first_look else TURNS,
             coarse=first_look,
@@ -239,6 +241,9 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             checkpoint=None if checkpoint is None else partial(checkpoint.write, begun),
             progress=progress,
         )
+        if space is not whole:
+            # A force is told from noise by the rows beside it.
+            found = replace(found, fitted=first_fit(whole, found.values, least, given=given))
         self._found = found
         self._values = dict(found.values)
         self.causes_ = _causes(found)
@@ -247,9 +252,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         self.settled_ = found.settled
         self.diverged_share_ = float(np.mean(~found.fitted.linear.valid))
         noise = found.fitted.estimate.noise
-        given = self._given_deviations()
         deviations = np.sqrt(variances_of(noise.error, noise.error_nu)[: space.d]) if given is None else given
-        self.noise_ = np.where(space.mask.any(axis=(0, 1)), deviations, np.nan)
+        self.noise_ = np.where(whole.mask.any(axis=(0, 1)), deviations, np.nan)
         self.extended_simulator_ = self.simulator.extended(self._values)
         self.identifiability_ = identifiability(
             found.gram, found.priors, found.effects, found.values, alpha=self.alpha, value_at=value_at
@@ -257,7 +261,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         told = ", ".join(f"{cause.name} {cause.value:.4g}" for cause in self.causes_)
         progress(f"what is left beside {told or 'no cause'}", 0, 1)
         self.remainder_ = find_remainder(
-            space, found.fitted, horizon=self._rows_ahead(), random_state=random_state
+            whole, found.fitted, horizon=self._rows_ahead(), random_state=random_state
         )
         self._prediction: Prediction | None = None
         self.gain_ = None
@@ -661,7 +665,11 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
     ) -> Prediction:
         rows = self._rows_ahead(horizon) if log.consecutive else 1
         return predicted(
-            self._space(log), self._found.fitted, self._values, horizon=rows, random_state=random_state
+            self._space(log, self._chain_length),
+            self._found.fitted,
+            self._values,
+            horizon=rows,
+            random_state=random_state,
         )
 
     def _verdict(self) -> str:

@@ -2,15 +2,11 @@ r"""How well the simulation as given and the extended one predict a log that nei
 
 Both start, every h rows, in the state that the filter has there from what was measured until then, run for h rows with
 the logged commands and without any random force, and are compared with what was measured h rows on. An error counts in
-units of its standard deviation under a right model: with :math:`M_t` what the filter leaves unknown at a start,
-
-.. math::
-
-    M_{t+1} = A_t M_t A_t' + F_t Q F_t' + \Omega_t, \qquad \mathrm{Var}\, e_{t+h} = H M_{t+h} H' + R,
-
-so that a right model has a mean square of 1, the floor. Random forces that nothing predicts belong to it. So do forces
-with memory: what is known of them at a start is not told to the simulation, and they enter :math:`M_t` with all of
-their variance.
+units of its standard deviation under a right model, which is drawn: runs of the extended model from what the filter
+leaves unknown of each start, pushed by random forces, and read with noise. So a right model has a mean square of 1, the
+floor, also where states bounce off each other's ways. Random forces that nothing predicts belong to it. So do forces
+with memory: what is known of them at a start is not told to the simulation, and they are drawn with all of their
+variance.
 
 Both models start in the same states, those that the extended one's filter has, as the noise is its own: a filter that
 takes that little noise for granted follows a wrong model rather than its readings, and would compare runs that began
@@ -22,13 +18,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from skat.diagnosis.filtering import Array, Chains, Mask, kalman_filter, smooth, updated
 from skat.diagnosis.findings import Gain
 from skat.diagnosis.fitting import Fitted
 from skat.diagnosis.noise import Estimate, Noise, normal_noise, passed, precisions
-from skat.diagnosis.statespace import Linear, Places, StateSpace, linearise, moved_path, steps_of
+from skat.diagnosis.statespace import (
+    Linear,
+    Places,
+    StateSpace,
+    linearise,
+    moved_path,
+    normal_points,
+    steps_of,
+)
 from skat.simulators import Simulator
 from skat.simulators.tables import episode_starts
 
@@ -51,6 +54,8 @@ FARTHEST = 10.0
 N_BOOTSTRAP = 999
 FEWEST_PIECES, PIECES = 5, 20
 N_OVERLAYS = 3
+# Rows that are drawn at a time.
+MOST_DRAWN = 200_000
 # Of an episode's residuals, what fitted initial states leave is never taken for a smaller share than this.
 LEAST_LEFT = 0.1
 # Relinearisations by which an initial state is fitted.
@@ -93,6 +98,22 @@ class Prediction:
     overlays: tuple[Overlay, ...]
     n_starts: int
     n_diverged: int
+
+
+@dataclass(frozen=True)
+class Ahead:
+    """What a right model's errors would be.
+
+    Attributes
+    ----------
+    variances : ndarray of shape (n_starts, horizon, d)
+        After each row.
+    last : ndarray of shape (n_draws, n_starts, d)
+        Squares of errors after the last row, drawn, in these units.
+    """
+
+    variances: Array
+    last: Array
 
 
 @dataclass(frozen=True)
@@ -203,10 +224,10 @@ def predicted(
     if not counted.any():
         raise RuntimeError("Nothing was measured at the horizon of any row.")
     lost = np.asarray(~np.isfinite(errors[:, :, 0]).all(axis=(0, 2)))
-    variances = variances_ahead(space, seen, starts, h)[:, -1]
+    right = ahead(space, seen, values, starts, h)
     with np.errstate(over="ignore"):
-        squares = np.nan_to_num(errors[:, :, -1] ** 2 / variances, nan=np.inf)
-    nominal, extended, floor = _cut(squares, counted)
+        squares = np.nan_to_num(errors[:, :, -1] ** 2 / right.variances[:, -1], nan=np.inf)
+    nominal, extended, floor = _cut(squares, right.last, counted)
     there = counted.any(axis=1)
     gain = _gain(
         np.stack([nominal, extended, floor])[:, there],
@@ -292,47 +313,55 @@ def ends(space: StateSpace) -> tuple[Array, Mask]:
     return space.measured[after], space.mask[after]
 
 
-def variances_ahead(
-    space: StateSpace, seen: Seen, starts: Places, horizon: int, begin: Array | None = None
-) -> Array:
-    """Return the variance of what a right model's error would be after each row, (n_starts, horizon, d).
+def ahead(
+    space: StateSpace,
+    seen: Seen,
+    values: Mapping[str, float],
+    starts: Places,
+    horizon: int,
+    begin: tuple[Array, Array] | None = None,
+) -> Ahead:
+    """Return what a right model's errors would be.
 
     Parameters
     ----------
     space, seen
+    values : mapping from name to value
+        Of the simulation that is taken for right.
     starts : ndarray of int of shape (n_starts,)
     horizon : int
         In rows.
-    begin : ndarray of shape (n_starts, d_all, d_all), optional
-        What is not known of the states at the starts; as the filter has it by default.
+    begin : tuple of ndarrays of shape (n_starts, n_states) and (n_starts, d, d), optional
+        States at the starts, and what is not known of them; as the filter has them by default.
     """
     d, noise = space.d, seen.estimate.noise
     error = variances_of(noise.error, noise.error_nu)[:d]
+    random_state = np.random.RandomState(0)
+    points = normal_points(d)
+    n_draws = 2 * points.shape[1]
+    variances = np.broadcast_to(error, (len(starts), horizon, d)).copy()
+    last = _drawn_noise(noise, (n_draws, len(starts), d), random_state)
     if not space.simulator.state_names:
-        return np.broadcast_to(error, (len(starts), horizon, d))
-    M = filtered(space, seen)[1][starts] if begin is None else begin
-    if len(seen.shares):
-        # A simulation does not know what is known of these forces: to it, all of their variance is an error.
-        k = len(seen.shares)
-        M = M.copy()
-        M[:, -k:, -k:] = np.diag(_steady(noise, seen.shares))
-    A = seen.chains.transitions[space.places]
-    F = seen.chains.carrier[space.places]
-    bends = seen.chains.bends[space.places]
-    force = variances_of(noise.force, noise.force_nu)
+        return Ahead(variances, last**2 / variances[:, -1])
+    states, unknown = [one[starts] for one in filtered(space, seen)] if begin is None else begin
+    sizes, axes = np.linalg.eigh(unknown[:, :d, :d])
+    roots = axes * np.sqrt(np.maximum(sizes, 0.0))[:, None, :]
     # Two motions that have nothing in common any more are no further apart than that.
     most = 2 * (space.spread / 3) ** 2
-    out = np.empty((len(starts), horizon, d))
-    for step in range(horizon):
-        rows = starts + step
+    each = max(1, MOST_DRAWN // (n_draws * horizon))
+    for begun in range(0, len(starts), each):
+        part = slice(begun, begun + each)
+        pushes = _drawn_pushes(space, seen, starts[part], horizon, points.shape[1], random_state)
+        drawn = _drawn(space, seen, values, starts[part], states[part], roots[part] @ points, pushes)
+        # Runs that diverge are as far apart as that.
+        drawn = np.where(np.isfinite(drawn), drawn, np.sqrt(most))
+        line = _line(space, seen, starts[part], unknown[part, :d, :d], roots[part] @ points, pushes)
         with np.errstate(over="ignore", invalid="ignore"):
-            M = (
-                A[rows] @ M @ A[rows].swapaxes(1, 2)
-                + (F[rows] * force) @ F[rows].swapaxes(1, 2)
-                + bends[rows]
-            )
-        out[:, step] = np.fmin(np.einsum("nii->ni", M)[:, :d], most) + error
-    return out
+            squares = (drawn[::2] ** 2 + drawn[1::2] ** 2) / 2
+            variances[part] += np.clip(_mean_beside(squares, *line), 0.0, most)
+        last[:, part] += drawn[:, :, -1]
+    with np.errstate(over="ignore"):
+        return Ahead(variances, last**2 / variances[:, -1])
 
 
 def open_loop_gain(
@@ -411,7 +440,8 @@ def open_loop_gain(
         paths.append(path[:, 1:][space.places])
     errors = simulator.residual(measured, np.stack(paths))
     squares = np.where(counted, errors**2, 0.0).sum(axis=-1)
-    floor = np.where(counted, _open_loop_variances(space, fitted, values, initial_state), 0.0).sum(axis=-1)
+    right = _open_loop_variances(space, fitted, values, initial_state, path[:, 0])
+    floor = np.where(counted, right, 0.0).sum(axis=-1)
     there = counted.any(axis=1)
     return _gain(
         np.stack([*squares, floor])[:, there],
@@ -424,6 +454,129 @@ def open_loop_gain(
 
 
 # -- parts of a prediction -------------------------------------------------------------------------------------------
+
+
+def _drawn(
+    space: StateSpace,
+    seen: Seen,
+    values: Mapping[str, float],
+    starts: Places,
+    states: Array,
+    offsets: Array,
+    pushes: Array,
+) -> Array:
+    """Return by how much runs that begin off a state and are pushed differ from one that is not.
+
+    Parameters
+    ----------
+    space, seen, values, starts
+    states : ndarray of shape (n_starts, n_states)
+    offsets : ndarray of shape (n_starts, d, n_points)
+        To both sides of each state.
+    pushes : ndarray of shape (n_points, n_starts, horizon, d)
+
+    Returns
+    -------
+    ndarray of shape (2 n_points, n_starts, horizon, d)
+    """
+    simulator, (_, n_starts, horizon, d) = space.simulator, pushes.shape
+    begun = [states]
+    for offset in np.moveaxis(offsets, -1, 0):
+        begun += [simulator.displace(states, offset), simulator.displace(states, -offset)]
+    copies = len(begun)
+    commands = space.X[starts[:, None] + np.arange(horizon)][..., len(simulator.state_names) :]
+    before = _before(space, seen, [values], starts)
+    (paths,) = simulator.rollout_many(
+        np.concatenate(begun),
+        np.tile(commands, (copies, 1, 1)),
+        [values],
+        n_steps=horizon,
+        before=None if before is None else np.tile(before, (copies, 1, 1)),
+        # Runs from both sides are pushed alike: what pushes and offsets move are then independent of each other.
+        pushes=np.concatenate([np.zeros_like(pushes[:1]), np.repeat(pushes, 2, axis=0)]).reshape(
+            -1, horizon, d
+        ),
+    )
+    paths = paths.reshape(copies, n_starts, horizon + 1, -1)[:, :, 1:]
+    with np.errstate(invalid="ignore", over="ignore"):
+        apart: Array = simulator.residual(paths[1:], np.broadcast_to(paths[:1], paths[1:].shape))
+    return apart
+
+
+def _line(
+    space: StateSpace, seen: Seen, starts: Places, unknown: Array, offsets: Array, pushes: Array
+) -> tuple[Array, Array]:
+    """Return what slopes make of the same draws: mean squares of each two, and what these are on average.
+
+    Returns
+    -------
+    squares : ndarray of shape (n_points, n_starts, horizon, d)
+    variances : ndarray of shape (n_starts, horizon, d)
+    """
+    (n_points, n_starts, horizon, d), noise, k = pushes.shape, seen.estimate.noise, len(seen.shares)
+    A, F = (one[space.places] for one in (seen.chains.transitions, seen.chains.carrier))
+    force = variances_of(noise.force, noise.force_nu)
+    M = np.zeros((n_starts, d + k, d + k))
+    M[:, :d, :d] = unknown
+    if k:
+        M[:, d:, d:] = np.diag(_steady(noise, seen.shares))
+    moved, pushed = np.moveaxis(offsets, -1, 1), np.zeros((n_starts, n_points, d))
+    squares, variances = np.empty((n_points, n_starts, horizon, d)), np.empty((n_starts, horizon, d))
+    with np.errstate(over="ignore", invalid="ignore"):
+        for step in range(horizon):
+            rows = starts + step
+            own = A[rows, :d, :d].swapaxes(1, 2)
+            moved, pushed = moved @ own, pushed @ own + pushes[:, :, step].swapaxes(0, 1)
+            M = A[rows] @ M @ A[rows].swapaxes(1, 2) + (F[rows] * force) @ F[rows].swapaxes(1, 2)
+            squares[:, :, step] = (moved**2 + pushed**2).swapaxes(0, 1)
+            variances[:, step] = np.einsum("nii->ni", M)[:, :d]
+    return squares, variances
+
+
+def _mean_beside(drawn: Array, known: Array, mean: Array) -> Array:
+    """Return the mean of draws (first axis) beside which others were drawn whose mean is known: control variates."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = known - known.mean(axis=0)
+        spread = np.mean(off**2, axis=0)
+        share = np.clip(np.mean(off * drawn, axis=0) / np.where(spread > 0, spread, 1.0), 0.0, 1.0)
+        more = share * (mean - known.mean(axis=0))
+    corrected: Array = drawn.mean(axis=0) + np.where(np.isfinite(more), more, 0.0)
+    return corrected
+
+
+def _drawn_noise(noise: Noise, shape: tuple[int, ...], random_state: np.random.RandomState) -> Array:
+    """Return draws of the noise of sensors, whose channels are the last axis."""
+    d = shape[-1]
+    nu = noise.error_nu[:d]
+    heavy = np.isfinite(nu)
+    squares = random_state.chisquare(np.where(heavy, nu, 1.0), size=shape)
+    tails = np.where(heavy, np.sqrt(nu / np.maximum(squares, 1e-300)), 1.0)
+    drawn: Array = np.sqrt(noise.error[:d]) * tails * random_state.standard_normal(shape)
+    return drawn
+
+
+def _drawn_pushes(
+    space: StateSpace,
+    seen: Seen,
+    starts: Places,
+    horizon: int,
+    n_draws: int,
+    random_state: np.random.RandomState,
+) -> Array:
+    """Return draws of what random forces add to the state in each row, (n_draws, n_starts, horizon, d)."""
+    noise, k = seen.estimate.noise, len(seen.shares)
+    deviations = np.sqrt(variances_of(noise.force, noise.force_nu))
+    shape = n_draws, len(starts), horizon
+    forces = random_state.standard_normal((*shape, len(deviations))) * deviations
+    if k:
+        # A simulation does not know what is known of these forces: to it, all of their variance is an error.
+        lasting = np.sqrt(_steady(noise, seen.shares)) * random_state.standard_normal((*shape[:2], k))
+        for step in range(horizon):
+            forces[:, :, step, :k] += lasting
+            lasting = seen.shares * lasting + forces[:, :, step, -k:]
+    carrier = seen.linear.chains.carrier[space.places][starts[:, None] + np.arange(horizon)]
+    pushes: Array = np.einsum("shdf,nshf->nshd", carrier, forces[..., : carrier.shape[-1]])
+    return pushes
 
 
 def _with_even_weights(noise: Noise, space: StateSpace) -> Noise:
@@ -469,21 +622,32 @@ def _runs(
         return outputs[:, starts, None]
     n_states = len(simulator.state_names)
     rows = starts[:, None] + np.arange(horizon)
-    before = None
-    n_lags = max(simulator.n_lags(values) for values in candidates)
-    if n_lags or any(simulator.extended(values).hidden_state_names for values in candidates):
-        # Of an episode's first row, the commands have held before.
-        first = episode_starts(space.groups, len(space.X))[starts]
-        earlier = starts[:, None] - np.arange(max(n_lags, SETTLED_ROWS), 0, -1)
-        before = space.rows(seen.linear.path)[np.maximum(earlier, first[:, None])]
-    initial = filtered(space, seen)[0][starts]
     paths = simulator.rollout_many(
-        initial, space.X[rows][..., n_states:], candidates, n_steps=horizon, before=before
+        filtered(space, seen)[0][starts],
+        space.X[rows][..., n_states:],
+        candidates,
+        n_steps=horizon,
+        before=_before(space, seen, candidates, starts),
     )
     return paths[:, :, 1:]
 
 
-def _cut(squares: Array, counted: Mask) -> tuple[Array, Array, Array]:
+def _before(
+    space: StateSpace, seen: Seen, candidates: Sequence[Mapping[str, float]], starts: Places
+) -> Array | None:
+    """Return the rows before each start, if what they leave matters to one of the models."""
+    simulator = space.simulator
+    n_lags = max(simulator.n_lags(values) for values in candidates)
+    if not n_lags and not any(simulator.extended(values).hidden_state_names for values in candidates):
+        return None
+    # Of an episode's first row, the commands have held before.
+    first = episode_starts(space.groups, len(space.X))[starts]
+    earlier = starts[:, None] - np.arange(max(n_lags, SETTLED_ROWS), 0, -1)
+    before: Array = space.rows(seen.linear.path)[np.maximum(earlier, first[:, None])]
+    return before
+
+
+def _cut(squares: Array, drawn: Array, counted: Mask) -> tuple[Array, Array, Array]:
     """Return the mean squares (n_starts,) of two models and of a right one, cut alike, a right one's mean being 1."""
     typical = np.ones(squares.shape[-1])
     for channel, there in enumerate(counted.T):
@@ -494,9 +658,9 @@ def _cut(squares: Array, counted: Mask) -> tuple[Array, Array, Array]:
         np.isfinite(typical), typical, max(1.0, typical[np.isfinite(typical)].max(initial=1.0))
     )
     most = LARGEST_SQUARE * typical
-    right = stats.chi2.cdf(most, 3) + most * stats.chi2.sf(most, 1)
+    right = np.minimum(drawn, most).mean(axis=0)
     numbers = np.maximum(counted.sum(axis=1), 1)
-    parts = [*np.minimum(squares, most), np.broadcast_to(right, counted.shape)]
+    parts = [*np.minimum(squares, most), right]
     nominal, extended, floor = (np.where(counted, one, 0.0).sum(axis=1) / numbers for one in parts)
     unit = float(floor[counted.any(axis=1)].mean())
     return nominal / unit, extended / unit, floor / unit
@@ -671,24 +835,22 @@ def _best_runs(
 
 
 def _open_loop_variances(
-    space: StateSpace, fitted: Fitted, values: Mapping[str, float], initial_state: str
+    space: StateSpace, fitted: Fitted, values: Mapping[str, float], initial_state: str, begun: Array
 ) -> Array:
-    """Return the variance of what a right model's error would be after each row, (n_rows, d)."""
-    linear = linearise(space, space.measured, values)
-    noise = _with_even_weights(fitted.estimate.noise, space)
-    chains, shares = linear.chains, fitted.shares
+    """Return the variance of what a right model's error would be after each row, (n_rows, d), from states begun in."""
+    linear, shares = linearise(space, space.measured, values), fitted.shares
+    chains = linear.chains
     if len(shares):
-        chains = chains.with_memory(shares, _steady(noise, shares))
+        chains = chains.with_memory(shares, _steady(fitted.estimate.noise, shares))
     seen = Seen(linear, chains, fitted.estimate, shares)
-    n_all, d = chains.drive.shape[-1], space.d
-    error = variances_of(noise.error, noise.error_nu)[:d]
-    begin = np.zeros((n_all, n_all))
-    if initial_state == "measured":
-        begin[:d, :d] = np.diag(error)
+    d = space.d
+    error = variances_of(fitted.estimate.noise.error, fitted.estimate.noise.error_nu)[:d]
+    unknown = np.diag(error) if initial_state == "measured" else np.zeros((d, d))
     out = np.empty((len(space.X), d))
     for episode in range(len(space.real)):
         rows = np.flatnonzero(space.places[0] == episode)
-        out[rows] = variances_ahead(space, seen, rows[:1], len(rows), begin[None])[0]
+        begin = begun[episode : episode + 1], unknown[None]
+        out[rows] = ahead(space, seen, values, rows[:1], len(rows), begin).variances[0]
         if initial_state == "fitted":
             # A fitted start takes up as many of its episode's residuals as it has coordinates.
             n_measured = int(space.mask[episode].sum())

@@ -31,7 +31,7 @@ from skat.diagnosis.filtering import Array, Mask, kalman_filter, smooth
 from skat.diagnosis.findings import Gain
 from skat.diagnosis.fitting import Fitted, response
 from skat.diagnosis.noise import estimate_noise, normal_noise
-from skat.diagnosis.prediction import Seen, ends, filtered, horizon_rows, variances_ahead, windows
+from skat.diagnosis.prediction import Seen, ahead, ends, filtered, horizon_rows, windows
 from skat.diagnosis.statespace import Places, StateSpace, steps_of
 
 # Bins of a law of a joint's own coordinate, and of any other.
@@ -206,17 +206,18 @@ def find_remainder(
     random_state : numpy.random.RandomState
         Draws white forces, for comparison of spectra.
     """
-    seen = Seen(fitted.linear, fitted.chains, fitted.estimate, fitted.shares)
-    h = horizon_rows(space.simulator) if horizon is None else horizon
+    seen, simulator = Seen(fitted.linear, fitted.chains, fitted.estimate, fitted.shares), space.simulator
+    h = horizon_rows(simulator) if horizon is None else horizon
     directions = _directions(space, fitted)
     rows = space.X.copy()
-    if space.simulator.state_names:
-        rows[:, : len(space.simulator.state_names)] = filtered(space, seen)[0]
+    if simulator.state_names:
+        rows[:, : len(simulator.state_names)] = filtered(space, seen)[0]
         rows = _turned_back(space, rows)
     white = _white_spectra(space, fitted, directions, random_state)
     looks = [seen, *_with_normal_noise(space, seen)]
+    runs = _runs(space, looks[-1], fitted.values, h)
     parts = [
-        _left(space, looks, directions, index, rows, h, (white[0], white[1][index]))
+        _left(space, looks, directions, index, rows, runs, (white[0], white[1][index]))
         for index in range(len(directions.names))
     ]
     return Remainder(tuple(sorted(parts, key=lambda part: -part.evidence)), h)
@@ -228,7 +229,7 @@ def _left(
     directions: _Directions,
     index: int,
     rows: Array,
-    horizon: int,
+    runs: "_Runs",
     white: tuple[Array, Array],
 ) -> Left:
     scale = float(directions.scales[index])
@@ -257,7 +258,7 @@ def _left(
         betas.append(np.linalg.solve(G + ridge, b))
     predicted = [chosen.columns @ beta for beta in betas]
     predictable = float(np.sqrt(max(np.mean(predicted[0] * predicted[1]), 0.0)))
-    ahead = _ahead(space, seen, directions.columns[..., index], np.stack(predicted, axis=-1), horizon)
+    added = _added(space, seen, directions.columns[..., index], np.stack(predicted, axis=-1), runs)
     law = _law(space, seen, directions.columns[..., index], chosen, size)
     corrected = evidence - np.log(len(directions.names))
     force, variance = directions.forces[:, index], directions.variances[:, index]
@@ -276,7 +277,7 @@ def _left(
         float(corrected),
         law,
         _past(seen, index),
-        ahead,
+        added,
         frequencies,
         spectrum,
         word if shown > LEAST_SHOWN else "none",
@@ -500,22 +501,31 @@ def _halves(space: StateSpace) -> Mask:
     return np.asarray(block % 2 == 1)
 
 
-def _ahead(space: StateSpace, seen: Seen, direction: Array, forces: Array, horizon: int) -> float:
+@dataclass(frozen=True)
+class _Runs:
+    """Rows at which predictions start, how many rows they run, and a right model's variances (n_starts, d) then."""
+
+    starts: Places
+    horizon: int
+    right: Array
+
+
+def _runs(space: StateSpace, seen: Seen, values: Mapping[str, float], horizon: int) -> _Runs:
+    starts, horizon = windows(space, horizon) if space.simulator.state_names else (np.arange(len(space.X)), 1)
+    right = ahead(space, seen, values, starts, horizon).variances[:, -1]
+    return _Runs(starts, horizon, right)
+
+
+def _added(space: StateSpace, seen: Seen, direction: Array, forces: Array, runs: _Runs) -> float:
     """Return what a force adds to the mean square error at a horizon, from two estimates (n_rows, 2) of it."""
-    if not space.simulator.state_names:
-        starts, horizon = np.arange(len(space.X)), 1
-    else:
-        starts, horizon = windows(space, horizon)
-    if not len(starts):
-        return 0.0
     drive = direction[:, :, None] * forces[:, None, :]
     A = seen.linear.chains.transitions[space.places]
-    moved = np.zeros((len(starts), space.d, 2))
-    for step in range(horizon):
-        moved = A[starts + step] @ moved + drive[starts + step]
-    variances = variances_ahead(space, seen, starts, horizon)[:, -1]
-    mask = ends(space)[1][starts + horizon - 1]
-    both = moved[..., 0] * moved[..., 1] / variances
+    moved = np.zeros((len(runs.starts), space.d, 2))
+    for step in range(runs.horizon):
+        rows = runs.starts + step
+        moved = A[rows] @ moved + drive[rows]
+    mask = ends(space)[1][runs.starts + runs.horizon - 1]
+    both = moved[..., 0] * moved[..., 1] / runs.right
     return float(max(both[mask].mean(), 0.0)) if mask.any() else 0.0
 
 

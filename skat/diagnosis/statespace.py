@@ -382,15 +382,10 @@ def _averaged(
 ) -> tuple[Array, Array, Array]:
     """Return slopes by standard normal variables, the covariance of what these leave, and means beyond the centre.
 
-    Over points along axes turned at random, the same for all rows, as far out as quantiles of a normal law: first and
-    second moments of the points are exact.
+    Over the points of `normal_points` and their negatives, the same for all rows.
     """
     d = space.d
-    times = max(2, -(-PAIRS // d))
-    turned = ortho_group.rvs(d, size=times, random_state=0) if d > 1 else np.ones((times, 1, 1))
-    squares = chi2.ppf((np.arange(times) + 0.5) / times, d)
-    radii = np.sqrt(squares * d / squares.mean())
-    Z = np.concatenate(radii[:, None, None] * turned, axis=1)
+    Z = normal_points(d)
     _, up, down = _ends(space, rows, after, values, roots @ Z)
     odd, even = (up - down) / 2, (up + down) / 2
     slopes = odd @ Z.T / Z.shape[1]
@@ -400,6 +395,19 @@ def _averaged(
         Z.shape[1] - 1
     )
     return slopes, bends, beyond
+
+
+def normal_points(d: int) -> Array:
+    """Return points (d, n_points) that with their negatives stand for a standard normal law.
+
+    At least `PAIRS` lie on axes turned at random, as far out as its quantiles: first and second moments are exact.
+    """
+    times = max(2, -(-PAIRS // d))
+    turned = ortho_group.rvs(d, size=times, random_state=0) if d > 1 else np.ones((times, 1, 1))
+    squares = chi2.ppf((np.arange(times) + 0.5) / times, d)
+    radii = np.sqrt(squares * d / squares.mean())
+    points: Array = np.concatenate(radii[:, None, None] * turned, axis=1)
+    return points
 
 
 def _ends(

@@ -266,6 +266,7 @@ class Simulator(BaseEstimator, ABC):
         *,
         n_steps: int,
         before: ArrayLike | None = None,
+        pushes: ArrayLike | None = None,
     ) -> Array:
         """Simulate whole episodes in open loop under each candidate set of effect values.
 
@@ -277,6 +278,8 @@ class Simulator(BaseEstimator, ABC):
         before : array-like of shape (n_episodes, n_before, n_inputs), optional
             Rows before the initial state, states included: commands that come late or through a filter, and hidden
             states, are what these rows leave. Without it, commands have held and hidden states are steady.
+        pushes : array-like of shape (n_episodes, n_steps, n_residuals), optional
+            By how much the state is displaced behind each step, as `displace` does.
 
         Returns
         -------
@@ -313,12 +316,15 @@ class Simulator(BaseEstimator, ABC):
         rows[:, :, :n_states] = self._true_inputs(np.broadcast_to(start, (len(totals), *start.shape)), totals)
         states[:, :, 0] = rows[:, :, :n_states]
         lost = np.zeros(rows.shape[:2], dtype=bool)
+        moved_shape = *lost.shape, len(self.residual_names)
         for step in range(n_steps):
             rows[:, :, n_states:] = actions[:, step]
             now = [
                 None if one is None else tuple(part[:, n_before + step] for part in one) for one in by_step
             ]
             outputs = carried.step(rows, now, np.arange(n_episodes))
+            if pushes is not None:
+                outputs = self.displace(outputs, np.broadcast_to(np.asarray(pushes)[:, step], moved_shape))
             lost |= ~np.isfinite(outputs).all(axis=2)
             states[:, :, step + 1] = np.where(lost[:, :, None], np.nan, outputs)
             rows[:, :, :n_states] = np.where(lost[:, :, None], states[:, :, 0], outputs)

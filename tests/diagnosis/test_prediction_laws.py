@@ -1,5 +1,6 @@
 """What a prediction is made of, against closed forms: windows, variances ahead, cut squares, gains and their floor."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,17 +15,18 @@ from skat.diagnosis.prediction import (
     _channel_errors,
     _cut,
     _gain,
+    _mean_beside,
     _pieces,
     _weighted,
     _whole_episodes,
     _worst_episodes,
+    ahead,
     ends,
     filtered,
     horizon_rows,
     look,
     open_loop_gain,
     predicted,
-    variances_ahead,
     variances_of,
     windows,
 )
@@ -226,12 +228,12 @@ def test_what_is_not_known_of_a_state_is_what_its_readings_leave_of_what_was_pre
         read_deviation = np.where(space.mask[0, row], linear.chains.measured[0, row], 0.0)
         mean = kept @ (predicted_information @ one.means[0, row] + reading_information @ read_deviation)
         np.testing.assert_allclose(states[row], space.measured[0, row] + mean, rtol=1e-6, atol=1e-9)
-    ahead = variances_ahead(space, seen, np.array([5]), 2)[0]
+    found = ahead(space, seen, {}, np.array([5]), 2).variances[0]
     M = covariances[5]
     for step in range(2):
         M = A @ M @ A.T + 0.01 * np.eye(2)
         most = 2 * (space.spread / 3) ** 2
-        np.testing.assert_allclose(ahead[step], np.minimum(np.diag(M), most) + errors, rtol=1e-5)
+        np.testing.assert_allclose(found[step], np.minimum(np.diag(M), most) + errors, rtol=1e-5)
 
 
 def test_a_log_is_looked_at_about_the_mean_over_what_is_not_known_of_its_states(monkeypatch):
@@ -256,20 +258,80 @@ def test_random_steps_add_up_ahead_of_a_start_until_two_motions_have_nothing_in_
     space, error, force = read([40, 40]), 0.1, 0.3
     seen = look(space, known(space, error, force), {})
     starts = np.array([0, 45])
+    states, unknown = (one[starts] for one in filtered(space, seen))
     begin = np.array([[[0.02]], [[0.05]]])
-    ahead = variances_ahead(space, seen, starts, 30, begin)
-    assert ahead.shape == (2, 30, 1)
+    found = ahead(space, seen, {}, starts, 30, (states, begin)).variances
+    assert found.shape == (2, 30, 1)
     most = 2 * (space.spread[0] / 3) ** 2
     np.testing.assert_allclose(
-        ahead[..., 0],
+        found[..., 0],
         np.minimum(begin[:, 0] + force * np.arange(1, 31), most) + error**2,
         rtol=1e-6,
     )
-    assert ahead.max() == pytest.approx(most + error**2)
-    own = filtered(space, seen)[1][starts]
-    np.testing.assert_array_equal(
-        variances_ahead(space, seen, starts, 4), variances_ahead(space, seen, starts, 4, own)
+    assert found.max() == pytest.approx(most + error**2)
+    own, given = ahead(space, seen, {}, starts, 4), ahead(space, seen, {}, starts, 4, (states, unknown))
+    np.testing.assert_array_equal(own.variances, given.variances)
+
+
+def test_what_bounces_is_as_far_apart_as_it_is_drawn_not_as_slopes_have_it():
+    """A ball that falls on a floor, from heights of which some reach it: by quadrature over the height."""
+    names, drop = ("z", "v"), 9.81 * DT
+
+    def step(X):
+        z, v = X[:, 0] + DT * X[:, 1], X[:, 1] - drop
+        return np.stack([np.abs(z), np.where(z < 0, -v, v)], axis=1)
+
+    simulator = FunctionSimulator(step, input_names=names, output_names=names, state_names=names, dt=DT)
+    states = np.stack([np.linspace(0.5, 4.0, 41), np.linspace(-3.0, 3.0, 41)], axis=1)
+    space = state_space(simulator, states[:-1], states[1:], np.arange(40), consecutive=True)
+    linear = linearise(space, space.measured, {})
+    noise = normal_noise(linear.chains, np.full(2, 1e-12), np.full(2, 1e-6))
+    seen = Seen(
+        linear, linear.chains, passed(linear.chains, noise, space.real, covariances=True), np.zeros(0)
     )
+    height, speed, spread = 0.3, -2.0, 0.15
+    begin = np.tile([height, speed], (20, 1)), np.tile(np.diag([spread**2, 0.0]), (20, 1, 1))
+    # Where the floor is a row away, slopes know nothing of it.
+    found = ahead(space, seen, {}, np.zeros(20, dtype=int), 1, begin).variances[:, 0]
+    heights = height + spread * stats.norm.ppf((np.arange(20_000) + 0.5) / 20_000)
+    runs = step(np.stack([heights, np.full_like(heights, speed)], axis=1)) - step(np.array([[height, speed]]))
+    np.testing.assert_allclose(found.mean(axis=0), np.mean(runs**2, axis=0) + 1e-6, rtol=0.1)
+    assert np.mean(runs[:, 1] ** 2) > 1
+
+
+@pytest.mark.parametrize("nu", [3.0, 5.0, np.inf])
+def test_the_squares_of_a_right_model_are_drawn_from_the_law_of_its_sensors(nu):
+    space = read([300, 300])
+    fitted = known(space, 0.1)
+    noise = replace(fitted.estimate.noise, error_nu=np.array([nu]))
+    drawn = ahead(
+        space,
+        look(space, replace(fitted, estimate=replace(fitted.estimate, noise=noise)), {}),
+        {},
+        np.arange(0, 600, 7),
+        1,
+    ).last
+    # A resting place is known to a fraction of the noise after some rows.
+    for most in (1.0, 4.0):
+        expected = cut_mean(most)
+        if np.isfinite(nu):
+            sd = np.sqrt(nu / (nu - 2))
+            expected = stats.t(nu, scale=1 / sd).expect(lambda z, most=most: np.minimum(z * z, most))
+        assert np.minimum(drawn, most).mean() == pytest.approx(expected, rel=0.04)
+
+
+def test_draws_are_corrected_by_others_whose_mean_is_known():
+    rng = np.random.default_rng(0)
+    known_draws = rng.normal(size=(16, 200)) ** 2
+    alike = _mean_beside(3 + 0.5 * known_draws, known_draws, np.ones(200))
+    np.testing.assert_allclose(alike, 3.5, rtol=1e-12)
+    other = rng.normal(size=(16, 200)) ** 2
+    apart = _mean_beside(other, known_draws, np.ones(200))
+    assert apart.mean() == pytest.approx(1.0, abs=0.1)
+    np.testing.assert_allclose(_mean_beside(other, np.ones((16, 200)), np.ones(200)), other.mean(axis=0))
+    wild = known_draws.copy()
+    wild[0] = np.inf
+    np.testing.assert_allclose(_mean_beside(other, wild, np.ones(200)), other.mean(axis=0))
 
 
 def test_a_force_with_memory_counts_ahead_with_all_of_its_variance():
@@ -277,14 +339,13 @@ def test_a_force_with_memory_counts_ahead_with_all_of_its_variance():
     space, error, share, fresh = read([40, 40]), 0.1, 0.8, 0.01
     fitted = known(space, error, fresh, share)
     seen = look(space, fitted, {})
-    begin = np.zeros((1, 2, 2))
-    ahead = variances_ahead(space, seen, np.array([3]), 6, begin)[0, :, 0]
+    begin = filtered(space, seen)[0][[3]], np.zeros((1, 1, 1))
+    found = ahead(space, seen, {}, np.array([3]), 6, begin).variances[0, :, 0]
     steady = fresh / (1 - share**2)
     for step in range(6):
         lags = np.abs(np.subtract.outer(np.arange(step + 1), np.arange(step + 1)))
         expected = steady * np.sum(share**lags) + error**2
-        assert ahead[step] == pytest.approx(expected, rel=1e-4)
-    assert (begin == 0).all()
+        assert found[step] == pytest.approx(expected, rel=1e-4)
 
 
 def test_without_a_state_an_error_ahead_is_that_of_the_sensor():
@@ -300,9 +361,8 @@ def test_without_a_state_an_error_ahead_is_that_of_the_sensor():
         passed(linear.chains, noise, space.real),
         np.zeros(0),
     )
-    np.testing.assert_array_equal(
-        variances_ahead(space, look(space, fitted, {}), np.arange(3), 1), np.full((3, 1, 1), 0.04)
-    )
+    found = ahead(space, look(space, fitted, {}), {}, np.arange(3), 1)
+    np.testing.assert_array_equal(found.variances, np.full((3, 1, 1), 0.04))
 
 
 def test_variances_of_laws_are_those_of_student_and_gauss():
@@ -353,6 +413,10 @@ def squares_of_a_right_model(n):
     return stats.chi2.ppf((np.arange(n) + 0.5) / n, 1)
 
 
+# Draws of it, alike for all starts and channels.
+RIGHT = squares_of_a_right_model(20_000)[:, None, None]
+
+
 def cut_mean(most):
     """Return the mean of the square of a standard normal number, cut."""
     return integrate.quad(lambda z: 2 * min(z * z, most) * stats.norm.pdf(z), 0, 40, points=[most**0.5])[0]
@@ -363,7 +427,7 @@ def test_squares_of_a_right_model_have_a_mean_of_one_whatever_was_measured():
     squares = np.stack([np.stack([square, square[::-1]], axis=1)] * 2)
     counted = np.ones((20_000, 2), dtype=bool)
     counted[::3, 1] = False
-    nominal, extended, floor = _cut(squares, counted)
+    nominal, extended, floor = _cut(squares, RIGHT, counted)
     np.testing.assert_array_equal(nominal, extended)
     assert nominal.mean() == pytest.approx(1.0, rel=2e-3)
     assert floor.mean() == pytest.approx(1.0, rel=1e-12)
@@ -376,12 +440,12 @@ def test_squares_of_a_right_model_have_a_mean_of_one_whatever_was_measured():
 def test_squares_are_cut_at_the_nominal_model_s_own_size():
     square = squares_of_a_right_model(20_000)[:, None]
     factor = 100.0
-    nominal, extended, floor = _cut(np.stack([factor * square, square]), np.ones((20_000, 1), bool))
+    nominal, extended, floor = _cut(np.stack([factor * square, square]), RIGHT, np.ones((20_000, 1), bool))
     assert nominal.mean() == pytest.approx(factor * cut_mean(9.0) / cut_mean(9 * factor), rel=2e-3)
     assert extended.mean() == pytest.approx(1 / cut_mean(9 * factor), rel=2e-3)
     assert floor.mean() == pytest.approx(1.0)
     # A nominal model that is better than right is no reason to cut sooner.
-    small, right, _ = _cut(np.stack([square / factor, square]), np.ones((20_000, 1), bool))
+    small, right, _ = _cut(np.stack([square / factor, square]), RIGHT, np.ones((20_000, 1), bool))
     assert right.mean() == pytest.approx(1.0, rel=2e-3)
     assert small.mean() == pytest.approx(1 / factor / cut_mean(9.0), rel=2e-3)
 
@@ -389,12 +453,12 @@ def test_squares_are_cut_at_the_nominal_model_s_own_size():
 def test_a_channel_in_which_the_nominal_model_diverges_is_cut_as_the_worst_other_one():
     square = squares_of_a_right_model(20_001)
     squares = np.stack([np.stack([25 * square, np.full_like(square, np.inf)], axis=1)] * 2)
-    nominal, _, floor = _cut(squares, np.ones((20_001, 2), bool))
+    nominal, _, floor = _cut(squares, RIGHT, np.ones((20_001, 2), bool))
     assert np.isfinite(nominal).all()
     own, other = 25 * cut_mean(9.0), 9 * 25
     assert nominal.mean() == pytest.approx((own + other) / 2 / cut_mean(9 * 25), rel=2e-3)
     assert floor.mean() == pytest.approx(1.0)
-    alone, _, _ = _cut(np.full((2, 5, 1), np.inf), np.ones((5, 1), bool))
+    alone, _, _ = _cut(np.full((2, 5, 1), np.inf), RIGHT, np.ones((5, 1), bool))
     assert alone.mean() == pytest.approx(9 / cut_mean(9.0), rel=1e-6)
 
 

@@ -11,13 +11,13 @@ from scipy import special, stats
 from skat.diagnosis.findings import Gain
 from skat.diagnosis.fitting import Fitted, first_fit
 from skat.diagnosis.noise import normal_noise, passed
-from skat.diagnosis.prediction import Seen, variances_ahead, windows
+from skat.diagnosis.prediction import Seen
 from skat.diagnosis.remainder import (
     SIZES,
     Law,
     Left,
     Remainder,
-    _ahead,
+    _added,
     _binned,
     _bins,
     _halves,
@@ -25,6 +25,7 @@ from skat.diagnosis.remainder import (
     _past,
     _regressors,
     _response,
+    _runs,
     _single,
     _spectrum,
     _turned_back,
@@ -402,13 +403,12 @@ def test_a_force_adds_ahead_the_product_of_what_its_two_estimates_move():
     error = 0.1
     space, fitted = resting([30, 40], error=error)
     seen = Seen(fitted.linear, fitted.chains, fitted.estimate, fitted.shares)
-    starts, _ = windows(space, 10)
-    variances = variances_ahead(space, seen, starts, 10)[:, -1, 0]
+    runs = _runs(space, seen, {}, 10)
     forces = np.tile([0.2, 0.3], (70, 1))
-    ahead = _ahead(space, seen, np.ones((70, 1)), forces, 10)
-    assert ahead == pytest.approx(np.mean(2.0 * 3.0 / variances))
+    ahead = _added(space, seen, np.ones((70, 1)), forces, runs)
+    assert ahead == pytest.approx(np.mean(2.0 * 3.0 / runs.right))
     # Estimates that disagree are chance, and add nothing.
-    assert _ahead(space, seen, np.ones((70, 1)), forces * [1, -1], 10) == 0.0
+    assert _added(space, seen, np.ones((70, 1)), forces * [1, -1], runs) == 0.0
 
 
 def test_a_force_that_sensors_hide_is_as_large_as_its_law_says_lasting_part_and_white_one():
@@ -452,11 +452,10 @@ def test_an_acceleration_adds_ahead_what_it_moves_of_place_and_speed():
     estimate = passed(linear.chains, noise, space.real, covariances=True)
     seen = Seen(linear, linear.chains, estimate, np.zeros(0))
     h, forces = 10, np.tile([0.2, 0.3], (70, 1))
-    starts, _ = windows(space, h)
+    runs = _runs(space, seen, {}, h)
     moved = np.array([h * (h - 1) / 2 * DT**2, h * DT])
-    variances = variances_ahead(space, seen, starts, h)[:, -1]
-    ahead = _ahead(space, seen, np.tile([0.0, DT], (70, 1)), forces, h)
-    assert ahead == pytest.approx(np.mean(0.2 * 0.3 * moved**2 / variances), rel=1e-5)
+    ahead = _added(space, seen, np.tile([0.0, DT], (70, 1)), forces, runs)
+    assert ahead == pytest.approx(np.mean(0.2 * 0.3 * moved**2 / runs.right), rel=1e-5)
 
 
 def test_a_white_force_that_sensors_show_has_a_flat_spectrum_and_one_they_hide_less_of_it():

@@ -44,6 +44,24 @@ def test_predict_is_predict_many_with_one_candidate(pendulum, rows):
     )
 
 
+def test_pushes_displace_the_state_behind_each_step(pendulum):
+    rng = np.random.default_rng(1)
+    start, torques, pushes = rng.normal(size=(4, 2)), rng.normal(size=(4, 6, 1)), rng.normal(size=(4, 6, 2))
+    candidates = [{}, {"gravity": 0.5}]
+    found = pendulum.rollout_many(start, torques, candidates, n_steps=6, pushes=pushes)
+    for values, paths in zip(candidates, found):
+        state = start
+        for step in range(6):
+            state = swing(
+                np.concatenate([state, torques[:, step]], axis=1),
+                **{"gravity": 1.0, "damping[joint]": 0.0} | values,
+            )
+            state = state + pushes[:, step]
+            np.testing.assert_allclose(paths[:, step + 1], state, rtol=1e-12)
+    unpushed = pendulum.rollout_many(start, torques, candidates, n_steps=6, pushes=np.zeros_like(pushes))
+    np.testing.assert_array_equal(unpushed, pendulum.rollout_many(start, torques, candidates, n_steps=6))
+
+
 def test_built_in_effects_are_those_given_to_predict(pendulum, rows):
     values = {"gravity": 1.5, "bias[angle]": 0.1, "scale[rate]": 1.2}
     np.testing.assert_array_equal(
