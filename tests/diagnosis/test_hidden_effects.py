@@ -128,8 +128,8 @@ def test_two_hidden_effects_are_both_named_and_explain_other_episodes(worlds):
                 pytest.mark.long,
                 pytest.mark.xfail(
                     strict=True,
-                    reason="Named: a gain of .69 takes 96 % of the excess error with it; the law of the command that is "
-                    "left, 55 nats, is 11 % of the joint's force but adds .145 to a right model's error of 1",
+                    reason="Named: a gain of .69 takes 96 % of the excess error with it; the law of the command that "
+                    "is left, 55 nats, is 11 % of the joint's force but adds .145 to a right model's error of 1",
                 ),
             ],
         ),
