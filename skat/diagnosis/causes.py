@@ -11,9 +11,11 @@ from skat.diagnosis.evidence import Gram, Priors, Weighed, Weigher, weigh
 from skat.diagnosis.filtering import Array
 from skat.diagnosis.fits import Fit, Fits
 from skat.diagnosis.fitting import (
+    NOTHING_KNOWN,
     STILL,
     Columns,
     Fitted,
+    Known,
     around,
     coordinate,
     gram_of,
@@ -219,8 +221,7 @@ def find_causes(
     *,
     alpha: float = 0.01,
     typical: Mapping[str, float] | None = None,
-    floor: Array | None = None,
-    given: Array | None = None,
+    known: Known = NOTHING_KNOWN,
     max_effects: int | None = None,
     turns: int = TURNS,
     coarse: bool = False,
@@ -243,10 +244,8 @@ def find_causes(
         A cause is named if the odds for the set with it are 1 / alpha times those of the set without it.
     typical : mapping from name to size, optional
         Scales of the priors of a user's own.
-    floor : ndarray of shape (d,), optional
-        Least variance of each channel's noise, such as that of rounding.
-    given : ndarray of shape (d,), optional
-        Standard deviation of each channel's noise, where it is known.
+    known : Known, optional
+        Of the sensors' noise.
     max_effects : int, optional
         Most causes at a time.
     turns : int, default=16
@@ -267,12 +266,12 @@ def find_causes(
     -------
     Found
     """
-    floor = np.zeros(space.d) if floor is None else floor
     effects = _readable(space, effects)
     priors = priors_of(effects, {**_typical_biases(space, effects), **(typical or {})})
     power = COARSE_ROWS / (COARSE_ROWS + len(space.X))
     needed = -float(np.log(alpha))
-    fits = Fits(space, tuple(effects), priors, floor, given, power, STILL if coarse else TOLERANCE)
+    known = replace(known, tolerance=STILL) if coarse else known
+    fits = Fits(space, tuple(effects), priors, known, power)
     state = _begun(fits) if resumed is None else resumed
     ask = partial(search, families=families_of(effects), most=max_effects)
     exclusive = rivals_of(effects)
@@ -347,7 +346,7 @@ def _begun(fits: Fits) -> Search:
     for _ in range(DENSE_TURNS):
         columns = gram_of(space, dense, slopes, effects)
         moves = columns.dense(priors.scales)
-        dense = noise_without(space, dense, slopes, moves, fits.floor, given=fits.given)
+        dense = noise_without(space, dense, slopes, moves, fits.known)
     return Search(0, now, dense, slopes, None, ())
 
 

@@ -21,7 +21,7 @@ from skat.diagnosis.changes import find_changes
 from skat.diagnosis.doubts import warn_of_doubts
 from skat.diagnosis.filtering import Array
 from skat.diagnosis.findings import Alias, Cause, Gain
-from skat.diagnosis.fitting import first_fit, hits, value_at
+from skat.diagnosis.fitting import Known, first_fit, hits, value_at
 from skat.diagnosis.forces.start import start_in_forces
 from skat.diagnosis.identifiability import identifiability, preflight
 from skat.diagnosis.log import Log, check_log, check_matrix, tangent_variances, without_channels
@@ -226,13 +226,13 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         space = self._space(fitted, chain_length=1) if self._chain_length == 1 else whole
         least = least + _rounding(whole)
         given = self._given_deviations()
+        known = Known(least, given)
         found = find_causes(
             space,
             effects,
             alpha=self.alpha,
             typical=self.priors,
-            floor=least,
-            given=given,
+            known=known,
             max_effects=self.max_effects,
             turns=QUICK_TURNS if first_look else TURNS,
             coarse=first_look,
@@ -243,7 +243,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         )
         if space is not whole:
             # A force is told from noise by the rows beside it.
-            found = replace(found, fitted=first_fit(whole, found.values, least, given=given))
+            found = replace(found, fitted=first_fit(whole, found.values, known))
         self._found = found
         self._values = dict(found.values)
         self.causes_ = _causes(found)

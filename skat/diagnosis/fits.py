@@ -10,6 +10,7 @@ from skat.diagnosis.filtering import Array
 from skat.diagnosis.fitting import (
     STILL,
     Fitted,
+    Known,
     bends,
     compared,
     coordinate,
@@ -19,7 +20,6 @@ from skat.diagnosis.fitting import (
     slopes_of,
     value_at,
 )
-from skat.diagnosis.noise import TOLERANCE
 from skat.diagnosis.statespace import StateSpace
 from skat.effects import Effect
 
@@ -61,27 +61,21 @@ class Fits:
     space : StateSpace
     effects : tuple of Effect
     priors : Priors
-    floor : ndarray of shape (d,)
-        Least variance of each channel's noise.
-    given : ndarray of shape (d,) or None
-        Standard deviation of each channel's noise, where it is known.
+    known : Known
+        Of the sensors' noise.
     power : float
         To which the likelihood is taken.
-    tolerance : float, default=0.1
-        To which noise is estimated, nats.
     """
 
     space: StateSpace
     effects: tuple[Effect, ...]
     priors: Priors
-    floor: Array
-    given: Array | None
+    known: Known
     power: float
-    tolerance: float = TOLERANCE
 
     def first(self) -> Fit:
         """Return the fit of no cause, about a path from the log alone."""
-        fitted = first_fit(self.space, {}, self.floor, given=self.given, tolerance=self.tolerance)
+        fitted = first_fit(self.space, {}, self.known)
         return self._weighed((), fitted, np.zeros(0))[0]
 
     def of(self, members: Sequence[int], places: Array, near: Fit, *, own_slopes: bool = True) -> Fit:
@@ -157,18 +151,10 @@ class Fits:
         return gram_of(self.space, fitted, slopes, chosen).gram
 
     def _next(self, values: Mapping[str, float], start: Fitted) -> Fitted:
-        return next_fit(self.space, values, start, self.floor, given=self.given, tolerance=self.tolerance)
+        return next_fit(self.space, values, start, self.known)
 
     def _compared(self, values: Mapping[str, float], start: Fitted, *, memories: bool = True) -> Fitted:
-        return compared(
-            self.space,
-            values,
-            start,
-            self.floor,
-            given=self.given,
-            tolerance=self.tolerance,
-            memories=memories,
-        )
+        return compared(self.space, values, start, self.known, memories=memories)
 
     def _place(self, member: int, values: Mapping[str, float]) -> float:
         effect = self.effects[member]

@@ -41,6 +41,48 @@ BLOCK_ROWS, MOST_BLOCKS, FEWEST_BLOCKS = 32, 60, 10
 
 
 @dataclass(frozen=True)
+class Known:
+    """What is known of the sensors' noise; the rest is estimated.
+
+    Attributes
+    ----------
+    floor : ndarray of shape (d,) or None
+        Least variance of each channel's noise; by default 0.
+    given : ndarray of shape (d,) or None
+        Standard deviation of each channel's noise, where it is known.
+    tolerance : float, default=0.1
+        To which noise is estimated, nats.
+    """
+
+    floor: Array | None = None
+    given: Array | None = None
+    tolerance: float = TOLERANCE
+
+    def estimated(self, chains: Chains, noise: Noise, real: Mask) -> Estimate:
+        """Return the noise of chains, and the pass with it, from a start."""
+        return estimate_noise(
+            chains, noise, real, floor=self.least(chains), held=self.held(chains), tolerance=self.tolerance
+        )
+
+    def least(self, chains: Chains) -> Array:
+        """Return the least variance of each channel, hidden states with them."""
+        least = np.zeros(chains.drive.shape[-1])
+        if self.floor is not None:
+            least[: len(self.floor)] = self.floor
+        return least
+
+    def held(self, chains: Chains) -> Mask | None:
+        """Return which channels have a noise that was given."""
+        if self.given is None:
+            return None
+        mask: Mask = np.arange(chains.drive.shape[-1]) < len(self.given)
+        return mask
+
+
+NOTHING_KNOWN = Known()
+
+
+@dataclass(frozen=True)
 class Fitted:
     """The simulation at the values of a set of causes, as a log has it.
 
@@ -106,11 +148,9 @@ def priors_of(
 def first_fit(
     space: StateSpace,
     values: Mapping[str, float],
-    floor: Array,
+    known: Known = NOTHING_KNOWN,
     *,
     turns: int = TURNS,
-    given: Array | None = None,
-    tolerance: float = TOLERANCE,
 ) -> Fitted:
     """Return the fit at given values, begun at what was measured: path filtered, slopes taken, noise estimated.
 
@@ -122,36 +162,22 @@ def first_fit(
     ----------
     space : StateSpace
     values : mapping from name to value
-    floor : ndarray of shape (d,)
-        Least variance of each channel's noise.
+    known : Known, optional
     turns : int, default=16
         How often path and slopes are taken anew at most.
-    given : ndarray of shape (d,), optional
-        Standard deviation of each channel's noise, where it is known.
-    tolerance : float, default=0.1
-        To which noise is estimated, nats.
     """
     linear = linearise(space, space.measured, values)
     if not linear.valid.any():
         raise RuntimeError("The simulation diverges in every row: check the units of the states and actions.")
     residuals = np.where(linear.valid[:, None], linear.chains.drive[space.places], np.nan)
     typical = (1.4826 * np.nanmedian(np.abs(residuals), axis=0)) ** 2 / 2 + 1e-12 * space.spread**2
-    typical = np.minimum(typical, _rough(space)) if given is None else given**2
+    typical = np.minimum(typical, _rough(space)) if known.given is None else known.given**2
     noise = normal_noise(linear.chains, _force_guess(linear, typical), typical)
-    estimate = Known(floor, given, tolerance).estimated(linear.chains, noise, space.real)
+    estimate = known.estimated(linear.chains, noise, space.real)
     fitted = Fitted(dict(values), linear, linear.chains, estimate, np.zeros(0))
     for turn in range(turns):
         before = fitted.bound
-        fitted = next_fit(
-            space,
-            values,
-            fitted,
-            floor,
-            given=given,
-            tolerance=tolerance,
-            afresh=turn == 0,
-            memories=turn == 0,
-        )
+        fitted = next_fit(space, values, fitted, known, afresh=turn == 0, memories=turn == 0)
         if turn and abs(fitted.bound - before) < STILL:
             break
     return fitted
@@ -161,10 +187,8 @@ def next_fit(
     space: StateSpace,
     values: Mapping[str, float],
     start: Fitted,
-    floor: Array,
+    known: Known = NOTHING_KNOWN,
     *,
-    given: Array | None = None,
-    tolerance: float = TOLERANCE,
     afresh: bool = False,
     memories: bool = True,
 ) -> Fitted:
@@ -172,9 +196,9 @@ def next_fit(
 
     Parameters
     ----------
-    space, values, floor, given, tolerance
-        As in `first_fit`.
+    space, values
     start : Fitted
+    known : Known, optional
     afresh : bool, default=False
         Whether slopes are taken anew in every row; otherwise in those alone that do not go as the ones before say.
     memories : bool, default=True
@@ -184,7 +208,7 @@ def next_fit(
     path = moved_path(space, start.linear.path, means)
     slopes = None if afresh else start.linear
     linear = linearise(space, path, values, covariances, slopes=slopes, renewed=True)
-    return _estimated(space, values, linear, start, Known(floor, given, tolerance), memories=memories)
+    return _estimated(space, values, linear, start, known, memories=memories)
 
 
 def _so_far(space: StateSpace, fitted: Fitted) -> tuple[Array, Array]:
@@ -208,10 +232,8 @@ def compared(
     space: StateSpace,
     values: Mapping[str, float],
     start: Fitted,
-    floor: Array,
+    known: Known = NOTHING_KNOWN,
     *,
-    given: Array | None = None,
-    tolerance: float = TOLERANCE,
     memories: bool = True,
 ) -> Fitted:
     """Return the fit at given values about the path of another and with its slopes: a simulation of each row.
@@ -220,13 +242,12 @@ def compared(
 
     Parameters
     ----------
-    space, values, start, floor, given, tolerance
+    space, values, start, known
         As in `next_fit`.
     memories : bool, default=True
         Whether random forces may be given a memory that they do not have in `start`.
     """
     linear = linearise(space, start.linear.path, values, slopes=start.linear)
-    known = Known(floor, given, tolerance)
     # Forces have the memory that they have there, if any.
     climbs = not len(start.shares)
     return _estimated(space, values, linear, start, known, memories=memories or not climbs, climbs=climbs)
@@ -237,7 +258,7 @@ def _estimated(
     values: Mapping[str, float],
     linear: Linear,
     start: Fitted,
-    known: "Known",
+    known: Known,
     *,
     memories: bool,
     climbs: bool = True,
@@ -278,7 +299,7 @@ def hits(space: StateSpace) -> bool:
 
 
 def _with_best_memory(
-    space: StateSpace, linear: Linear, noise: Noise, shares: Array, known: "Known", *, climbs: bool = True
+    space: StateSpace, linear: Linear, noise: Noise, shares: Array, known: Known, *, climbs: bool = True
 ) -> tuple[Estimate, Array]:
     """Return the noise with forces of the memory, if any, that the bound asks for: the last, or what it climbs to."""
     n_forces = linear.chains.carrier.shape[-1]
@@ -376,36 +397,6 @@ def _without_memory(noise: Noise, d: int, n_forces: int) -> Noise:
         noise.force_weights[..., :n_forces],
         noise.error_weights[..., :d],
     )
-
-
-@dataclass(frozen=True)
-class Known:
-    """What is known of the sensors' noise: its least variance, and where given its standard deviation.
-
-    The rest is estimated, to a tolerance in nats.
-    """
-
-    floor: Array
-    given: Array | None
-    tolerance: float = TOLERANCE
-
-    def estimated(self, chains: Chains, noise: Noise, real: Mask) -> Estimate:
-        """Return the noise of chains, and the pass with it, from a start."""
-        return estimate_noise(
-            chains, noise, real, floor=self.least(chains), held=self.held(chains), tolerance=self.tolerance
-        )
-
-    def least(self, chains: Chains) -> Array:
-        """Return the least variance of each channel, hidden states with them."""
-        hidden = np.zeros(chains.drive.shape[-1] - len(self.floor))
-        return np.concatenate([self.floor, hidden])
-
-    def held(self, chains: Chains) -> Mask | None:
-        """Return which channels have a noise that was given."""
-        if self.given is None:
-            return None
-        mask: Mask = np.arange(chains.drive.shape[-1]) < len(self.floor)
-        return mask
 
 
 def slopes_of(
@@ -537,15 +528,12 @@ def noise_without(
     fitted: Fitted,
     slopes: Array,
     moves: Array,
-    floor: Array,
-    *,
-    given: Array | None = None,
+    known: Known = NOTHING_KNOWN,
 ) -> Fitted:
     """Return the fit with its noise estimated anew where effects move by so much.
 
     What effects explain is no noise: a force that a missing friction leaves would hide the friction.
     """
-    known = Known(floor, given)
     hidden = fitted.chains.drive.shape[-1] - space.d
     shift = space.padded(np.pad(slopes @ moves, [(0, 0), (0, hidden)]))
     moved = replace(fitted.chains, drive=fitted.chains.drive + shift)

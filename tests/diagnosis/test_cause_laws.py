@@ -21,6 +21,7 @@ from skat.diagnosis.causes import (
 from skat.diagnosis.evidence import Gram, Priors, Weighed, Weigher, weigh
 from skat.diagnosis.fitting import (
     Columns,
+    Known,
     _blocks,
     _force_guess,
     _steps,
@@ -143,7 +144,7 @@ def pushed(gain=1.0, error=0.1, n=40, seed=0, times=1.0):
 
 def test_slopes_count_by_the_coordinate_of_the_search():
     space = pushed()
-    fitted = first_fit(space, {}, np.zeros(1), turns=2)
+    fitted = first_fit(space, {}, turns=2)
     effects = (GAIN, SHIFT)
     slopes = slopes_of(space, fitted, effects, priors_of(effects).scales)
     chord = (np.exp(0.01) - 1) / 0.01
@@ -161,15 +162,15 @@ def test_slopes_count_by_the_coordinate_of_the_search():
 
 def test_a_fit_at_given_noise_keeps_it():
     space = pushed()
-    given = first_fit(space, {}, np.zeros(1), given=np.array([0.3]), turns=2)
+    given = first_fit(space, {}, Known(given=np.array([0.3])), turns=2)
     assert given.estimate.noise.error[0] == pytest.approx(0.09)
-    free = first_fit(space, {}, np.zeros(1))
+    free = first_fit(space, {})
     assert free.estimate.noise.error[0] == pytest.approx(0.01, rel=0.35)
 
 
 def test_the_right_value_is_likelier_than_others():
     space = pushed(gain=1.3)
-    bounds = [first_fit(space, {"gain": value}, np.zeros(1)).bound for value in (1.0, 1.3, 1.6)]
+    bounds = [first_fit(space, {"gain": value}).bound for value in (1.0, 1.3, 1.6)]
     assert bounds[1] > max(bounds[0], bounds[2]) + 10
 
 

@@ -9,7 +9,7 @@ from scipy import special
 from skat.diagnosis.causes import COARSE_ROWS, _slopes, find_causes
 from skat.diagnosis.evidence import Gram, weigh
 from skat.diagnosis.fits import Fits
-from skat.diagnosis.fitting import priors_of
+from skat.diagnosis.fitting import Known, priors_of
 from skat.diagnosis.statespace import state_space
 from skat.effects import Effect
 from skat.simulators import FunctionSimulator
@@ -43,10 +43,10 @@ def measured(values, n=100, seed=0, alike=0.0):
     return X, X @ np.reshape(values, (3, 1)) + SIGMA * rng.normal(size=(n, 1))
 
 
-def found_in(X, y, effects=None, **options):
+def found_in(X, y, effects=None, known=Known(given=np.array([SIGMA])), **options):
     effects = effects_of() if effects is None else effects
     space = state_space(sloped(effects), X, y, np.arange(len(X)), consecutive=False)
-    return find_causes(space, effects, **{"given": np.array([SIGMA]), **options})
+    return find_causes(space, effects, known=known, **options)
 
 
 def gram_of(X, y):
@@ -138,12 +138,12 @@ def test_an_effect_that_would_have_to_leave_its_bounds_is_no_cause():
 
 def test_noise_is_estimated_where_it_was_not_given():
     X, y = measured([1.0, 0.0, -0.4], n=200)
-    found = found_in(X, y, given=None)
+    found = found_in(X, y, known=Known())
     assert list(found.values) == ["a", "c"]
     left = y[:, 0] - X[:, [0, 2]] @ list(found.values.values())
     assert found.fitted.estimate.noise.error[0] == pytest.approx(np.mean(left**2), rel=0.02)
     # No finer than its floor.
-    rough = found_in(X, y, given=None, floor=np.array([4.0]))
+    rough = found_in(X, y, known=Known(np.array([4.0])))
     assert rough.fitted.estimate.noise.error[0] == 4.0
 
 
@@ -198,7 +198,7 @@ def fits_of(function, effect, x, y, sigma=0.1):
     """Return fits of one effect to readings of a one-shot simulation, and that of no cause."""
     simulator = FunctionSimulator(function, input_names=("x",), output_names=("y",), effects=(effect,))
     space = state_space(simulator, x[:, None], y[:, None], np.arange(len(x)), consecutive=False)
-    fits = Fits(space, (effect,), priors_of((effect,)), np.zeros(1), np.array([sigma]), 1.0)
+    fits = Fits(space, (effect,), priors_of((effect,)), Known(given=np.array([sigma])), 1.0)
     return fits, fits.first()
 
 

@@ -9,7 +9,7 @@ import pytest
 from skat.diagnosis.causes import Comparison, _as_one, _first_guess
 from skat.diagnosis.evidence import Weighed, Weigher
 from skat.diagnosis.fits import Fit, Fits
-from skat.diagnosis.fitting import _blocks, bends, compared, first_fit, hits, next_fit, priors_of
+from skat.diagnosis.fitting import Known, _blocks, bends, compared, first_fit, hits, next_fit, priors_of
 from skat.diagnosis.search import rivals_of
 from skat.diagnosis.statespace import state_space
 from skat.effects import Effect
@@ -43,7 +43,7 @@ def space():
 def fits(space):
     offered = {effect.name: effect for effect in SIMULATOR.effects()}
     effects = offered["damping[hinge]"], offered["gravity"]
-    return Fits(space, effects, priors_of(effects), np.zeros(space.d), None, 1.0)
+    return Fits(space, effects, priors_of(effects), Known(), 1.0)
 
 
 @pytest.fixture(scope="module")
@@ -159,7 +159,7 @@ def test_members_of_a_family_are_one_cause_where_the_log_is_likelier_so(values, 
     X = rng.normal(size=(200, 2))
     y = X * values + 0.1 * rng.normal(size=(200, 2))
     space = state_space(simulator, X, y, np.arange(200), consecutive=False)
-    fits = Fits(space, effects, priors_of(effects), np.zeros(2), None, 1.0)
+    fits = Fits(space, effects, priors_of(effects), Known(), 1.0)
     both = fits.of((0, 1), np.full(2, 0.1), fits.first())
     worth = Weigher(fits.gram(both.fitted, range(3)), fits.priors, rivals_of(effects))
     found = _as_one(Comparison(fits, both), worth, rivals_of(effects))
@@ -197,28 +197,27 @@ def test_a_first_guess_is_tried_where_it_is_likelier_as_it_is_than_nothing_and_t
 
 def test_forces_are_given_no_memory_where_none_is_looked_for(space, nothing):
     assert len(nothing.fitted.shares)
-    bare = first_fit(space, {}, np.zeros(space.d), turns=0)
+    bare = first_fit(space, {}, turns=0)
     assert not len(bare.shares)
-    assert not len(compared(space, {}, bare, np.zeros(space.d), memories=False).shares)
-    assert len(compared(space, {}, bare, np.zeros(space.d)).shares)
-    kept = compared(space, {}, nothing.fitted, np.zeros(space.d), memories=False)
+    assert not len(compared(space, {}, bare, memories=False).shares)
+    assert len(compared(space, {}, bare).shares)
+    kept = compared(space, {}, nothing.fitted, memories=False)
     assert len(kept.shares) == len(nothing.fitted.shares)
 
 
 def test_a_fit_is_the_same_wherever_it_was_begun(space):
     for one, other in ((space, {"damping[hinge]": 0.5}), (bouncing(chain_length=1), {"gravity": 0.8})):
-        floor = np.zeros(one.d)
-        first, far = first_fit(one, {}, floor), first_fit(one, other, floor)
+        first, far = first_fit(one, {}), first_fit(one, other)
         for start in (first, far):
             fitted = start
             for _ in range(4):
-                fitted = next_fit(one, {}, fitted, floor)
+                fitted = next_fit(one, {}, fitted)
             assert fitted.bound == pytest.approx(first.bound, abs=1.5)
 
 
 def test_only_where_something_hits_is_a_row_bent_and_only_where_all_is_measured_is_it_known(space):
-    assert bends(bouncing(), first_fit(bouncing(), {}, np.zeros(2)))
-    assert not bends(space, first_fit(space, {}, np.zeros(space.d)))
+    assert bends(bouncing(), first_fit(bouncing(), {}))
+    assert not bends(space, first_fit(space, {}))
     assert hits(bouncing())
     assert not hits(bouncing(hidden=(1,)))
     assert not hits(space)
@@ -245,7 +244,7 @@ def test_beside_another_fit_a_row_is_simulated_once(fits, nothing, members, monk
         lambda rows, *args, **options: asked.append(len(rows)) or predict(rows, *args, **options),
     )
     values = {fits.effects[one].name: 0.1 for one in members}
-    fit = compared(fits.space, values, nothing.fitted, fits.floor)
+    fit = compared(fits.space, values, nothing.fitted, fits.known)
     assert asked == [len(fits.space.X)]
     np.testing.assert_array_equal(fit.linear.path, nothing.fitted.linear.path)
 

@@ -48,7 +48,7 @@ def logged(n=60, seed=0):
 
 @pytest.fixture(scope="module")
 def fits():
-    return Fits(logged()[0], EFFECTS, priors_of(EFFECTS), np.zeros(1), np.array([SIGMA]), POWER)
+    return Fits(logged()[0], EFFECTS, priors_of(EFFECTS), Known(given=np.array([SIGMA])), POWER)
 
 
 # -- sets ------------------------------------------------------------------------------------------------------------
@@ -89,24 +89,24 @@ def test_a_fit_without_a_member_is_that_of_the_others(fits):
 @pytest.mark.parametrize("given", [None, np.array([0.3])])
 def test_what_effects_explain_is_no_noise(given):
     space, X, y = logged(200)
-    fitted = first_fit(space, {}, np.zeros(1), given=given)
+    fitted = first_fit(space, {}, Known(given=given))
     slopes = slopes_of(space, fitted, EFFECTS, priors_of(EFFECTS).scales)
     np.testing.assert_allclose(slopes[:, 0], X, atol=1e-9)
     moves = np.array([1.0, 0.0, -0.4])
-    without = noise_without(space, fitted, slopes, moves, np.zeros(1), given=given)
+    without = noise_without(space, fitted, slopes, moves, Known(given=given))
     expected = 0.09 if given is not None else np.mean((y - X @ moves) ** 2)
     assert without.estimate.noise.error[0] == pytest.approx(expected, rel=0.03)
     # The fit stays about no effect: innovations are all of the readings.
     z = without.estimate.filtered.whitened[without.chains.mask] * np.sqrt(without.estimate.noise.error[0])
     if np.isinf(without.estimate.noise.error_nu[0]):
         np.testing.assert_allclose(z, y, rtol=1e-6)
-    floored = noise_without(space, fitted, slopes, moves, np.array([9.0]))
+    floored = noise_without(space, fitted, slopes, moves, Known(np.array([9.0])))
     assert floored.estimate.noise.error[0] == 9.0
 
 
 def test_scores_are_of_whitened_rows_in_blocks_of_time():
     space, X, y = logged(120)
-    fitted = first_fit(space, {}, np.zeros(1), given=np.array([SIGMA]))
+    fitted = first_fit(space, {}, Known(given=np.array([SIGMA])))
     columns = gram_of(space, fitted, slopes_of(space, fitted, EFFECTS, priors_of(EFFECTS).scales), EFFECTS)
     np.testing.assert_allclose(columns.columns, X / SIGMA, atol=1e-9)
     np.testing.assert_allclose(columns.whitened, y / SIGMA, rtol=1e-9)
@@ -179,7 +179,7 @@ def test_of_forces_with_memory_nothing_is_known():
     known = Known(np.array([0.1, 0.2]), np.array([0.3, 0.4]))
     assert known.least(chains).tolist() == [0.1, 0.2, 0.0, 0.0]
     assert known.held(chains).tolist() == [True, True, False, False]
-    assert Known(np.zeros(2), None).held(chains) is None
+    assert Known().held(chains) is None
     real = np.ones(chains.drive.shape[:2], dtype=bool)
     start = normal_noise(chains, np.full(4, 0.01), np.array([0.09, 0.16, 1.0, 1.0]))
     assert known.estimated(chains, start, real).noise.error[:2].tolist() == [0.09, 0.16]
@@ -219,7 +219,7 @@ def test_a_simulation_that_diverges_everywhere_has_no_fit():
     with pytest.raises(
         RuntimeError, match=r"diverges in every row: check the units of the states and actions\."
     ):
-        first_fit(space, {}, np.zeros(1))
+        first_fit(space, {})
 
 
 def test_values_to_both_sides_are_as_far_off_as_they_count_and_within_bounds():

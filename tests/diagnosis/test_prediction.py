@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from skat.diagnosis.fitting import first_fit
+from skat.diagnosis.fitting import Known, first_fit
 from skat.diagnosis.prediction import horizon_rows, open_loop_gain, predicted
 from skat.diagnosis.statespace import state_space
 from skat.effects import Effect
@@ -173,7 +173,7 @@ def test_initial_states_are_fitted_in_any_unit(unit):
     space = state_space(
         simulator, X, read[:, 1:].reshape(-1, 1), np.repeat(np.arange(8), 60), consecutive=True
     )
-    fitted = first_fit(space, {}, np.zeros(1), given=np.array([0.5 * unit]))
+    fitted = first_fit(space, {}, Known(given=np.array([0.5 * unit])))
     gain = open_loop_gain(space, fitted, {}, initial_state="fitted", random_state=random_state())
     assert gain.nominal == pytest.approx(0.5 * unit, rel=0.3)
 
@@ -196,7 +196,7 @@ def test_a_function_without_a_state_is_judged_row_by_row():
         y = 2 * X + 0.1 * rng.normal(size=(200, 1))
         spaces.append(state_space(simulator, X, y, np.arange(200), consecutive=False))
     wrong = {"scale[y]": 1.5}
-    gain = predicted_gain(spaces[1], first_fit(spaces[0], {}, np.zeros(1)), wrong)
+    gain = predicted_gain(spaces[1], first_fit(spaces[0], {}), wrong)
     assert gain.nominal == pytest.approx(1.0, abs=0.25)
     assert gain.extended > 5
     assert gain.horizon == 1

@@ -19,7 +19,7 @@ def simulator():
 
 def left(simulator, law, seed=3, **options):
     space = laid_out(simulator, *measured(NOMINAL, seed, law=law, **options))
-    fitted = first_fit(space, {}, np.zeros(space.d))
+    fitted = first_fit(space, {})
     return find_remainder(space, fitted, random_state=np.random.RandomState(0))
 
 
@@ -114,9 +114,7 @@ def test_a_function_with_a_state_has_an_error_of_each_channel(magnet):
     simulator = make_simulator()
     X, y, groups, _ = measure(5, magnet=magnet)
     space = state_space(simulator, X, y, groups, consecutive=True)
-    remainder = find_remainder(
-        space, first_fit(space, {}, np.zeros(4)), random_state=np.random.RandomState(0)
-    )
+    remainder = find_remainder(space, first_fit(space, {}), random_state=np.random.RandomState(0))
     assert {part.name for part in remainder.parts} == {"x", "angle", "v", "w"}
     assert is_unexplained(remainder, None) == bool(magnet)
     if magnet:
@@ -133,9 +131,7 @@ def test_what_is_left_of_a_function_without_a_state_is_its_errors(bent):
     X = rng.uniform(-2, 2, size=(300, 2))
     y = (2 * X[:, :1] + X[:, 1:]) + bent * X[:, 1:] ** 2 + 0.1 * rng.normal(size=(300, 1))
     space = state_space(simulator, X, y, np.arange(300), consecutive=False)
-    remainder = find_remainder(
-        space, first_fit(space, {}, np.zeros(1)), random_state=np.random.RandomState(0)
-    )
+    remainder = find_remainder(space, first_fit(space, {}), random_state=np.random.RandomState(0))
     (part,) = remainder.parts
     assert is_unexplained(remainder, None) == bool(bent)
     if bent:

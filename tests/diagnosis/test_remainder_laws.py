@@ -324,9 +324,7 @@ def test_chance_makes_evidence_of_which_the_exponential_has_a_mean_of_one():
 def test_an_acceleration_that_a_function_lacks_is_found_in_its_unit():
     drag = 0.8
     space = rolled([80] * 4, drag=drag)
-    remainder = find_remainder(
-        space, first_fit(space, {}, np.zeros(2)), random_state=np.random.RandomState(0), horizon=7
-    )
+    remainder = find_remainder(space, first_fit(space, {}), random_state=np.random.RandomState(0), horizon=7)
     assert remainder.horizon == 7
     (part,) = remainder.parts
     assert (part.name, part.unit) == ("qvel.cart", "m/s/s")

@@ -159,7 +159,7 @@ def test_of_a_fit_the_laws_of_its_noise_are_kept_and_no_row():
     simulator = FunctionSimulator(lambda X: X, input_names=("a",), output_names=("b",))
     X = np.random.default_rng(0).normal(size=(30, 1))
     space = state_space(simulator, X, X + 0.1, np.arange(30), consecutive=False)
-    fitted = first_fit(space, {}, np.zeros(1))
+    fitted = first_fit(space, {})
     kept = _of_no_rows(fitted)
     noise, own = kept.estimate.noise, fitted.estimate.noise
     for name in ("force", "error", "force_nu", "error_nu"):
