@@ -16,6 +16,7 @@ from sklearn.exceptions import NotFittedError
 from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted
 
+from skat.diagnosis.ahead import variances_of
 from skat.diagnosis.causes import QUICK_TURNS, TURNS, Found, find_causes, is_held
 from skat.diagnosis.changes import find_changes
 from skat.diagnosis.doubts import warn_of_doubts
@@ -26,13 +27,7 @@ from skat.diagnosis.forces.start import start_in_forces
 from skat.diagnosis.identifiability import identifiability, preflight
 from skat.diagnosis.log import Log, check_log, check_matrix, tangent_variances, without_channels
 from skat.diagnosis.posterior import Posterior
-from skat.diagnosis.prediction import (
-    Prediction,
-    horizon_rows,
-    open_loop_gain,
-    predicted,
-    variances_of,
-)
+from skat.diagnosis.prediction import Prediction, horizon_rows, open_loop_gain, predicted
 from skat.diagnosis.remainder import find_remainder, is_unexplained
 from skat.diagnosis.report.from_diagnosis import DiagnosisReport
 from skat.diagnosis.saving import Begun, Checkpoint, read_diagnosis, write_diagnosis

@@ -4,7 +4,7 @@ Both start, every h rows, in the state that the filter has there from what was m
 the logged commands and without any random force, and are compared with what was measured h rows on. An error counts in
 units of its standard deviation under a right model, which is drawn: runs of the extended model from what the filter
 leaves unknown of each start, pushed by random forces, and read with noise. So a right model has a mean square of 1, the
-floor, also where states bounce off each other's ways. Random forces that nothing predicts belong to it. So do forces
+floor, also where something hits the ground on the way. Random forces that nothing predicts belong to it. So do forces
 with memory: what is known of them at a start is not told to the simulation, and they are drawn with all of their
 variance.
 
@@ -19,27 +19,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from skat.diagnosis.filtering import Array, Chains, Mask, kalman_filter, smooth, updated
+from skat.diagnosis.ahead import SETTLED_ROWS, Seen, ahead, before, filtered, steady, variances_of
+from skat.diagnosis.filtering import Array, Mask, kalman_filter, smooth, updated
 from skat.diagnosis.findings import Gain
 from skat.diagnosis.fitting import Fitted
 from skat.diagnosis.noise import Estimate, Noise, normal_noise, passed, precisions
 from skat.diagnosis.statespace import (
-    Linear,
     Places,
     StateSpace,
     linearise,
     moved_path,
-    normal_points,
     steps_of,
 )
 from skat.simulators import Simulator
-from skat.simulators.tables import episode_starts
 
 # By default the horizon is so long, and has at least so many rows.
 HORIZON_S = 0.25
 FEWEST_ROWS = 10
-# Rows after which a filter has found what was not measured, and hidden states of actuators do not show how they began.
-SETTLED_ROWS = 10
 # How often the path of a held-out log, and the weights of its samples, are taken anew.
 TURNS = 3
 # An error counts with at most this square, in units of the larger of its own variance and the nominal model's typical
@@ -54,8 +50,6 @@ FARTHEST = 10.0
 N_BOOTSTRAP = 999
 FEWEST_PIECES, PIECES = 5, 20
 N_OVERLAYS = 3
-# Rows that are drawn at a time.
-MOST_DRAWN = 200_000
 # Of an episode's residuals, what fitted initial states leave is never taken for a smaller share than this.
 LEAST_LEFT = 0.1
 # Relinearisations by which an initial state is fitted.
@@ -98,43 +92,6 @@ class Prediction:
     overlays: tuple[Overlay, ...]
     n_starts: int
     n_diverged: int
-
-
-@dataclass(frozen=True)
-class Ahead:
-    """What a right model's errors would be.
-
-    Attributes
-    ----------
-    variances : ndarray of shape (n_starts, horizon, d)
-        After each row.
-    last : ndarray of shape (n_draws, n_starts, d)
-        Squares of errors after the last row, drawn, in these units.
-    """
-
-    variances: Array
-    last: Array
-
-
-@dataclass(frozen=True)
-class Seen:
-    """A log as a model and a noise have it.
-
-    Attributes
-    ----------
-    linear : Linear
-        About the filtered path.
-    chains : Chains
-        Those of `linear`, with forces of memory where the noise has such.
-    estimate : Estimate
-    shares : ndarray of shape (n_forces,) or (0,)
-        What is left of a force with memory a row later.
-    """
-
-    linear: Linear
-    chains: Chains
-    estimate: Estimate
-    shares: Array
 
 
 def horizon_rows(simulator: Simulator, horizon: float | None = None) -> int:
@@ -254,7 +211,7 @@ def look(space: StateSpace, fitted: Fitted, values: Mapping[str, float]) -> Seen
         linear = linearise(space, path, values, covariances)
         chains = linear.chains
         if len(shares):
-            chains = chains.with_memory(shares, _steady(noise, shares))
+            chains = chains.with_memory(shares, steady(noise, shares))
         for _ in range(TURNS if heavy else 0):
             estimate = passed(chains, noise, space.real)
             noise = _weighted(estimate, space.real, chains.mask)
@@ -264,21 +221,6 @@ def look(space: StateSpace, fitted: Fitted, values: Mapping[str, float]) -> Seen
             path = moved_path(space, linear.path, means[..., : space.d])
             covariances = known[..., : space.d, : space.d]
     return Seen(linear, chains, estimate, shares)
-
-
-def filtered(space: StateSpace, seen: Seen) -> tuple[Array, Array]:
-    """Return the state in which each row starts, from what was measured until then, and what is not known of it.
-
-    Returns
-    -------
-    states : ndarray of shape (n_rows, n_states)
-    covariances : ndarray of shape (n_rows, d_all, d_all)
-        Of the deviation from the truth, with the forces of memory behind.
-    """
-    estimate = seen.estimate
-    means, covariances = updated(seen.chains, estimate.filtered, estimate.noise.error_variances)
-    states = moved_path(space, seen.linear.path, means[..., : space.d])
-    return states[:, :-1][space.places], covariances[:, :-1][space.places]
 
 
 def windows(space: StateSpace, horizon: int, *, n_lags: int = 0) -> tuple[Places, int]:
@@ -311,57 +253,6 @@ def ends(space: StateSpace) -> tuple[Array, Mask]:
     after = chain, step + 1
     after[0][cut], after[1][cut] = chain[cut + 1], 0
     return space.measured[after], space.mask[after]
-
-
-def ahead(
-    space: StateSpace,
-    seen: Seen,
-    values: Mapping[str, float],
-    starts: Places,
-    horizon: int,
-    begin: tuple[Array, Array] | None = None,
-) -> Ahead:
-    """Return what a right model's errors would be.
-
-    Parameters
-    ----------
-    space, seen
-    values : mapping from name to value
-        Of the simulation that is taken for right.
-    starts : ndarray of int of shape (n_starts,)
-    horizon : int
-        In rows.
-    begin : tuple of ndarrays of shape (n_starts, n_states) and (n_starts, d, d), optional
-        States at the starts, and what is not known of them; as the filter has them by default.
-    """
-    d, noise = space.d, seen.estimate.noise
-    error = variances_of(noise.error, noise.error_nu)[:d]
-    random_state = np.random.RandomState(0)
-    points = normal_points(d)
-    n_draws = 2 * points.shape[1]
-    variances = np.broadcast_to(error, (len(starts), horizon, d)).copy()
-    last = _drawn_noise(noise, (n_draws, len(starts), d), random_state)
-    if not space.simulator.state_names:
-        return Ahead(variances, last**2 / variances[:, -1])
-    states, unknown = [one[starts] for one in filtered(space, seen)] if begin is None else begin
-    sizes, axes = np.linalg.eigh(unknown[:, :d, :d])
-    roots = axes * np.sqrt(np.maximum(sizes, 0.0))[:, None, :]
-    # Two motions that have nothing in common any more are no further apart than that.
-    most = 2 * (space.spread / 3) ** 2
-    each = max(1, MOST_DRAWN // (n_draws * horizon))
-    for begun in range(0, len(starts), each):
-        part = slice(begun, begun + each)
-        pushes = _drawn_pushes(space, seen, starts[part], horizon, points.shape[1], random_state)
-        drawn = _drawn(space, seen, values, starts[part], states[part], roots[part] @ points, pushes)
-        # Runs that diverge are as far apart as that.
-        drawn = np.where(np.isfinite(drawn), drawn, np.sqrt(most))
-        line = _line(space, seen, starts[part], unknown[part, :d, :d], roots[part] @ points, pushes)
-        with np.errstate(over="ignore", invalid="ignore"):
-            squares = (drawn[::2] ** 2 + drawn[1::2] ** 2) / 2
-            variances[part] += np.clip(_mean_beside(squares, *line), 0.0, most)
-        last[:, part] += drawn[:, :, -1]
-    with np.errstate(over="ignore"):
-        return Ahead(variances, last**2 / variances[:, -1])
 
 
 def open_loop_gain(
@@ -456,129 +347,6 @@ def open_loop_gain(
 # -- parts of a prediction -------------------------------------------------------------------------------------------
 
 
-def _drawn(
-    space: StateSpace,
-    seen: Seen,
-    values: Mapping[str, float],
-    starts: Places,
-    states: Array,
-    offsets: Array,
-    pushes: Array,
-) -> Array:
-    """Return by how much runs that begin off a state and are pushed differ from one that is not.
-
-    Parameters
-    ----------
-    space, seen, values, starts
-    states : ndarray of shape (n_starts, n_states)
-    offsets : ndarray of shape (n_starts, d, n_points)
-        To both sides of each state.
-    pushes : ndarray of shape (n_points, n_starts, horizon, d)
-
-    Returns
-    -------
-    ndarray of shape (2 n_points, n_starts, horizon, d)
-    """
-    simulator, (_, n_starts, horizon, d) = space.simulator, pushes.shape
-    begun = [states]
-    for offset in np.moveaxis(offsets, -1, 0):
-        begun += [simulator.displace(states, offset), simulator.displace(states, -offset)]
-    copies = len(begun)
-    commands = space.X[starts[:, None] + np.arange(horizon)][..., len(simulator.state_names) :]
-    before = _before(space, seen, [values], starts)
-    (paths,) = simulator.rollout_many(
-        np.concatenate(begun),
-        np.tile(commands, (copies, 1, 1)),
-        [values],
-        n_steps=horizon,
-        before=None if before is None else np.tile(before, (copies, 1, 1)),
-        # Runs from both sides are pushed alike: what pushes and offsets move are then independent of each other.
-        pushes=np.concatenate([np.zeros_like(pushes[:1]), np.repeat(pushes, 2, axis=0)]).reshape(
-            -1, horizon, d
-        ),
-    )
-    paths = paths.reshape(copies, n_starts, horizon + 1, -1)[:, :, 1:]
-    with np.errstate(invalid="ignore", over="ignore"):
-        apart: Array = simulator.residual(paths[1:], np.broadcast_to(paths[:1], paths[1:].shape))
-    return apart
-
-
-def _line(
-    space: StateSpace, seen: Seen, starts: Places, unknown: Array, offsets: Array, pushes: Array
-) -> tuple[Array, Array]:
-    """Return what slopes make of the same draws: mean squares of each two, and what these are on average.
-
-    Returns
-    -------
-    squares : ndarray of shape (n_points, n_starts, horizon, d)
-    variances : ndarray of shape (n_starts, horizon, d)
-    """
-    (n_points, n_starts, horizon, d), noise, k = pushes.shape, seen.estimate.noise, len(seen.shares)
-    A, F = (one[space.places] for one in (seen.chains.transitions, seen.chains.carrier))
-    force = variances_of(noise.force, noise.force_nu)
-    M = np.zeros((n_starts, d + k, d + k))
-    M[:, :d, :d] = unknown
-    if k:
-        M[:, d:, d:] = np.diag(_steady(noise, seen.shares))
-    moved, pushed = np.moveaxis(offsets, -1, 1), np.zeros((n_starts, n_points, d))
-    squares, variances = np.empty((n_points, n_starts, horizon, d)), np.empty((n_starts, horizon, d))
-    with np.errstate(over="ignore", invalid="ignore"):
-        for step in range(horizon):
-            rows = starts + step
-            own = A[rows, :d, :d].swapaxes(1, 2)
-            moved, pushed = moved @ own, pushed @ own + pushes[:, :, step].swapaxes(0, 1)
-            M = A[rows] @ M @ A[rows].swapaxes(1, 2) + (F[rows] * force) @ F[rows].swapaxes(1, 2)
-            squares[:, :, step] = (moved**2 + pushed**2).swapaxes(0, 1)
-            variances[:, step] = np.einsum("nii->ni", M)[:, :d]
-    return squares, variances
-
-
-def _mean_beside(drawn: Array, known: Array, mean: Array) -> Array:
-    """Return the mean of draws (first axis) beside which others were drawn whose mean is known: control variates."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        off = known - known.mean(axis=0)
-        spread = np.mean(off**2, axis=0)
-        share = np.clip(np.mean(off * drawn, axis=0) / np.where(spread > 0, spread, 1.0), 0.0, 1.0)
-        more = share * (mean - known.mean(axis=0))
-    corrected: Array = drawn.mean(axis=0) + np.where(np.isfinite(more), more, 0.0)
-    return corrected
-
-
-def _drawn_noise(noise: Noise, shape: tuple[int, ...], random_state: np.random.RandomState) -> Array:
-    """Return draws of the noise of sensors, whose channels are the last axis."""
-    d = shape[-1]
-    nu = noise.error_nu[:d]
-    heavy = np.isfinite(nu)
-    squares = random_state.chisquare(np.where(heavy, nu, 1.0), size=shape)
-    tails = np.where(heavy, np.sqrt(nu / np.maximum(squares, 1e-300)), 1.0)
-    drawn: Array = np.sqrt(noise.error[:d]) * tails * random_state.standard_normal(shape)
-    return drawn
-
-
-def _drawn_pushes(
-    space: StateSpace,
-    seen: Seen,
-    starts: Places,
-    horizon: int,
-    n_draws: int,
-    random_state: np.random.RandomState,
-) -> Array:
-    """Return draws of what random forces add to the state in each row, (n_draws, n_starts, horizon, d)."""
-    noise, k = seen.estimate.noise, len(seen.shares)
-    deviations = np.sqrt(variances_of(noise.force, noise.force_nu))
-    shape = n_draws, len(starts), horizon
-    forces = random_state.standard_normal((*shape, len(deviations))) * deviations
-    if k:
-        # A simulation does not know what is known of these forces: to it, all of their variance is an error.
-        lasting = np.sqrt(_steady(noise, seen.shares)) * random_state.standard_normal((*shape[:2], k))
-        for step in range(horizon):
-            forces[:, :, step, :k] += lasting
-            lasting = seen.shares * lasting + forces[:, :, step, -k:]
-    carrier = seen.linear.chains.carrier[space.places][starts[:, None] + np.arange(horizon)]
-    pushes: Array = np.einsum("shdf,nshf->nshd", carrier, forces[..., : carrier.shape[-1]])
-    return pushes
-
-
 def _with_even_weights(noise: Noise, space: StateSpace) -> Noise:
     n, steps = space.real.shape
     return replace(
@@ -600,18 +368,6 @@ def _weighted(last: Estimate, real: Mask, mask: Mask) -> Noise:
     )
 
 
-def variances_of(scale: Array, nu: Array) -> Array:
-    """Return the variances of Student's laws of squared scales."""
-    heavy = np.isfinite(nu)
-    return scale * np.where(heavy, nu / np.where(heavy, nu - 2, 1.0), 1.0)
-
-
-def _steady(noise: Noise, shares: Array) -> Array:
-    """Return the variance of each force with memory, at any time."""
-    force = variances_of(noise.force, noise.force_nu)[-len(shares) :]
-    return force / np.maximum(1 - shares**2, 1e-12)
-
-
 def _runs(
     space: StateSpace, seen: Seen, candidates: Sequence[Mapping[str, float]], starts: Places, horizon: int
 ) -> Array:
@@ -627,24 +383,9 @@ def _runs(
         space.X[rows][..., n_states:],
         candidates,
         n_steps=horizon,
-        before=_before(space, seen, candidates, starts),
+        before=before(space, seen, candidates, starts),
     )
     return paths[:, :, 1:]
-
-
-def _before(
-    space: StateSpace, seen: Seen, candidates: Sequence[Mapping[str, float]], starts: Places
-) -> Array | None:
-    """Return the rows before each start, if what they leave matters to one of the models."""
-    simulator = space.simulator
-    n_lags = max(simulator.n_lags(values) for values in candidates)
-    if not n_lags and not any(simulator.extended(values).hidden_state_names for values in candidates):
-        return None
-    # Of an episode's first row, the commands have held before.
-    first = episode_starts(space.groups, len(space.X))[starts]
-    earlier = starts[:, None] - np.arange(max(n_lags, SETTLED_ROWS), 0, -1)
-    before: Array = space.rows(seen.linear.path)[np.maximum(earlier, first[:, None])]
-    return before
 
 
 def _cut(squares: Array, drawn: Array, counted: Mask) -> tuple[Array, Array, Array]:
@@ -841,7 +582,7 @@ def _open_loop_variances(
     linear, shares = linearise(space, space.measured, values), fitted.shares
     chains = linear.chains
     if len(shares):
-        chains = chains.with_memory(shares, _steady(fitted.estimate.noise, shares))
+        chains = chains.with_memory(shares, steady(fitted.estimate.noise, shares))
     seen = Seen(linear, chains, fitted.estimate, shares)
     d = space.d
     error = variances_of(fitted.estimate.noise.error, fitted.estimate.noise.error_nu)[:d]

@@ -26,12 +26,13 @@ import numpy as np
 from scipy import signal
 from scipy.special import logsumexp
 
+from skat.diagnosis.ahead import Seen, ahead, filtered
 from skat.diagnosis.evidence import WIDTH_95
 from skat.diagnosis.filtering import Array, Mask, kalman_filter, smooth
 from skat.diagnosis.findings import Gain
 from skat.diagnosis.fitting import Fitted, response
 from skat.diagnosis.noise import estimate_noise, normal_noise
-from skat.diagnosis.prediction import Seen, ahead, ends, filtered, horizon_rows, windows
+from skat.diagnosis.prediction import ends, horizon_rows, windows
 from skat.diagnosis.statespace import Places, StateSpace, steps_of
 
 # Bins of a law of a joint's own coordinate, and of any other.

@@ -43,7 +43,10 @@ def measured(values, n=100, seed=0, alike=0.0):
     return X, X @ np.reshape(values, (3, 1)) + SIGMA * rng.normal(size=(n, 1))
 
 
-def found_in(X, y, effects=None, known=Known(given=np.array([SIGMA])), **options):
+GIVEN = Known(given=np.array([SIGMA]))
+
+
+def found_in(X, y, effects=None, known=GIVEN, **options):
     effects = effects_of() if effects is None else effects
     space = state_space(sloped(effects), X, y, np.arange(len(X)), consecutive=False)
     return find_causes(space, effects, known=known, **options)

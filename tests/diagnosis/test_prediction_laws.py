@@ -7,27 +7,23 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
+from skat.diagnosis.ahead import Seen, _mean_beside, ahead, filtered, variances_of
 from skat.diagnosis.filtering import updated
 from skat.diagnosis.fitting import Fitted
 from skat.diagnosis.noise import Noise, normal_noise, passed
 from skat.diagnosis.prediction import (
-    Seen,
     _channel_errors,
     _cut,
     _gain,
-    _mean_beside,
     _pieces,
     _weighted,
     _whole_episodes,
     _worst_episodes,
-    ahead,
     ends,
-    filtered,
     horizon_rows,
     look,
     open_loop_gain,
     predicted,
-    variances_of,
     windows,
 )
 from skat.diagnosis.statespace import linearise, state_space

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
+from skat.diagnosis.ahead import Seen
 from skat.diagnosis.findings import Gain
 from skat.diagnosis.fitting import Fitted, first_fit
 from skat.diagnosis.noise import normal_noise, passed
-from skat.diagnosis.prediction import Seen
 from skat.diagnosis.remainder import (
     SIZES,
     Law,
