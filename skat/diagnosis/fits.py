@@ -147,7 +147,7 @@ class Fits:
     def gram(self, fitted: Fitted, members: Sequence[int], widths: Array | None = None) -> Gram:
         """Return the Gram matrices of some effects at a fit; see `slopes_of`."""
         chosen = [self.effects[one] for one in members]
-        slopes = slopes_of(self.space, fitted, chosen, self.priors.scales[list(members)], widths)
+        slopes = slopes_of(self.space, fitted, chosen, self.priors.scales[list(members)], widths, means=True)
         return gram_of(self.space, fitted, slopes, chosen).gram
 
     def _next(self, values: Mapping[str, float], start: Fitted) -> Fitted:

@@ -405,6 +405,8 @@ def slopes_of(
     effects: Sequence[Effect],
     sizes: Array,
     widths: Array | None = None,
+    *,
+    means: bool = False,
 ) -> Array:
     """Return the derivative of what the model adds in a step by each effect's coordinate, (n_rows, d, k).
 
@@ -416,11 +418,15 @@ def slopes_of(
     widths : ndarray of shape (k,), optional
         By how much each value may be off to either side: slopes are taken over what is not known, as those by the state
         are. Otherwise over a little of the typical size.
+    means : bool, default=False
+        Whether the slopes of rows that are bent are means over what is not known of where they start, as what the
+        model adds is; otherwise they are those at a point.
     """
     least = SMALL_SHARE * sizes
     widths = least if widths is None else np.maximum(widths, least)
     steps = _steps(fitted.values, effects, widths)
-    slopes = derivatives(space, fitted.linear, fitted.values, steps)
+    known = _so_far(space, fitted)[1][:, :-1][space.places] if means else None
+    slopes = derivatives(space, fitted.linear, fitted.values, steps, known)
     for column, effect in enumerate(effects):
         low, high = steps[effect.name]
         slopes[..., column] *= (high - low) / (coordinate(effect, high) - coordinate(effect, low))

@@ -347,11 +347,9 @@ def _sloped(
 ) -> _ByRow:
     """Return rows with slopes taken over what is not known of the states that they start from, (n_rows, d, d)."""
     d, n, units = space.d, len(rows), space.spread
-    if covariances is None:
-        roots = np.tile(np.diag(FIRST_STEP * units), (n, 1, 1))
-    else:
-        variances, axes = np.linalg.eigh(covariances / (units[:, None] * units))
-        roots = axes * units[:, None] * np.sqrt(np.clip(variances, SMALLEST_STEP**2, 1.0))[:, None]
+    roots = (
+        np.tile(np.diag(FIRST_STEP * units), (n, 1, 1)) if covariances is None else _roots(covariances, units)
+    )
     base, up, down = _ends(space, rows, after, values, OUTER * roots)
     inverse = np.linalg.inv(roots)
     transitions = ((up - down) / (2 * OUTER)) @ inverse
@@ -470,6 +468,7 @@ def derivatives(
     linear: Linear,
     values: Mapping[str, float],
     steps: Mapping[str, tuple[float, float]],
+    known: Array | None = None,
 ) -> Array:
     """Return the derivative of what the model adds in a step by each parameter, (n_rows, d, k).
 
@@ -478,6 +477,8 @@ def derivatives(
     space, linear, values
     steps : mapping from name to (low, high)
         For each effect, two values between which the slope is taken; one of them may be that in `values`.
+    known : ndarray of shape (n_rows, d, d), optional
+        Covariance of the states that rows start from: the slopes of rows that are bent are means over it.
     """
     simulator, rows, base = space.simulator, space.rows(linear.path), linear.outputs
     neutral = {effect.name: effect.neutral for effect in simulator.effects(also="all")}
@@ -502,8 +503,47 @@ def derivatives(
             bad = ~(np.isfinite(high).all(axis=1) & np.isfinite(low).all(axis=1))
             difference[bad] = 0.0
             columns[:, :, column] = difference / (steps[name][1] - steps[name][0])
+    if known is not None and simulator.state_names:
+        chains, places = linear.chains, space.places
+        bent = is_bent(chains.transitions[places], chains.bends[places], known)
+        for column, name in enumerate(names if bent.any() else ()):
+            columns[bent, :, column] = _mean_derivative(space, rows, values, name, steps[name], known, bent)
     columns[~linear.valid] = 0.0
     return columns
+
+
+def _mean_derivative(
+    space: StateSpace,
+    rows: Array,
+    values: Mapping[str, float],
+    name: str,
+    ends: tuple[float, float],
+    known: Array,
+    bent: Mask,
+) -> Array:
+    """Return the derivative by a parameter in bent rows, the mean over what is not known of where they start."""
+    simulator, units = space.simulator, space.spread
+    candidates = [{**values, name: end} for end in ends]
+    every = any(remembers(simulator, one) for one in candidates)
+    chosen = np.full(len(rows), True) if every else bent
+    roots = _roots(known[chosen], units)
+    sums, numbers = np.zeros((int(chosen.sum()), space.d)), np.zeros(int(chosen.sum()))
+    for point in normal_points(space.d).T:
+        for offset in (roots @ point, -roots @ point):
+            moved = simulator.displace(rows[chosen], offset)
+            low, high = simulator.predict_many(moved, candidates, groups=space.groups[chosen])
+            fine = np.isfinite(low).all(axis=1) & np.isfinite(high).all(axis=1)
+            sums[fine] += simulator.residual(high[fine], low[fine])
+            numbers += fine
+    slopes: Array = sums[bent[chosen]] / np.maximum(numbers[bent[chosen], None], 1) / (ends[1] - ends[0])
+    return slopes
+
+
+def _roots(covariances: Array, units: Array) -> Array:
+    """Return roots of covariances, (n_rows, d, d), no axis of which is too short or too long for a slope."""
+    variances, axes = np.linalg.eigh(covariances / (units[:, None] * units))
+    roots: Array = axes * units[:, None] * np.sqrt(np.clip(variances, SMALLEST_STEP**2, 1.0))[:, None]
+    return roots
 
 
 def remembers(simulator: Simulator, values: Mapping[str, float]) -> bool:
