@@ -395,13 +395,16 @@ def _averaged(
     return slopes, bends, beyond
 
 
-def normal_points(d: int) -> Array:
+def normal_points(d: int, times: int | None = None) -> Array:
     """Return points (d, n_points) that with their negatives stand for a standard normal law.
 
-    At least `PAIRS` lie on axes turned at random, as far out as its quantiles: first and second moments are exact.
+    They lie on axes turned at random so many times, by default until there are `PAIRS`, as far out as its quantiles:
+    first and second moments are exact.
     """
-    times = max(2, -(-PAIRS // d))
-    turned = ortho_group.rvs(d, size=times, random_state=0) if d > 1 else np.ones((times, 1, 1))
+    times = max(2, -(-PAIRS // d)) if times is None else times
+    turned = np.ones((times, 1, 1))
+    if d > 1:
+        turned = ortho_group.rvs(d, size=times, random_state=0).reshape(times, d, d)
     squares = chi2.ppf((np.arange(times) + 0.5) / times, d)
     radii = np.sqrt(squares * d / squares.mean())
     points: Array = np.concatenate(radii[:, None, None] * turned, axis=1)
@@ -528,7 +531,7 @@ def _mean_derivative(
     chosen = np.full(len(rows), True) if every else bent
     roots = _roots(known[chosen], units)
     sums, numbers = np.zeros((int(chosen.sum()), space.d)), np.zeros(int(chosen.sum()))
-    for point in normal_points(space.d).T:
+    for point in normal_points(space.d, times=1).T:
         for offset in (roots @ point, -roots @ point):
             moved = simulator.displace(rows[chosen], offset)
             low, high = simulator.predict_many(moved, candidates, groups=space.groups[chosen])
