@@ -12,7 +12,7 @@ import numpy as np
 
 from skat.diagnosis.filtering import Array, Chains, updated
 from skat.diagnosis.noise import Estimate, Noise
-from skat.diagnosis.statespace import Linear, Places, StateSpace, moved_path, normal_points
+from skat.diagnosis.statespace import PAIRS, Linear, Places, StateSpace, moved_path, normal_points
 from skat.simulators.tables import episode_starts
 
 # Rows after which a filter has found what was not measured, and hidden states of actuators do not show how they began.
@@ -97,7 +97,7 @@ def ahead(
     d, noise = space.d, seen.estimate.noise
     error = variances_of(noise.error, noise.error_nu)[:d]
     random_state = np.random.RandomState(0)
-    points = normal_points(d)
+    points = normal_points(d, PAIRS)
     n_draws = 2 * points.shape[1]
     variances = np.broadcast_to(error, (len(starts), horizon, d)).copy()
     last = _drawn_noise(noise, (n_draws, len(starts), d), random_state)

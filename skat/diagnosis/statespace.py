@@ -30,6 +30,8 @@ OUTER = 3**0.5
 BENT = 0.1
 # Pairs of points about the state of such a row, at least.
 PAIRS = 32
+# The same for slopes by effects.
+SLOPE_PAIRS = 8
 # A row from near which states end so many times their spread away has diverged, as contacts do: it has no slopes.
 FAR = 1e3
 # Slopes are kept where a row ends off from where they say by no more than this share of what is not known of its state.
@@ -383,7 +385,7 @@ def _averaged(
     Over the points of `normal_points` and their negatives, the same for all rows.
     """
     d = space.d
-    Z = normal_points(d)
+    Z = normal_points(d, max(PAIRS, d + 1))
     _, up, down = _ends(space, rows, after, values, roots @ Z)
     odd, even = (up - down) / 2, (up + down) / 2
     slopes = odd @ Z.T / Z.shape[1]
@@ -395,13 +397,12 @@ def _averaged(
     return slopes, bends, beyond
 
 
-def normal_points(d: int, times: int | None = None) -> Array:
-    """Return points (d, n_points) that with their negatives stand for a standard normal law.
+def normal_points(d: int, least: int) -> Array:
+    """Return points (d, n_points), so many at least, that with their negatives stand for a standard normal law.
 
-    They lie on axes turned at random so many times, by default until there are `PAIRS`, as far out as its quantiles:
-    first and second moments are exact.
+    They lie on axes turned at random, as far out as its quantiles: first and second moments are exact.
     """
-    times = max(2, -(-PAIRS // d)) if times is None else times
+    times = -(-least // d)
     turned = np.ones((times, 1, 1))
     if d > 1:
         turned = ortho_group.rvs(d, size=times, random_state=0).reshape(times, d, d)
@@ -531,7 +532,7 @@ def _mean_derivative(
     chosen = np.full(len(rows), True) if every else bent
     roots = _roots(known[chosen], units)
     sums, numbers = np.zeros((int(chosen.sum()), space.d)), np.zeros(int(chosen.sum()))
-    for point in normal_points(space.d, times=1).T:
+    for point in normal_points(space.d, SLOPE_PAIRS).T:
         for offset in (roots @ point, -roots @ point):
             moved = simulator.displace(rows[chosen], offset)
             low, high = simulator.predict_many(moved, candidates, groups=space.groups[chosen])
