@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import stats
 
 from skat.diagnosis.filtering import Array, Chains, updated
 from skat.diagnosis.noise import Estimate, Noise
@@ -19,6 +20,8 @@ from skat.simulators.tables import episode_starts
 SETTLED_ROWS = 10
 # Rows that are drawn at a time.
 MOST_DRAWN = 200_000
+# Quantiles of the sensors' noise for each draw of it.
+FINER = 16
 
 
 @dataclass(frozen=True)
@@ -50,7 +53,7 @@ class Ahead:
     ----------
     variances : ndarray of shape (n_starts, horizon, d)
         After each row.
-    last : ndarray of shape (n_draws, n_starts, d)
+    last : ndarray of shape (n_draws, n_starts, d), or (n_draws, 1, d) where all starts are alike
         Squares of errors after the last row, drawn, in these units.
     """
 
@@ -100,9 +103,15 @@ def ahead(
     points = normal_points(d, PAIRS)
     n_draws = 2 * points.shape[1]
     variances = np.broadcast_to(error, (len(starts), horizon, d)).copy()
-    last = _drawn_noise(noise, (n_draws, len(starts), d), random_state)
+    table = _noise_table(noise, d, FINER * n_draws)
     if not space.simulator.state_names:
-        return Ahead(variances, last**2 / variances[:, -1])
+        return Ahead(variances, table[:, None] ** 2 / error)
+    # Of each part of the law one draw: few of them have its mean square, whatever it is cut at.
+    shape = n_draws, len(starts), d
+    places = FINER * random_state.random_sample(shape).argsort(axis=0) + random_state.randint(
+        FINER, size=shape
+    )
+    last = table[places, np.arange(d)]
     states, unknown = [one[starts] for one in filtered(space, seen)] if begin is None else begin
     sizes, axes = np.linalg.eigh(unknown[:, :d, :d])
     roots = axes * np.sqrt(np.maximum(sizes, 0.0))[:, None, :]
@@ -224,15 +233,11 @@ def _mean_beside(drawn: Array, known: Array, mean: Array) -> Array:
     return corrected
 
 
-def _drawn_noise(noise: Noise, shape: tuple[int, ...], random_state: np.random.RandomState) -> Array:
-    """Return draws of the noise of sensors, whose channels are the last axis."""
-    d = shape[-1]
-    nu = noise.error_nu[:d]
-    heavy = np.isfinite(nu)
-    squares = random_state.chisquare(np.where(heavy, nu, 1.0), size=shape)
-    tails = np.where(heavy, np.sqrt(nu / np.maximum(squares, 1e-300)), 1.0)
-    drawn: Array = np.sqrt(noise.error[:d]) * tails * random_state.standard_normal(shape)
-    return drawn
+def _noise_table(noise: Noise, d: int, n: int) -> Array:
+    """Return quantiles of the noise of each sensor, (n, d)."""
+    levels = (np.arange(n)[:, None] + 0.5) / n
+    table: Array = np.sqrt(noise.error[:d]) * stats.t.ppf(levels, noise.error_nu[:d])
+    return table
 
 
 def _drawn_pushes(
@@ -270,5 +275,5 @@ def before(
     # Of an episode's first row, the commands have held before.
     first = episode_starts(space.groups, len(space.X))[starts]
     earlier = starts[:, None] - np.arange(max(n_lags, SETTLED_ROWS), 0, -1)
-    before: Array = space.rows(seen.linear.path)[np.maximum(earlier, first[:, None])]
-    return before
+    rows: Array = space.rows(seen.linear.path)[np.maximum(earlier, first[:, None])]
+    return rows

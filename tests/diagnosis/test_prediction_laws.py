@@ -308,12 +308,26 @@ def test_the_squares_of_a_right_model_are_drawn_from_the_law_of_its_sensors(nu):
         1,
     ).last
     # A resting place is known to a fraction of the noise after some rows.
-    for most in (1.0, 4.0):
+    for most in (1.0, 4.0, 30.0):
         expected = cut_mean(most)
         if np.isfinite(nu):
             sd = np.sqrt(nu / (nu - 2))
             expected = stats.t(nu, scale=1 / sd).expect(lambda z, most=most: np.minimum(z * z, most))
         assert np.minimum(drawn, most).mean() == pytest.approx(expected, rel=0.04)
+
+
+def test_without_a_state_the_squares_of_a_right_model_are_alike_for_all_rows():
+    simulator, rng = still(), np.random.default_rng(0)
+    X = rng.normal(size=(20, 1))
+    space = state_space(simulator, X, X, np.arange(20), consecutive=False)
+    linear = linearise(space, space.measured, {})
+    noise = replace(normal_noise(linear.chains, np.zeros(0), np.array([0.04])), error_nu=np.array([5.0]))
+    fitted = Fitted({}, linear, linear.chains, passed(linear.chains, noise, space.real), np.zeros(0))
+    found = ahead(space, look(space, fitted, {}), {}, np.arange(3), 1)
+    assert found.last.shape[1:] == (1, 1)
+    np.testing.assert_allclose(found.variances, 0.04 * 5 / 3)
+    expected = stats.t(5, scale=np.sqrt(3 / 5)).expect(lambda z: np.minimum(z * z, 9.0))
+    assert np.minimum(found.last, 9.0).mean() == pytest.approx(expected, rel=0.005)
 
 
 def test_draws_are_corrected_by_others_whose_mean_is_known():
