@@ -178,7 +178,8 @@ def first_fit(
     for turn in range(turns):
         before = fitted.bound
         fitted = next_fit(space, values, fitted, known, afresh=turn == 0, memories=turn == 0)
-        if turn and abs(fitted.bound - before) < STILL:
+        # What rows say of each other's noise may turn in a circle: a turn that does not raise the bound is the last.
+        if turn and fitted.bound - before < STILL:
             break
     return fitted
 
