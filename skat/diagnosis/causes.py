@@ -1,7 +1,7 @@
 """The causes that a log asks for: fit, search, fit anew, until the set stands still."""
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -48,7 +48,7 @@ REFITTED = 3
 # Chords of an effect that has no slope where it is neutral, to each of its bounds.
 CHORDS = 10
 # Effects whose responses make a smaller angle than this cosine may be the same: so many are fitted in a cause's place.
-ALIKE, RIVALS = 0.8, 2
+ALIKE, RIVALS = 0.8, 3
 # A bound that an estimate comes this near to, as a share of the range, holds it.
 AT_BOUND = 1e-6
 
@@ -300,12 +300,10 @@ def find_causes(
         guess = []
         if state.turn == 0 and state.dense is not None:
             guess = _first_guess(start or {}, worth, fits, now, proposals, needed)
-        for one in [*guess, *proposals]:
-            if compared.prefers(one.members, one.values, needed):
-                moved = compared.taken(one, needed)
-            if moved is not None:
-                break
-            misled = True
+        asked = [*guess, *proposals, *(_singles(worth, banned) if proposals else ())]
+        if asked:
+            moved = _likeliest(compared, worth, asked, needed)
+            misled = misled or moved is None or moved.members != asked[0].members
         if moved is None and state.dense is not None:
             # What all effects together explain is noise again.
             state = replace(state, dense=None)
@@ -319,7 +317,7 @@ def find_causes(
         if moved is None and not coarse:
             moved = _as_one(compared, worth, exclusive) or _superfluous(compared, worth, needed)
         if moved is None and not coarse:
-            rivals, moved = _rivals(compared, worth, state.first or gram)
+            rivals, moved = _rivals(compared, worth, state.first or gram, ranked)
         if moved is None:
             stands = True
             break
@@ -396,6 +394,34 @@ def _proposals(ranked: Ranked, worth: Weigher, now: Fit, needed: float) -> Itera
         asked.add(top.members)
 
 
+def _singles(worth: Weigher, banned: Container[int]) -> list[Weighed]:
+    """Return the effects that slopes say explain most by themselves, a set each."""
+    sets = [worth((one,)) for one in range(len(worth.priors.names)) if one not in banned]
+    return sorted(sets, key=lambda one: -one.evidence)[:REFITTED]
+
+
+def _likeliest(compared: Comparison, worth: Weigher, asked: Sequence[Weighed], needed: float) -> Fit | None:
+    """Return the fit of the set that the log likes best, of some that slopes put before the present one, if any is.
+
+    Slopes that promise more of a set than the log finds in it promise too much of others, or too little: each is asked
+    of which they promise more than the best was found to be worth.
+    """
+    now, here = compared.now, worth(compared.now.members).evidence
+    found: dict[tuple[int, ...], tuple[float, Weighed]] = {}
+    for one in asked:
+        cost = needed * (len(one.members) - len(now.members))
+        best = max((gain for gain, _ in found.values()), default=-np.inf)
+        if one.members in found or one.evidence - here - cost <= best:
+            continue
+        if compared.prefers(one.members, one.values, needed):
+            found[one.members] = compared.gain(one.members, one.values) - cost, one
+    for _, one in sorted(found.values(), key=lambda pair: -pair[0]):
+        moved = compared.taken(one, needed)
+        if moved is not None:
+            return moved
+    return None
+
+
 def _without(worth: Weigher, now: Fit, dropped: Sequence[int] | set[int]) -> Weighed:
     """Return the present set without some members, at the values that slopes have for the others."""
     rest = [one for one in now.members if one not in dropped]
@@ -443,7 +469,9 @@ def _weakest(worth: Weigher, now: Fit) -> list[int]:
     return sorted(losses, key=lambda one: losses[one])[:REFITTED]
 
 
-def _rivals(compared: Comparison, worth: Weigher, first: Gram) -> tuple[list[Rival], Fit | None]:
+def _rivals(
+    compared: Comparison, worth: Weigher, first: Gram, ranked: Ranked
+) -> tuple[list[Rival], Fit | None]:
     """Return sets in which an effect that acts much like a cause has its place, and the one that does better, if any.
 
     Slopes say that two effects act alike for small values; whether they do at this one, a fit must say. Some act alike
@@ -451,21 +479,42 @@ def _rivals(compared: Comparison, worth: Weigher, first: Gram) -> tuple[list[Riv
     """
     found: list[Rival] = []
     now, grams = compared.now, (worth.gram, first)
+    stand_ins = _stand_ins(ranked, worth.gram, worth(now.members), worth.priors.names)
     for cause in _weakest(worth, now):
         looks = np.stack([gram.cosines(cause) for gram in grams])
         alike = looks.max(axis=0)
         alike[list(now.members)] = 0.0
-        for other in np.argsort(-alike, kind="stable")[:RIVALS]:
-            if alike[other] < ALIKE:
-                break
-            members = tuple(sorted({*now.members, int(other)} - {cause}))
+        by_angle = [int(one) for one in np.argsort(-alike, kind="stable") if alike[one] >= ALIKE]
+        for other in list(dict.fromkeys([*stand_ins[cause], *by_angle]))[:RIVALS]:
+            members = _exchanged(now.members, cause, other)
             if not worth.allows(members):
                 continue
             one = weigh(grams[int(np.argmax(looks[:, other]))], worth.priors, members)
             if compared.prefers(members, one.values, 0.0) and (moved := compared.taken(one, 0.0)) is not None:
                 return found, moved
-            found.append(Rival(cause, int(other), float(np.mean(compared.gains(members, one.values)))))
+            found.append(Rival(cause, other, float(np.mean(compared.gains(members, one.values)))))
     return found, None
+
+
+def _exchanged(members: Sequence[int], cause: int, other: int) -> tuple[int, ...]:
+    """Return a set with another effect in a cause's place."""
+    return tuple(sorted({*members, other} - {cause}))
+
+
+def _with_fits(ranked: Ranked, worth: Weigher, best: Weighed, rivals: Sequence[Rival]) -> Ranked:
+    """Return sets with what fits say of rivals in place of what slopes do, also where one is a cause among more.
+
+    None is likelier than the set that was preferred to it.
+    """
+    sets = {one.members: one for one in ranked.sets}
+    for rival in rivals:
+        members = _exchanged(best.members, rival.cause, rival.other)
+        swapped = sets.setdefault(members, worth(members))
+        more = best.evidence + min(rival.gain, 0.0) - swapped.evidence
+        for one in list(sets.values()):
+            if rival.other in one.members and rival.cause not in one.members:
+                sets[one.members] = replace(one, evidence=min(one.evidence + more, best.evidence))
+    return Ranked(tuple(sorted(sets.values(), key=lambda one: (-one.evidence, one.members != best.members))))
 
 
 def _found(
@@ -480,13 +529,8 @@ def _found(
 ) -> Found:
     effects, priors, gram = fits.effects, fits.priors, worth.gram
     names, best = priors.names, worth(now.members)
+    ranked = _with_fits(ranked, worth, best, rivals)
     probabilities = {name: ranked.probability(place) for place, name in enumerate(names)}
-    shares = _shares(rivals)
-    for one, others in shares.items():
-        probabilities[names[one]] = min(probabilities[names[one]], 1 - sum(share for _, share in others))
-    refitted = {
-        names[one]: tuple((names[other], share) for other, share in others) for one, others in shares.items()
-    }
     # A search that was stopped may end at a bound; what fits find worth a name, their slopes must, too.
     strong, _ = without_weak(best, worth, needed)
     kept = [one for one in strong.members if not is_held(effects[one], now.values[names[one]])]
@@ -499,7 +543,10 @@ def _found(
         {names[one]: now.values[names[one]] for one in kept},
         intervals,
         {names[one]: losses[one] for one in kept},
-        _with_refitted(_aliases(ranked, gram, priors, best), refitted),
+        {
+            names[cause]: tuple((names[other], share) for other, share in others.items())
+            for cause, others in _stand_ins(ranked, gram, best, names).items()
+        },
         probabilities,
         also,
         now.fitted,
@@ -509,28 +556,6 @@ def _found(
         best,
         stands,
     )
-
-
-def _shares(rivals: Sequence[Rival]) -> dict[int, tuple[tuple[int, float], ...]]:
-    """Return for each cause the rivals that do nearly as well, and their probabilities."""
-    near = [rival for rival in rivals if rival.gain > -np.log(ALIAS_FACTOR)]
-    shares = {}
-    for cause in {rival.cause for rival in near}:
-        own = [rival for rival in near if rival.cause == cause]
-        odds = np.exp(np.minimum([rival.gain for rival in own], 0.0))
-        shares[cause] = tuple((rival.other, float(one / (1 + odds.sum()))) for rival, one in zip(own, odds))
-    return shares
-
-
-def _with_refitted(
-    aliases: dict[str, tuple[tuple[str, float], ...]], refitted: dict[str, tuple[tuple[str, float], ...]]
-) -> dict[str, tuple[tuple[str, float], ...]]:
-    """Return aliases with those of fits of their own put before those of slopes."""
-    both = {}
-    for cause, names in aliases.items():
-        own = refitted.get(cause, ())
-        both[cause] = (*own, *(one for one in names if one[0] not in {name for name, _ in own}))
-    return both
 
 
 def _readable(space: StateSpace, effects: Sequence[Effect]) -> list[Effect]:
@@ -643,10 +668,10 @@ def _live(ranked: Ranked, members: Sequence[int]) -> list[int]:
     return list(live)
 
 
-def _aliases(
-    ranked: Ranked, gram: Gram, priors: Priors, best: Weighed
-) -> dict[str, tuple[tuple[str, float], ...]]:
-    """Return for each cause the effects that stand in its place in sets nearly as likely."""
+def _stand_ins(
+    ranked: Ranked, gram: Gram, best: Weighed, names: Sequence[str]
+) -> dict[int, dict[int, float]]:
+    """Return for each cause the effects that have its place in sets nearly as likely, the likeliest first."""
     found: dict[int, dict[int, float]] = {one: defaultdict(float) for one in best.members}
     for share, one in zip(ranked.probabilities, ranked.sets):
         if one.evidence < best.evidence - np.log(ALIAS_FACTOR):
@@ -656,13 +681,11 @@ def _aliases(
             if others:
                 alike = gram.cosines(cause)[others]
                 found[cause][others[int(np.argmax(alike))]] += float(share)
-    return {
-        priors.names[cause]: tuple(
-            (priors.names[other], share)
-            for other, share in sorted(shares.items(), key=lambda one: (-round(one[1], 6), one[0]))
-        )
-        for cause, shares in found.items()
-    }
+
+    def first(one: tuple[int, float]) -> tuple[float, str]:
+        return -round(one[1], 6), names[one[0]]
+
+    return {cause: dict(sorted(shares.items(), key=first)) for cause, shares in found.items()}
 
 
 def _also(

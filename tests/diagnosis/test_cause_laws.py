@@ -9,13 +9,12 @@ from scipy import stats
 
 from skat.diagnosis.causes import (
     Rival,
-    _aliases,
     _ends_of_chords,
     _live,
     _readable,
-    _shares,
+    _stand_ins,
     _typical_biases,
-    _with_refitted,
+    _with_fits,
     is_held,
 )
 from skat.diagnosis.evidence import Gram, Priors, Weighed, Weigher, weigh
@@ -297,27 +296,36 @@ def test_what_stands_in_a_cause_s_place_in_likely_sets_is_its_alias():
     best = a_set((0, 2), 50.0)
     sets = best, a_set((1, 2), 49.0), a_set((2,), 48.5), a_set((0, 1, 2), 48.0), a_set((1,), 40.0)
     ranked = Ranked(sets)
-    aliases = _aliases(ranked, gram, PRIORS, best)
+    stand_ins = _stand_ins(ranked, gram, best, PRIORS.names)
     weights = np.exp(np.array([one.evidence for one in sets]) - 50)
-    assert aliases["c"] == ()
-    ((name, share),) = aliases["a"]
-    assert name == "b"
-    assert share == pytest.approx(weights[1] / weights.sum())
+    assert stand_ins[2] == {}
+    assert stand_ins[0] == pytest.approx({1: weights[1] / weights.sum()})
 
 
-def test_rivals_share_a_cause_s_place_with_it_by_their_odds():
-    rivals = [Rival(0, 1, -1.0), Rival(0, 2, -2.0), Rival(3, 1, 20.0), Rival(3, 2, -np.log(20) - 0.01)]
-    shares = _shares(rivals)
-    total = 1 + np.exp(-1) + np.exp(-2)
-    assert dict(shares[0]) == pytest.approx({1: np.exp(-1) / total, 2: np.exp(-2) / total})
-    # One that does better has no more than half; one in twenty is told.
-    assert dict(shares[3]) == pytest.approx({1: 0.5})
-    assert _shares([Rival(0, 1, -np.log(20) + 0.01)])[0][0][1] == pytest.approx(1 / 21, rel=0.02)
+def test_fits_of_rivals_go_before_what_slopes_say_of_all_sets_with_them():
+    best = a_set((0, 3), 50.0)
+    slopes = {(1, 3): 49.5, (1, 2, 3): 47.0, (2, 3): 30.0, (0, 2, 3): 46.0}
+    ranked = Ranked((best, *(a_set(members, nats) for members, nats in slopes.items())))
+    worth = {best.members: best, **{members: a_set(members, nats) for members, nats in slopes.items()}}
+
+    def refitted(*rivals):
+        return _with_fits(ranked, worth.get, best, rivals).sets
+
+    # One that is 80 nats behind, not half a nat; what was added to it loses as much.
+    worse = {one.members: one.evidence for one in refitted(Rival(0, 1, -80.0))}
+    assert worse == pytest.approx({**slopes, best.members: 50, (1, 3): -30, (1, 2, 3): -32.5})
+    # One that slopes had 20 nats behind is as likely, and is not preferred.
+    better = refitted(Rival(0, 2, 3.0))
+    assert better[0] is best
+    assert {one.members: one.evidence for one in better}[2, 3] == pytest.approx(50)
+    assert refitted() == tuple(sorted(ranked.sets, key=lambda one: -one.evidence))
 
 
-def test_aliases_by_fits_of_their_own_stand_before_those_of_slopes():
-    both = _with_refitted({"a": (("b", 0.2), ("c", 0.1)), "d": (("e", 0.3),)}, {"a": (("c", 0.4),)})
-    assert both == {"a": (("c", 0.4), ("b", 0.2)), "d": (("e", 0.3),)}
+def test_a_rival_that_slopes_did_not_weigh_is_weighed_by_its_fit():
+    best = a_set((0,), 10.0)
+    found = _with_fits(Ranked((best,)), lambda members: a_set(members, -5.0), best, [Rival(0, 1, -1.0)])
+    assert found.probability(1) == pytest.approx(1 / (1 + np.e))
+    assert found.probability(0) == pytest.approx(np.e / (1 + np.e))
 
 
 def test_effects_that_may_still_be_causes_are_those_of_likely_sets():
