@@ -531,6 +531,17 @@ def _found(
     names, best = priors.names, worth(now.members)
     ranked = _with_fits(ranked, worth, best, rivals)
     probabilities = {name: ranked.probability(place) for place, name in enumerate(names)}
+    shares = _shares(rivals)
+    for one, others in shares.items():
+        # Both together may be likelier than either, which does not make either of them the one.
+        probabilities[names[one]] = min(probabilities[names[one]], 1 - sum(share for _, share in others))
+    refitted = {
+        names[one]: tuple((names[other], share) for other, share in others) for one, others in shares.items()
+    }
+    alike = {
+        names[one]: tuple((names[other], share) for other, share in others.items())
+        for one, others in _stand_ins(ranked, gram, best, names).items()
+    }
     # A search that was stopped may end at a bound; what fits find worth a name, their slopes must, too.
     strong, _ = without_weak(best, worth, needed)
     kept = [one for one in strong.members if not is_held(effects[one], now.values[names[one]])]
@@ -543,10 +554,7 @@ def _found(
         {names[one]: now.values[names[one]] for one in kept},
         intervals,
         {names[one]: losses[one] for one in kept},
-        {
-            names[cause]: tuple((names[other], share) for other, share in others.items())
-            for cause, others in _stand_ins(ranked, gram, best, names).items()
-        },
+        _with_refitted(alike, refitted),
         probabilities,
         also,
         now.fitted,
@@ -556,6 +564,28 @@ def _found(
         best,
         stands,
     )
+
+
+def _shares(rivals: Sequence[Rival]) -> dict[int, tuple[tuple[int, float], ...]]:
+    """Return for each cause the rivals that do nearly as well, and their probabilities."""
+    near = [rival for rival in rivals if rival.gain > -np.log(ALIAS_FACTOR)]
+    shares = {}
+    for cause in {rival.cause for rival in near}:
+        own = [rival for rival in near if rival.cause == cause]
+        odds = np.exp(np.minimum([rival.gain for rival in own], 0.0))
+        shares[cause] = tuple((rival.other, float(one / (1 + odds.sum()))) for rival, one in zip(own, odds))
+    return shares
+
+
+def _with_refitted(
+    aliases: dict[str, tuple[tuple[str, float], ...]], refitted: dict[str, tuple[tuple[str, float], ...]]
+) -> dict[str, tuple[tuple[str, float], ...]]:
+    """Return aliases with those of fits of their own put before those of slopes."""
+    both = {}
+    for cause, names in aliases.items():
+        own = refitted.get(cause, ())
+        both[cause] = (*own, *(one for one in names if one[0] not in {name for name, _ in own}))
+    return both
 
 
 def _readable(space: StateSpace, effects: Sequence[Effect]) -> list[Effect]:

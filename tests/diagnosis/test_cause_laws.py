@@ -12,9 +12,11 @@ from skat.diagnosis.causes import (
     _ends_of_chords,
     _live,
     _readable,
+    _shares,
     _stand_ins,
     _typical_biases,
     _with_fits,
+    _with_refitted,
     is_held,
 )
 from skat.diagnosis.evidence import Gram, Priors, Weighed, Weigher, weigh
@@ -326,6 +328,21 @@ def test_a_rival_that_slopes_did_not_weigh_is_weighed_by_its_fit():
     found = _with_fits(Ranked((best,)), lambda members: a_set(members, -5.0), best, [Rival(0, 1, -1.0)])
     assert found.probability(1) == pytest.approx(1 / (1 + np.e))
     assert found.probability(0) == pytest.approx(np.e / (1 + np.e))
+
+
+def test_rivals_share_a_cause_s_place_with_it_by_their_odds():
+    rivals = [Rival(0, 1, -1.0), Rival(0, 2, -2.0), Rival(3, 1, 20.0), Rival(3, 2, -np.log(20) - 0.01)]
+    shares = _shares(rivals)
+    total = 1 + np.exp(-1) + np.exp(-2)
+    assert dict(shares[0]) == pytest.approx({1: np.exp(-1) / total, 2: np.exp(-2) / total})
+    # One that does better has no more than half; one in twenty is told.
+    assert dict(shares[3]) == pytest.approx({1: 0.5})
+    assert _shares([Rival(0, 1, -np.log(20) + 0.01)])[0][0][1] == pytest.approx(1 / 21, rel=0.02)
+
+
+def test_aliases_by_fits_of_their_own_stand_before_those_of_slopes():
+    both = _with_refitted({"a": (("b", 0.2), ("c", 0.1)), "d": (("e", 0.3),)}, {"a": (("c", 0.4),)})
+    assert both == {"a": (("c", 0.4), ("b", 0.2)), "d": (("e", 0.3),)}
 
 
 def test_effects_that_may_still_be_causes_are_those_of_likely_sets():
