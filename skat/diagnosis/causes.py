@@ -502,18 +502,20 @@ def _exchanged(members: Sequence[int], cause: int, other: int) -> tuple[int, ...
 
 
 def _with_fits(ranked: Ranked, worth: Weigher, best: Weighed, rivals: Sequence[Rival]) -> Ranked:
-    """Return sets with what fits say of rivals in place of what slopes do, also where one is a cause among more.
+    """Return sets with what fits say of rivals in place of what slopes do; sets with more causes lose as much.
 
     None is likelier than the set that was preferred to it.
     """
     sets = {one.members: one for one in ranked.sets}
     for rival in rivals:
         members = _exchanged(best.members, rival.cause, rival.other)
-        swapped = sets.setdefault(members, worth(members))
-        more = best.evidence + min(rival.gain, 0.0) - swapped.evidence
+        swapped = sets.get(members) or worth(members)
+        found = replace(swapped, evidence=best.evidence + min(rival.gain, 0.0))
+        lost = max(swapped.evidence - found.evidence, 0.0)
         for one in list(sets.values()):
-            if rival.other in one.members and rival.cause not in one.members:
-                sets[one.members] = replace(one, evidence=min(one.evidence + more, best.evidence))
+            if set(members) < set(one.members) and rival.cause not in one.members:
+                sets[one.members] = replace(one, evidence=one.evidence - lost)
+        sets[members] = found
     return Ranked(tuple(sorted(sets.values(), key=lambda one: (-one.evidence, one.members != best.members))))
 
 

@@ -306,7 +306,7 @@ def test_what_stands_in_a_cause_s_place_in_likely_sets_is_its_alias():
 
 def test_fits_of_rivals_go_before_what_slopes_say_of_all_sets_with_them():
     best = a_set((0, 3), 50.0)
-    slopes = {(1, 3): 49.5, (1, 2, 3): 47.0, (2, 3): 30.0, (0, 2, 3): 46.0}
+    slopes = {(1, 3): 49.5, (1, 3, 4): 47.0, (2, 3): 30.0, (2, 3, 4): 29.0, (0, 2, 3): 46.0, (1, 2): 10.0}
     ranked = Ranked((best, *(a_set(members, nats) for members, nats in slopes.items())))
     worth = {best.members: best, **{members: a_set(members, nats) for members, nats in slopes.items()}}
 
@@ -315,11 +315,13 @@ def test_fits_of_rivals_go_before_what_slopes_say_of_all_sets_with_them():
 
     # One that is 80 nats behind, not half a nat; what was added to it loses as much.
     worse = {one.members: one.evidence for one in refitted(Rival(0, 1, -80.0))}
-    assert worse == pytest.approx({**slopes, best.members: 50, (1, 3): -30, (1, 2, 3): -32.5})
-    # One that slopes had 20 nats behind is as likely, and is not preferred.
+    assert worse == pytest.approx({**slopes, best.members: 50, (1, 3): -30, (1, 3, 4): -32.5})
+    # One that slopes had 20 nats behind is as likely, and is not preferred; of larger sets its fit says nothing.
     better = refitted(Rival(0, 2, 3.0))
     assert better[0] is best
-    assert {one.members: one.evidence for one in better}[2, 3] == pytest.approx(50)
+    assert {one.members: one.evidence for one in better} == pytest.approx(
+        {**slopes, best.members: 50, (2, 3): 50}
+    )
     assert refitted() == tuple(sorted(ranked.sets, key=lambda one: -one.evidence))
 
 
