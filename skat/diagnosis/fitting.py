@@ -28,8 +28,8 @@ STILL = 1.0
 HIT = 0.5
 # How often path and slopes are taken anew at most.
 TURNS = 16
-# Of an effect's typical size: slopes are taken over no less.
-SMALL_SHARE = 0.05
+# Of an effect's typical size: slopes are taken over no less. Over less, what jumps seems to be known too well.
+SMALL_SHARE = 0.25
 # Memories of random forces that are tried, in rows; of at most this share of an episode, so that what is steady stays a
 # cause; and what each of their numbers must be worth, in nats.
 MEMORIES = (2.0, 5.0, 10.0, 20.0, 40.0)
