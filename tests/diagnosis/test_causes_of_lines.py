@@ -221,7 +221,7 @@ def test_slopes_are_tangents_where_these_explain_most_and_of_a_cause_over_what_i
     # Over a quarter of the typical size.
     np.testing.assert_allclose(_slopes(fits, nothing, [0])[:, 0, 0], x + 5 * x**2 * 0.25**2, atol=1e-9)
     cause = fits.of((0,), np.array([0.3]), nothing)
-    at, width = cause.values["e"], max(float(cause.widths[0]), 0.05)
+    at, width = cause.values["e"], max(float(cause.widths[0]), 0.25)
     expected = x + 5 * x**2 * (3 * at**2 + width**2)
     np.testing.assert_allclose(_slopes(fits, cause, [0])[:, 0, 0], expected, atol=1e-9)
 
