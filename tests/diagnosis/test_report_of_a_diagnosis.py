@@ -201,6 +201,15 @@ def test_an_unexplained_verdict_says_what_is_left_and_draws_it():
     assert "on data not used" in page.text
 
 
+def test_a_law_that_is_left_is_told_however_little_it_is():
+    """Such as the square of the friction that was named in proportion to the speed."""
+    pulled = SimpleNamespace(**vars(fitted("pulled")) | {"verdict_": "named"})
+    (told,) = verdict_sentences(pulled, [])
+    assert told.startswith("Less than the tolerance of 10 %, but no chance: what is left at rate depends on")
+    right = verdict_sentences(fitted("right"), [])
+    assert not any("but no chance" in sentence for sentence in right)
+
+
 def test_a_law_drawn_is_that_of_the_remainder_and_has_the_shape_of_what_acts():
     part = next(one for one in report_of("pulled").content.left if one.name == "rate")
     found = next(one for one in fitted("pulled").remainder_.parts if one.name == "rate").law

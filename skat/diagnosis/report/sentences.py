@@ -59,6 +59,9 @@ def verdict_sentences(diagnosis: SimulationDiagnosis, comparisons: Sequence[pd.D
         sentences.insert(
             0, f"Beside what is named below, {rest}." if diagnosis.causes_ else f"{capital(rest)}."
         )
+    elif clear_parts(diagnosis):
+        within = f"Less than the tolerance of {100 * diagnosis.tolerance:g} %, but no chance"
+        sentences.append(f"{within}: {left_sentence(_largest(clear_parts(diagnosis)))}.")
     if is_first_look(diagnosis):
         sentences.insert(
             0,
@@ -138,8 +141,11 @@ def remainder_sentence(diagnosis: SimulationDiagnosis) -> str:
         if not diagnosis.settled_:
             return "the search for causes was still finding better ones when its turns were over"
         return f"the simulation diverges in {100 * diagnosis.diverged_share_:.0f} % of the rows, which tell nothing"
-    largest = max(clear_parts(diagnosis), key=lambda part: (part.ahead, part.predictable / part.scale))
-    return left_sentence(largest)
+    return left_sentence(_largest(clear_parts(diagnosis)))
+
+
+def _largest(parts: Sequence[Left]) -> Left:
+    return max(parts, key=lambda part: (part.ahead, part.predictable / part.scale))
 
 
 def left_sentence(part: Left) -> str:
