@@ -2,13 +2,15 @@
 
 import re
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from skat.diagnosis.doubts import _stepped, doubts_about
 from skat.diagnosis.log import check_log
-from skat.diagnosis.velocities import noise_variance
+from skat.diagnosis.velocities import noise_variance, power_by_frequency
 from skat.simulators import FunctionSimulator, MujocoSimulator
 from tests.diagnosis.test_doubts import LEGGED, walked
 
@@ -496,3 +498,55 @@ def test_what_a_cold_solver_misses_counts_in_units_of_noise_but_of_no_less_than_
         ", ".join(np.array(legged.state_names)[sizes > 0.3].tolist()) + " are not what"
     )
     assert "with at most 1 iterations" in doubt.sentence
+
+
+# -- positions that were smoothed -------------------------------------------------------------------------------------
+
+
+def read_by_a_sensor(smooth, n=401, n_episodes=2):
+    """Return a log of a slow motion, its positions passed through a function, rates as differences of them."""
+    rng = np.random.default_rng(0)
+    time = 0.05 * np.arange(n)
+    X, y = [], []
+    for _ in range(n_episodes):
+        place = smooth(np.sin(0.7 * time) + 0.5 * np.sin(1.1 * time + 1) + 1e-3 * rng.normal(size=n))
+        states = np.column_stack([place, np.gradient(place, 0.05)])
+        X.append(np.column_stack([states[:-1], np.zeros(n - 1)]))
+        y.append(states[1:])
+    episodes = np.repeat(np.arange(n_episodes), n - 1)
+    return check_log(gliding(), np.concatenate(X), np.concatenate(y), episodes)
+
+
+@pytest.mark.parametrize(("order", "cutoff"), [(2, 0.2), (2, 0.5), (4, 0.3)])
+def test_positions_that_were_filtered_forward_and_backward_are_noticed(order, cutoff):
+    smooth = partial(signal.sosfiltfilt, signal.butter(order, cutoff, output="sos"))
+    (doubt,) = raised(gliding(), read_by_a_sensor(smooth), "smoothed")
+    assert "hardly any noise at high frequencies" in doubt.sentence
+    assert "than at 5 Hz" in doubt.sentence
+
+
+@pytest.mark.parametrize(
+    "smooth",
+    [
+        lambda place: place,
+        lambda place: np.round(place, 3),
+        partial(signal.sosfilt, signal.butter(1, 0.5, output="sos")),
+    ],
+)
+def test_positions_as_a_sensor_reads_them_are_not_smoothed(smooth):
+    assert raised(gliding(), read_by_a_sensor(smooth), "smoothed") == []
+
+
+def test_short_episodes_say_nothing_of_a_filter():
+    smooth = partial(signal.sosfiltfilt, signal.butter(2, 0.2, output="sos"))
+    assert raised(gliding(), read_by_a_sensor(smooth, n=63), "smoothed") == []
+    assert len(raised(gliding(), read_by_a_sensor(smooth, n=65), "smoothed")) == 1
+
+
+def test_power_of_white_noise_is_its_variance_at_every_frequency():
+    noise = 0.3 * np.random.default_rng(0).normal(size=40_001)
+    shares, powers = power_by_frequency(noise, 64)
+    for low in (0.1, 0.3, 0.5, 0.7, 0.9):
+        band = powers[(shares > low) & (shares < low + 0.1)]
+        assert np.mean(band) == pytest.approx(0.09, rel=0.1)
+    assert [len(one) for one in power_by_frequency(np.r_[noise, np.nan], 64)] == [0, 0]
