@@ -25,7 +25,15 @@ from skat.diagnosis.fitting import (
     value_at,
 )
 from skat.diagnosis.noise import TOLERANCE
-from skat.diagnosis.search import ALIAS_FACTOR, Ranked, families_of, rivals_of, search, without_weak
+from skat.diagnosis.search import (
+    ALIAS_FACTOR,
+    EXCHANGED,
+    Ranked,
+    families_of,
+    rivals_of,
+    search,
+    without_weak,
+)
 from skat.diagnosis.statespace import StateSpace, derivatives
 from skat.effects import Effect
 from skat.simulators.base import Simulator
@@ -132,10 +140,10 @@ class Comparison:
     def gains(self, members: Sequence[int], places: Array) -> tuple[float, float]:
         """Return the same by the slopes of the present set and by its own, as it is.
 
-        Where rows are bent either favour their own set; elsewhere they are the same.
+        Where rows are bent either favour their own set; elsewhere they are the same. Of a set far behind one is enough.
         """
         gain = self.gain(members, places)
-        if not self.fits.bends(self.now):
+        if gain < -EXCHANGED or not self.fits.bends(self.now):
             return gain, gain
         other = self.fit(members, places)
         look = self.fits.about(other.members, self.fits.places(other), self.now)
