@@ -3,7 +3,7 @@
 Puck, cart-pole and two-link arm, at most 2 s each. Each effect that these worlds can hide is hidden with the chance
 that its odds give beside those of all others (less than one cause is expected), all of a family or members of it, with
 a value from its prior: a Cauchy of its typical size (on the logarithm for positive factors), cut at its bounds. The
-effects offered are those that may be hidden; a log so short is hardly coarsened. To 30918ae each effect was hidden with
+effects offered are those that may be hidden; a log so short is hardly coarsened. To a9133a2 each effect was hidden with
 the chance of its odds alone, ten or so at a time, which is not the prior that the documentation states::
 
     python benchmarks/probabilities.py --cut
