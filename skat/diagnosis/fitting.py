@@ -28,8 +28,9 @@ STILL = 1.0
 HIT = 0.5
 # How often path and slopes are taken anew at most.
 TURNS = 16
-# Of an effect's typical size: slopes are taken over no less. Over less, what jumps seems to be known too well.
-SMALL_SHARE = 0.25
+# Of an effect's typical size: slopes are taken over no less; means of slopes, in rows that are bent, over no less than
+# five times as much: over less, what jumps seems to be known too well.
+SMALL_SHARE, BENT_SHARE = 0.05, 0.25
 # Memories of random forces that are tried, in rows; of at most this share of an episode, so that what is steady stays a
 # cause; and what each of their numbers must be worth, in nats.
 MEMORIES = (2.0, 5.0, 10.0, 20.0, 40.0)
@@ -427,7 +428,8 @@ def slopes_of(
     widths = least if widths is None else np.maximum(widths, least)
     steps = _steps(fitted.values, effects, widths)
     known = _so_far(space, fitted)[1][:, :-1][space.places] if means else None
-    slopes = derivatives(space, fitted.linear, fitted.values, steps, known)
+    wide = _steps(fitted.values, effects, np.maximum(widths, BENT_SHARE * sizes))
+    slopes = derivatives(space, fitted.linear, fitted.values, steps, known, wide)
     for column, effect in enumerate(effects):
         low, high = steps[effect.name]
         slopes[..., column] *= (high - low) / (coordinate(effect, high) - coordinate(effect, low))

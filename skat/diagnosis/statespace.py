@@ -473,6 +473,7 @@ def derivatives(
     values: Mapping[str, float],
     steps: Mapping[str, tuple[float, float]],
     known: Array | None = None,
+    wide: Mapping[str, tuple[float, float]] | None = None,
 ) -> Array:
     """Return the derivative of what the model adds in a step by each parameter, (n_rows, d, k).
 
@@ -483,6 +484,8 @@ def derivatives(
         For each effect, two values between which the slope is taken; one of them may be that in `values`.
     known : ndarray of shape (n_rows, d, d), optional
         Covariance of the states that rows start from: the slopes of rows that are bent are means over it.
+    wide : mapping from name to (low, high), optional
+        Between which values these are taken; as `steps` by default.
     """
     simulator, rows, base = space.simulator, space.rows(linear.path), linear.outputs
     neutral = {effect.name: effect.neutral for effect in simulator.effects(also="all")}
@@ -511,7 +514,9 @@ def derivatives(
         chains, places = linear.chains, space.places
         bent = is_bent(chains.transitions[places], chains.bends[places], known)
         for column, name in enumerate(names if bent.any() else ()):
-            columns[bent, :, column] = _mean_derivative(space, rows, values, name, steps[name], known, bent)
+            columns[bent, :, column] = _mean_derivative(
+                space, rows, values, name, (wide or steps)[name], known, bent
+            )
     columns[~linear.valid] = 0.0
     return columns
 

@@ -148,8 +148,7 @@ def test_slopes_count_by_the_coordinate_of_the_search():
     fitted = first_fit(space, {}, turns=2)
     effects = (GAIN, SHIFT)
     slopes = slopes_of(space, fitted, effects, priors_of(effects).scales)
-    # Over a quarter of a fifth.
-    chord = (np.exp(0.05) - 1) / 0.05
+    chord = (np.exp(0.01) - 1) / 0.01
     np.testing.assert_allclose(slopes[:, 0, 0], chord * space.X[:, 1], rtol=1e-6)
     np.testing.assert_allclose(slopes[:, 0, 1], 1.0, rtol=1e-6)
     wide = slopes_of(space, fitted, effects, priors_of(effects).scales, np.array([0.5, 0.0]))

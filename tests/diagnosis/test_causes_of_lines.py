@@ -218,10 +218,10 @@ def test_slopes_are_tangents_where_these_explain_most_and_of_a_cause_over_what_i
     x = rng.normal(size=60)
     y = 0.1 * x + 5 * 0.1**3 * x**2 + 0.1 * rng.normal(size=60)
     fits, nothing = fits_of(lambda X, e: X * e + 5 * X**2 * e**3, effect, x, y)
-    # Over a quarter of the typical size.
-    np.testing.assert_allclose(_slopes(fits, nothing, [0])[:, 0, 0], x + 5 * x**2 * 0.25**2, atol=1e-9)
+    # Over a twentieth of the typical size.
+    np.testing.assert_allclose(_slopes(fits, nothing, [0])[:, 0, 0], x + 5 * x**2 * 0.05**2, atol=1e-9)
     cause = fits.of((0,), np.array([0.3]), nothing)
-    at, width = cause.values["e"], max(float(cause.widths[0]), 0.25)
+    at, width = cause.values["e"], max(float(cause.widths[0]), 0.05)
     expected = x + 5 * x**2 * (3 * at**2 + width**2)
     np.testing.assert_allclose(_slopes(fits, cause, [0])[:, 0, 0], expected, atol=1e-9)
 
