@@ -228,8 +228,9 @@ def test_where_a_row_is_bent_a_slope_by_an_effect_is_the_mean_one(d):
     """Of k max(-x, 0) by k: max(-x, 0), x normal about 0, by eight pairs of points; at the point it is 0."""
     names = tuple(f"s{one}" for one in range(d))
 
-    def step(X, wall=4.0, push=0.0):
+    def step(X, wall=4.0, push=0.0, cube=0.0):
         out = X[:, :d].copy() + push
+        out[:, -1] += cube**3
         out[:, 0] += wall * np.maximum(-X[:, 0], 0)
         return out
 
@@ -238,6 +239,7 @@ def test_where_a_row_is_bent_a_slope_by_an_effect_is_the_mean_one(d):
     effects = (
         Effect("wall", unit="1", neutral=4.0, bounds=(0.0, 9.0)),
         Effect("push", unit="1", neutral=0.0, bounds=(-1.0, 1.0)),
+        Effect("cube", unit="1", neutral=0.0, bounds=(-1.0, 1.0)),
     )
     simulator = FunctionSimulator(
         step, input_names=(*names, "u"), output_names=names, state_names=names, effects=effects, dt=DT
@@ -246,13 +248,18 @@ def test_where_a_row_is_bent_a_slope_by_an_effect_is_the_mean_one(d):
     sigma = 0.1
     covariances = np.broadcast_to(sigma**2 * np.eye(d), (30, 2, d, d))
     linear = linearise(space, space.measured, {}, covariances)
-    steps = {"wall": (3.5, 4.5), "push": (-0.1, 0.1)}
+    steps = {"wall": (3.5, 4.5), "push": (-0.1, 0.1), "cube": (-0.1, 0.1)}
     point = derivatives(space, linear, {}, steps)
     means = derivatives(space, linear, {}, steps, covariances[:, 0])
     assert (point[..., 0] == 0).all()
     np.testing.assert_allclose(means[::2, 0, 0], sigma / np.sqrt(2 * np.pi), rtol=0.15)
     np.testing.assert_array_equal(means[1::2], point[1::2])
     np.testing.assert_allclose(means[..., 1], 1.0, rtol=1e-9)
+    # Means may be taken over more than the slopes of other rows.
+    wide = derivatives(space, linear, {}, steps, covariances[:, 0], {**steps, "cube": (-0.5, 0.5)})
+    np.testing.assert_allclose(means[..., -1, 2], 0.1**2, rtol=1e-6)
+    np.testing.assert_allclose(wide[::2, -1, 2], 0.5**2, rtol=1e-6)
+    np.testing.assert_array_equal(wide[1::2], means[1::2])
 
 
 def test_a_correlated_law_has_the_slopes_of_a_linear_step():
