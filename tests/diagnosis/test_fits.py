@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from skat.diagnosis.causes import Comparison, _as_one, _first_guess
+from skat.diagnosis.causes import Comparison, _as_one, _first_guess, _likeliest
 from skat.diagnosis.evidence import Weighed, Weigher
 from skat.diagnosis.fits import Fit, Fits
 from skat.diagnosis.fitting import Known, _blocks, bends, compared, first_fit, hits, next_fit, priors_of
@@ -143,6 +143,32 @@ def test_sets_are_compared_by_the_slopes_of_either():
     assert beside((0,), s0=(0, 100), s1=(-6, 102)).gains((1,), np.zeros(1)) == (-6, 2)
     # Where no row is bent those of one do.
     assert beside((0,), bent=False, s0=(0, 100), s1=(-6, 102)).gains((1,), np.zeros(1)) == (-6, -6)
+    # And of a set far behind those of the present one.
+    assert beside((0,), s0=(0, 100), s1=(-101, 102)).gains((1,), np.zeros(1)) == (-101, -101)
+    assert beside((0,), s0=(0, 100), s1=(-99, 102)).gains((1,), np.zeros(1)) == (-99, 2)
+
+
+@pytest.mark.parametrize(
+    ("promised", "taken"),
+    [
+        # Slopes promise 40 of the first, fits find 20: the second, of which they promise 30, is worth 26.
+        ({(0,): 40.0, (1,): 30.0, (2,): 15.0}, (1,)),
+        # They promise less of it than the first was found to be worth: it is not asked.
+        ({(0,): 40.0, (1,): 19.0, (2,): 15.0}, (0,)),
+        # Two names must be worth another five.
+        ({(0,): 40.0, (1, 2): 40.0}, (0,)),
+    ],
+)
+def test_the_set_that_fits_like_best_is_taken_of_those_that_promise_more_than_was_found(promised, taken):
+    compared = beside((), s=(0, 100), s0=(20, 120), s1=(26, 126), s2=(10, 110), s12=(24, 124))
+    asked = [replace(a_set(members), evidence=nats) for members, nats in promised.items()]
+    assert _likeliest(compared, a_set, asked, 5.0).members == taken
+    assert (2,) not in compared._fits
+
+
+def test_where_fits_find_nothing_no_set_is_taken():
+    compared = beside((), s=(0, 100), s0=(4, 104))
+    assert _likeliest(compared, a_set, [replace(a_set((0,)), evidence=40.0)], 5.0) is None
 
 
 @pytest.mark.parametrize(("values", "one"), [((1.2, 1.2), True), ((1.2, 1.3), False)])
