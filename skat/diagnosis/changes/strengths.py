@@ -177,8 +177,10 @@ class OverStrengths(SwiftWeigher):
         # What was tried on a climb, and of it where sets were searched: only there others are weighed.
         self._tried: dict[Places, tuple[SwiftWeigher, float]] = {}
         self._at: dict[Places, tuple[SwiftWeigher, float]] = {}
-        # Of each set for which strengths were climbed to, the log of how many strengths are about as likely.
+        # Of each set for which strengths were climbed to, the log of how many strengths are about as likely; and the
+        # largest of them.
         self._rooms: dict[tuple[int, ...], float] = {}
+        self._most_room = 0.0
         nothing = Gram(np.zeros((0, 0)), np.zeros(0), np.zeros(0))
         super().__init__(nothing, priors, rivals)
         best = -np.inf
@@ -197,13 +199,15 @@ class OverStrengths(SwiftWeigher):
             start = max(self._at, key=lambda places: self._worth(places, key))
             places = self.logs.climbed(start, lambda places: self._worth(places, key))
             self._search(places, key)
-            self._rooms[key] = self.logs.room(self.best_places(key), lambda places: self._worth(places, key))
+            room = self.logs.room(self.best_places(key), lambda places: self._worth(places, key))
+            self._most_room = max(room, self._most_room) if self._rooms else room
+            self._rooms[key] = room
             self.seen.clear()
         return self(key)
 
     def _room_of(self, members: tuple[int, ...]) -> float:
         # Where strengths were not climbed to it may be as much as of any set.
-        return self._rooms.get(members, max(self._rooms.values(), default=0.0))
+        return self._rooms.get(members, self._most_room)
 
     def is_settled(self, members: Sequence[int]) -> bool:
         """Return whether strengths were climbed to for a set."""
@@ -280,7 +284,7 @@ class OverStrengths(SwiftWeigher):
             level + (ours := worth(now.members)).evidence + worth.promises(ours)
             for worth, level in self._at.values()
         ]
-        return np.asarray(np.max(whole, axis=0) + max(self._rooms.values(), default=0.0) - now.evidence)
+        return np.asarray(np.max(whole, axis=0) + self._most_room - now.evidence)
 
     def price(self, members: Sequence[int]) -> float:
         """Return by how much what a set is worth is less than what it explains, nats."""
