@@ -15,8 +15,9 @@ import numpy as np
 
 from skat.diagnosis.filtering import Array
 from skat.diagnosis.log import QUATERNION, Log
+from skat.diagnosis.smoothing import SMOOTHED, smoothed_positions
 from skat.diagnosis.statespace import tangent_mask, tangents
-from skat.diagnosis.velocities import motions, noise_variance, power_by_frequency
+from skat.diagnosis.velocities import motions, noise_variance
 from skat.simulators import MujocoSimulator, Simulator
 from skat.simulators.base import HALF_TURNS
 
@@ -37,8 +38,6 @@ LEAST_LAG = 0.03
 ROWS_SUMMED = 10
 SUMS_UP = 0.2
 LARGEST_MISS = 5.0
-# Noise of positions is compared between these shares of the Nyquist frequency, in episodes of so many samples at least.
-MIDDLE, UPPER, LONG_ENOUGH = (0.4, 0.6), (0.8, 0.95), 64
 # A position is beyond its joint's range where more than this share of the rows are.
 FEW = 0.02
 # Of a channel's spread: what a solver may leave open in a channel without noise.
@@ -475,23 +474,9 @@ def _smoothed(look: Look) -> Iterator[Sign]:
     A sensor's noise has about as much in both. A filter of second order that was run forward and backward leaves a
     hundred thousandth above; so does a simulation of a smooth motion without any noise.
     """
-    simulator, log = look.simulator, look.log
-    if not log.consecutive or not simulator.dt:
-        return
-    n_states = len(simulator.state_names)
-    last = np.flatnonzero(np.r_[log.episodes[1:] != log.episodes[:-1], True])
-    states = np.insert(log.X[:, :n_states], last + 1, log.y[last], axis=0)
-    episodes = np.insert(log.episodes, last + 1, log.episodes[last])
-    for name, _ in motions(simulator):
-        series = states[:, simulator.state_names.index(name)]
-        pieces = [
-            power_by_frequency(series[episodes == episode], LONG_ENOUGH) for episode in range(log.n_episodes)
-        ]
-        shares, powers = (np.concatenate(ones) for ones in zip(*pieces))
-        middle, upper = (powers[(shares > low) & (shares < high)] for low, high in (MIDDLE, UPPER))
-        if len(upper) and np.median(middle) > 0:
-            size = float(np.median(middle) / max(np.median(upper), 1e-300))
-            yield Sign(size, (name,), {"frequency": f"{0.25 / simulator.dt:.3g}", "times": f"{size:.0e}"})
+    for name, size, _ in smoothed_positions(look.simulator, look.log):
+        frequency = 0.25 / (look.simulator.dt or np.nan)
+        yield Sign(size, (name,), {"frequency": f"{frequency:.3g}", "times": f"{size:.0e}"})
 
 
 def _cold(look: Look) -> Iterator[Sign]:
@@ -674,11 +659,12 @@ DOUBTS = (
     Doubt(
         "smoothed",
         _smoothed,
-        1e4,
+        SMOOTHED,
         "{names} {has} hardly any noise at high frequencies, {times} times less than at {frequency} Hz: smoothed "
         "forward and backward, as scipy.signal.filtfilt does, or never read by a sensor. What such a filter took from "
         "the motion passes for inertia, scales of sensors and delays that the robot does not have: give positions as "
-        "they were read. Of a simulation without noise it means nothing.",
+        "they were read. Where no velocity was measured beside them such a filter is looked for, and undone if the log "
+        "is likelier so. Of a simulation without noise it means nothing.",
         together=True,
     ),
     Doubt(

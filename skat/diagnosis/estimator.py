@@ -31,6 +31,7 @@ from skat.diagnosis.prediction import Prediction, horizon_rows, open_loop_gain, 
 from skat.diagnosis.remainder import find_remainder, is_unexplained
 from skat.diagnosis.report.from_diagnosis import DiagnosisReport
 from skat.diagnosis.saving import Begun, Checkpoint, read_diagnosis, write_diagnosis
+from skat.diagnosis.smoothing import Smoothing, smoothing_of
 from skat.diagnosis.statespace import CHAIN_LENGTH, StateSpace, state_space
 from skat.diagnosis.velocities import computed_velocities
 from skat.effects import Effect, unknown_name_message
@@ -99,6 +100,9 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         Sets of causes with their probabilities, and the law of their values.
     computed_velocities_ : tuple of str
         Velocities that were left out since they were computed from positions.
+    smoothing_ : Smoothing or None
+        The filter, forward and backward, that was undone in the positions: its `order`, its `cutoff` as a share of the
+        Nyquist frequency, its `channels`.
     settled_ : bool
         Whether the search came to rest; where it did not, the verdict is "unexplained".
     n_rows_fitted_, n_rows_ : int
@@ -204,7 +208,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         random_state = check_random_state(self.random_state)
         log = without_channels(self.simulator, check_log(self.simulator, X, y, groups), self.hidden)
         warn_of_doubts(self.simulator, log)
-        log = self._without_computed(log)
+        log = self._as_read(self._without_computed(log), effects, least, progress)
         self.n_features_in_ = log.X.shape[1]
         begun = Begun(*log.split(self.test_size, random_state), random_state)
         checkpoint = None if resume is None else Checkpoint(resume, self, log, least)
@@ -425,8 +429,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             raise ValueError(f"horizon must be seconds, None or 'episode'; it is {horizon!r}.")
         if initial_state not in ("measured", "fitted"):
             raise ValueError(f"initial_state must be 'measured' or 'fitted'; it is {initial_state!r}.")
-        log = check_log(self.simulator, X, y, groups, fewest_rows=1)
-        log = without_channels(self.simulator, log, (*self.hidden, *self.computed_velocities_))
+        # In open loop a smoothed path is as near to the motion as one that was read.
+        log = self._other_log(X, y, groups, undone=not isinstance(horizon, str))
         random_state = check_random_state(self.random_state)
         if not isinstance(horizon, str):
             prediction = self._predicted(log, random_state, horizon)
@@ -599,6 +603,42 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
                     stacklevel=3,
                 )
         return without_channels(self.simulator, log, self.computed_velocities_)
+
+    def _as_read(self, log: Log, effects: Sequence[Effect], least: Array, progress: Progress) -> Log:
+        """Return the log with positions as they were read, if they were smoothed and alone tell of the velocities."""
+        self.smoothing_: Smoothing | None = None
+        known = Known(least)
+
+        def likelihood(log: Log, *, values: Mapping[str, float]) -> float:
+            try:
+                return first_fit(self._space(log), values, known).bound
+            except (RuntimeError, np.linalg.LinAlgError):
+                # With a cutoff that is far too low nothing but noise is left.
+                return -np.inf
+
+        def causes(one: Log) -> Mapping[str, float]:
+            rough = partial(find_causes, turns=QUICK_TURNS, coarse=True, max_effects=self.max_effects)
+            return rough(self._space(one), effects, alpha=self.alpha, typical=self.priors, known=known).values
+
+        if self._given_deviations() is None:
+            self.smoothing_ = smoothing_of(self.simulator, log, likelihood, causes, progress)
+        if self.smoothing_ is None:
+            return log
+        warnings.warn(
+            f"{self.smoothing_.sentence(self.simulator)} is undone in what follows. Every second row counts, but where "
+            "an episode begins or ends none does, and intervals take the cutoff for known.",
+            UserWarning,
+            stacklevel=3,
+        )
+        return self.smoothing_.undone(self.simulator, log)
+
+    def _other_log(self, X: Any, y: Any, groups: ArrayLike | None, *, undone: bool = True) -> Log:
+        """Return another log with what was measured of it as in the one that was fitted."""
+        log = check_log(self.simulator, X, y, groups, fewest_rows=1)
+        log = without_channels(self.simulator, log, (*self.hidden, *self.computed_velocities_))
+        if undone and self.smoothing_ is not None:
+            log = self.smoothing_.undone(self.simulator, log)
+        return log
 
     def _given_deviations(self) -> Array | None:
         if isinstance(self.noise, str):

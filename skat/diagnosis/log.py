@@ -139,9 +139,12 @@ class Log:
         """Return the few rows that a first look takes: stretches of time, or rows from all over where there is none."""
         dt = None if self.simulator is None else self.simulator.dt
         length = int(np.clip(STRETCH_S / dt if dt else 0.0, *STRETCH_ROWS))
-        if len(self) <= STRETCHES * length:
+        return self.stretches(*((STRETCHES, length) if self.consecutive else (STRETCHES * length, 1)))
+
+    def stretches(self, count: int, length: int) -> "Log":
+        """Return so many stretches of the log, each of so many rows, from all over; all of it where it has no more."""
+        if len(self) <= count * length:
             return self
-        count, length = (STRETCHES, length) if self.consecutive else (STRETCHES * length, 1)
         starts = ((np.arange(count) + 0.5) * len(self) / count - length / 2).astype(int)
         return self.rows((starts[:, None] + np.arange(length)).ravel())
 

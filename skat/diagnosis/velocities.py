@@ -159,6 +159,25 @@ def power_by_frequency(series: Array, fewest: int) -> tuple[Array, Array]:
     return shares, powers / (2 * np.sin(np.pi / 2 * shares)) ** (2 * ORDER)
 
 
+def states_in_time(
+    simulator: Simulator, X: Array, y: Array, groups: NDArray[Any]
+) -> tuple[Array, NDArray[Any], Array]:
+    """Return the states of all instants, the last of each episode included, with their episodes and actions.
+
+    Parameters
+    ----------
+    simulator : Simulator
+    X, y : ndarray of shape (n_rows, n_inputs), (n_rows, n_outputs)
+    groups : ndarray of shape (n_rows,)
+        Episode of each row.
+    """
+    n_states = len(simulator.state_names)
+    last = np.flatnonzero(np.r_[groups[1:] != groups[:-1], True])
+    states = np.insert(X[:, :n_states], last + 1, y[last], axis=0)
+    actions = np.insert(X[:, n_states:], last + 1, X[last, n_states:], axis=0)
+    return states, np.insert(groups, last + 1, groups[last]), actions
+
+
 def computed_velocities(simulator: Simulator, X: Array, y: Array, groups: NDArray[Any]) -> tuple[str, ...]:
     """Return the names of the velocities that were computed from positions.
 
@@ -169,12 +188,8 @@ def computed_velocities(simulator: Simulator, X: Array, y: Array, groups: NDArra
     groups : ndarray of shape (n_rows,)
         Episode of each row.
     """
-    names = simulator.state_names
-    last = np.flatnonzero(np.r_[groups[1:] != groups[:-1], True])
-    states = np.insert(X[:, : len(names)], last + 1, y[last], axis=0)
-    episodes = np.insert(groups, last + 1, groups[last])
-    actions = np.insert(X[:, len(names) :], last + 1, X[last, len(names) :], axis=0)
-    pairs = motions(simulator)
+    names, pairs = simulator.state_names, motions(simulator)
+    states, episodes, actions = states_in_time(simulator, X, y, groups)
     places = {position: states[:, names.index(position)] for position, _ in pairs}
     return tuple(
         velocity

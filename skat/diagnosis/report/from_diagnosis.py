@@ -12,7 +12,7 @@ import numpy as np
 from skat.diagnosis.comparison import EXTENDED, NOMINAL, ceiling_sentence, compare_transports
 from skat.diagnosis.evidence import weigh
 from skat.diagnosis.fitting import around
-from skat.diagnosis.log import Log, check_log, without_channels
+from skat.diagnosis.log import Log
 from skat.diagnosis.report.changes import model_changes
 from skat.diagnosis.report.content import (
     Alternative,
@@ -179,8 +179,7 @@ class DiagnosisReport(Report):
             From `compare_transports`; by default it is computed when the page is made.
         """
         diagnosis = self.diagnosis
-        log = check_log(diagnosis.simulator, X, y, groups, fewest_rows=1)
-        log = without_channels(diagnosis.simulator, log, (*diagnosis.hidden, *diagnosis.computed_velocities_))
+        log = diagnosis._other_log(X, y, groups)
         prediction = None
         if gain is None:
             prediction = diagnosis._predicted(log, np.random.RandomState(0))
@@ -421,7 +420,7 @@ def _settings(diagnosis: Any, log: Log) -> tuple[tuple[str, str], ...]:
     episodes = f" in {log.n_episodes} {'episodes' if log.consecutive else 'groups'}"
     if not log.consecutive and log.n_episodes == len(log):
         episodes = ", independent of each other"
-    text, most = repr(simulator), diagnosis.max_effects
+    text, most, smoothing = repr(simulator), diagnosis.max_effects, diagnosis.smoothing_
     unmeasured = [name for name, one in zip(simulator.residual_names, diagnosis.noise_) if np.isnan(one)]
     settings = {
         "Simulator": text if len(text) <= LONGEST_REPR else type(simulator).__name__,
@@ -430,6 +429,7 @@ def _settings(diagnosis: Any, log: Log) -> tuple[tuple[str, str], ...]:
         "Outputs": ", ".join(simulator.output_names),
         "Not measured": ", ".join(one for one in unmeasured if one not in diagnosis.computed_velocities_),
         "Computed from positions": ", ".join(diagnosis.computed_velocities_),
+        "Smoothed, and made what was read": "" if smoothing is None else smoothing.sentence(simulator),
         "Effects considered": f"{len(diagnosis.identifiability_)}"
         + ("" if most is None else f", at most {most} named"),
         "A cause is named at odds of": f"{1 / diagnosis.alpha:g}",

@@ -63,6 +63,7 @@ def findings_as_data(
             if not math.isnan(one)
         },
         "computed_velocities": diagnosis.computed_velocities_,
+        "smoothing": None if diagnosis.smoothing_ is None else _fields(diagnosis.smoothing_),
         "remainder": [_left(part) for part in diagnosis.remainder_.parts],
     }
     return {name: plain(one) for name, one in content.items()}
