@@ -35,6 +35,7 @@ from skat.diagnosis import (
     prediction,
     remainder,
     search,
+    smoothing,
     statespace,
 )
 from skat.diagnosis.report import content, from_diagnosis
@@ -97,7 +98,7 @@ def _classes(*modules: ModuleType) -> dict[str, type]:
 CLASSES: Mapping[str, type] = MappingProxyType(
     {
         **_classes(causes, evidence, filtering, findings, fits, fitting, log, noise, posterior, prediction),
-        **_classes(remainder, search, statespace, content, from_diagnosis),
+        **_classes(remainder, search, smoothing, statespace, content, from_diagnosis),
         "archive.EffectRecord": EffectRecord,
         "source.ModelSource": ModelSource,
     }

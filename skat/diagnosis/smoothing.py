@@ -177,15 +177,16 @@ def smoothing_of(
         for name, size, order in smoothed_positions(simulator, log)
         if size > SMOOTHED and np.isnan(log.y[:, outputs.index(rates[name])]).all()
     }
-    order = round(float(np.median(list(found.values())))) if found else 0
-    if order < 1:
+    if not found:
         return None
+    order = float(np.median(list(found.values())))
+    orders = tuple(sorted({max(1, int(np.floor(order))), max(1, int(np.ceil(order)))}))
     piece, values = log.stretches(STRETCHES, STRETCH_ROWS), dict[str, float]()
     smoothing: Smoothing | None = None
     for turn in range(TURNS):
         progress("smoothing", turn, TURNS)
         last, told = smoothing, partial(likelihood, values=values)
-        smoothing = _likeliest(simulator, piece, tuple(found), order, told, last)
+        smoothing = _likeliest(simulator, piece, tuple(found), orders, told, last)
         if not smoothing.order:
             return None
         if smoothing == last:
@@ -198,11 +199,11 @@ def _likeliest(
     simulator: Simulator,
     log: Log,
     channels: tuple[str, ...],
-    order: int,
+    orders: tuple[int, ...],
     likelihood: Callable[[Log], float],
     near: Smoothing | None,
 ) -> Smoothing:
-    """Return the filter, of all cutoffs and none, or beside one that may be near, with which a log is likeliest."""
+    """Return the filter with which a log is likeliest: of some orders and any cutoff, or none; or beside a near one."""
     known: dict[Smoothing, float] = {}
     columns = [simulator.state_names.index(name) for name in channels]
 
@@ -213,7 +214,11 @@ def _likeliest(
             known[smoothing] = likelihood(read) - count * smoothing.volume if count else -np.inf
         return known[smoothing]
 
-    start = [Smoothing(order, float(cutoff), channels) for cutoff in CUTOFFS] if near is None else [near]
+    start = (
+        [near]
+        if near
+        else [Smoothing(order, float(cutoff), channels) for order in orders for cutoff in CUTOFFS]
+    )
     best = max(start, key=worth)
     for factor in FACTORS if near is None else FACTORS[2:]:
         for step in (factor, 1 / factor):
