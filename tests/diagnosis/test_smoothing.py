@@ -147,7 +147,7 @@ CART = """
 """
 
 
-def pushed_cart(damping, smooth, seed=0, n=500):
+def pushed_cart(damping, smooth, seed=0, n=400):
     """Return a log of a cart that a motor pushes, integrated in closed form; positions are read with noise."""
     rng = np.random.default_rng(seed)
     time = 0.01 * np.arange(n)
@@ -170,15 +170,7 @@ def pushed_cart(damping, smooth, seed=0, n=500):
 def test_a_cause_is_right_behind_such_a_filter(tmp_path):
     log = pushed_cart(0.6, filtered(2, 0.2))
     simulator = MujocoSimulator(CART.format(damping=0.3))
-    effects = [
-        "mass[all]",
-        "damping[slide]",
-        "dry_friction[slide]",
-        "gain[push]",
-        "delay[action]",
-        "scale[qpos.slide]",
-    ]
-    effects = [one.name for one in simulator.effects(also="all") if one.name in effects]
+    effects = ["damping[slide]", "gain[push]", "delay[action]", "scale[qpos.slide]"]
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         found = SimulationDiagnosis(simulator, effects=effects, random_state=0).fit(*log)
