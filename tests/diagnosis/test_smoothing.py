@@ -147,7 +147,7 @@ CART = """
 """
 
 
-def pushed_cart(damping, smooth, seed=0, n=400):
+def pushed_cart(damping, smooth, seed=0, n=240):
     """Return a log of a cart that a motor pushes, integrated in closed form; positions are read with noise."""
     rng = np.random.default_rng(seed)
     time = 0.01 * np.arange(n)
