@@ -638,6 +638,12 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         log = without_channels(self.simulator, log, (*self.hidden, *self.computed_velocities_))
         if undone and self.smoothing_ is not None:
             log = self.smoothing_.undone(self.simulator, log)
+            if not log.measured.any():
+                reach = self.smoothing_.reach
+                raise ValueError(
+                    f"nothing is left where the filter of the fitted log is undone: {reach} instants are lost at both "
+                    f"ends of an episode. Give episodes of more than {2 * reach} rows, in time order, with groups=."
+                )
         return log
 
     def _given_deviations(self) -> Array | None:

@@ -187,7 +187,8 @@ def smoothing_of(
         progress("smoothing", turn, TURNS)
         last, told = smoothing, partial(likelihood, values=values)
         smoothing = _likeliest(simulator, piece, tuple(found), orders, told, last)
-        if not smoothing.order:
+        # Beyond the frequencies that are kept a cutoff is none that can be told.
+        if not smoothing.order or smoothing.cutoff > 1 / EVERY:
             return None
         if smoothing == last:
             break

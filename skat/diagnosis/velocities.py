@@ -162,15 +162,7 @@ def power_by_frequency(series: Array, fewest: int) -> tuple[Array, Array]:
 def states_in_time(
     simulator: Simulator, X: Array, y: Array, groups: NDArray[Any]
 ) -> tuple[Array, NDArray[Any], Array]:
-    """Return the states of all instants, the last of each episode included, with their episodes and actions.
-
-    Parameters
-    ----------
-    simulator : Simulator
-    X, y : ndarray of shape (n_rows, n_inputs), (n_rows, n_outputs)
-    groups : ndarray of shape (n_rows,)
-        Episode of each row.
-    """
+    """Return the states of all instants, the last of each episode included, with their episodes and actions."""
     n_states = len(simulator.state_names)
     last = np.flatnonzero(np.r_[groups[1:] != groups[:-1], True])
     states = np.insert(X[:, :n_states], last + 1, y[last], axis=0)

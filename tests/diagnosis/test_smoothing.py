@@ -6,11 +6,11 @@ from functools import partial
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy import signal
+from scipy import ndimage, signal
 
 from skat.diagnosis import SimulationDiagnosis
 from skat.diagnosis.log import check_log
-from skat.diagnosis.smoothing import Smoothing, smoothed_positions, smoothing_of
+from skat.diagnosis.smoothing import SMOOTHED, Smoothing, smoothed_positions, smoothing_of
 from skat.simulators import FunctionSimulator, MujocoSimulator
 
 DT = 0.05
@@ -57,7 +57,8 @@ def test_what_was_read_comes_back_at_every_second_instant(order, cutoff):
     kept = np.isfinite(read[inner])
     assert abs(kept.mean() - 0.5) < 0.01
     assert_allclose(read[inner][kept], motion(600)[1:][inner][kept], atol=2e-6)
-    assert np.abs(smooth - motion(600))[inner].max() > 1e-2 or (order, cutoff) != (2, 0.1)
+    if cutoff == 0.1:
+        assert np.abs(smooth - motion(600))[inner].max() > 2e-3
 
 
 @pytest.mark.parametrize(("order", "cutoff"), [(1, 0.3), (2, 0.2), (4, 0.3)])
@@ -123,13 +124,14 @@ def test_the_likelihood_tells_the_cutoff(order, cutoff, seed):
     assert abs(np.log(found.cutoff / cutoff)) < 0.15
 
 
-def test_a_smooth_log_that_no_filter_made_is_left_as_it_is():
-    path = motion(400)
-    # As of a simulation without noise, but for its own steps.
-    place = path + 1e-9 * np.cumsum(np.cumsum(np.random.default_rng(0).normal(size=400)))
-    log = log_of(place)
-    ((_, size, _),) = smoothed_positions(gliding(), log)
-    assert smoothing_of(gliding(), log, likelihood_about(path), nothing, nothing) is None or size < 1e4
+@pytest.mark.parametrize("width", [1.7, 2.0])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_smooth_log_that_no_filter_made_is_left_as_it_is(width, seed):
+    # What the simulation says without noise, though it looks smoothed.
+    path = ndimage.gaussian_filter1d(motion(400) + 1e-3 * np.random.default_rng(seed).normal(size=400), width)
+    ((_, size, _),) = smoothed_positions(gliding(), log_of(path))
+    assert size > SMOOTHED
+    assert smoothing_of(gliding(), log_of(path), likelihood_about(path), nothing, nothing) is None
 
 
 def test_positions_beside_measured_velocities_are_left_as_they_are():
@@ -182,6 +184,9 @@ def test_a_cause_is_right_behind_such_a_filter(tmp_path):
     assert abs(np.log(found.smoothing_.cutoff / 0.2)) < 0.05
     assert any("cutoff of" in str(one.message) and "undone" in str(one.message) for one in caught)
     assert found.evaluate(*pushed_cart(0.6, filtered(2, 0.2), seed=1)).explained > 0.9
+    short = [part[:12] for part in log]
+    with pytest.raises(ValueError, match="more than 20 rows"):
+        found.evaluate(*short)
     assert "Butterworth filter of order 2" in found.report_.html(figures=False)
     path = found.save(tmp_path / "cart.skat")
     assert SimulationDiagnosis.load(path).smoothing_ == found.smoothing_
