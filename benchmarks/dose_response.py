@@ -227,12 +227,32 @@ def right(line):
     return any(tables.covers(cause, truth) for cause in line["causes"])
 
 
+def is_detectable(line, lines):
+    """Whether a dose is as large as its untouched halves say that it has to be; None where they were not asked."""
+    machine_and_run = line["case"].split(" | ")[1:3]
+    for other in lines:
+        if (other["what"], other["seed"]) == ("nothing", 0) and other["case"].split(" | ")[
+            1:3
+        ] == machine_and_run:
+            if "detectable" not in other or other["verdict"] != "nothing changed":
+                return None
+            ((name, size),) = line["truth"].items()
+            neutral = 1.0 if line["kind"] in ("gain", "scale") else 0.0
+            return abs(size - neutral) >= other["detectable"].get(name, np.inf)
+    return None
+
+
 def report(lines, shown):
     dose = [line for line in lines if line["what"] == "dose" and line["kind"] not in ("swap", "flip")]
     shown.share("doses: right family and element, or alias", map(right, dose), "95 %")
     shown.share(
         "... nothing else named", [not line["causes"] or tables.or_alias(line) for line in dose], "90 %"
     )
+    told = {True: [], False: [], None: []}
+    for line in dose:
+        told[is_detectable(line, lines)].append(line)
+    shown.share("... as large as the untouched halves say: right", map(right, told[True]), "95 %")
+    shown.share("... smaller: right", map(right, told[False]))
     for kind in ("gain", "delay", "offset", "bias", "scale"):
         mine = [line for line in dose if line["kind"] == kind]
         shown.share(f"... {kind}: right", map(right, mine))

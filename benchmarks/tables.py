@@ -125,6 +125,11 @@ def ask_change(simulator, before, after, *, seed, parameters=None):
                 "verdict": diagnosis.verdict_,
                 "causes": _causes(diagnosis.changes_),
                 "gain": _gain(diagnosis.gain_),
+                "detectable": {
+                    name: round(least, 6)
+                    for name, least in diagnosis.detectable_.items()
+                    if np.isfinite(least)
+                },
                 "mistake": next((str(one.message) for one in told if "reads as if" in str(one.message)), ""),
             }
         except Exception as error:

@@ -122,6 +122,19 @@ def test_logs_that_differ_by_no_effect_are_said_to(here):
     assert "ctrl.shoulder and ctrl.elbow are swapped" in result.stderr
 
 
+def test_where_nothing_changed_it_is_said_what_would_have_been_told(here):
+    (here / "arm.xml").write_text(ARM)
+    names = ["qpos.shoulder", "qpos.elbow", "qvel.shoulder", "qvel.elbow", "ctrl.shoulder", "ctrl.elbow"]
+    rows = pd.DataFrame(log_of(4, rows=600, friction=(0.12, 0.06))[0], columns=names)
+    rows.assign(time=0.01 * rows.index).to_csv(here / "june.csv", index=False)
+    effects = ("--effect", "damping[elbow]", "--effect", "gain[elbow]", "--effect", "delay[action]")
+    result = skat("changed", "arm.xml", "june.csv", "june.csv", *effects)
+    assert result.exit_code == 0, result.output
+    assert "Verdict: nothing changed" in result.stdout
+    assert re.search(r"gain\[elbow\] +│ [\d.]+ %", result.stdout)
+    assert re.search(r"damping\[elbow\] +│ [\d.]+ N m s/rad", result.stdout)
+
+
 def test_help_loads_nothing_heavy():
     code = (
         "import sys\nfrom skat.cli import app\n"

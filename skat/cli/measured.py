@@ -251,11 +251,34 @@ def changed(
             output_console().print(table_of(pd.DataFrame(rows, columns=names)))
         for one in diagnosis.changes_:
             print_line(f"  {one.sentence}")
+        if diagnosis.detectable_:
+            _show_detectable(diagnosis.detectable_, first.simulator)
         if diagnosis.gain_ is not None and rows:
             gain = diagnosis.gain_
             print_line(
                 f"Error on parts of {after.name} not used, in units of noise: {gain.nominal:.3g} -> {gain.extended:.3g}"
             )
+
+
+def _show_detectable(detectable: "Mapping[str, float]", simulator: "MujocoSimulator") -> None:
+    """Show which changes would have been told, and which would not."""
+    import pandas as pd
+
+    effects = {one.name: one for one in simulator.all_effects()}
+    rows, hidden = [], []
+    for name, least in detectable.items():
+        effect = effects[name]
+        if least == float("inf"):
+            hidden.append(name)
+        elif effect.neutral == 1:
+            rows.append((name, f"{100 * least:.3g} %"))
+        else:
+            rows.append((name, f"{least:.3g} {effect.unit}".removesuffix(" 1")))
+    output_console().print(
+        table_of(pd.DataFrame(rows, columns=["what would have been told", "if it had changed by"]))
+    )
+    if hidden:
+        print_line("No change of these would have been told: " + ", ".join(hidden) + ".")
 
 
 @app.command()

@@ -298,7 +298,9 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             where columns of the log after seem to be mixed up, where the simulation is too far off, or where logs
             differ by more than any misfit of it makes, and by no effect that was asked about; `gain_`, on parts of
             the log after that were held out; and `common_`: for each degree of freedom the rms force that the
-            simulation lacks in both logs, and what is left with all that is common in it, N or N m.
+            simulation lacks in both logs, and what is left with all that is common in it, N or N m. Where nothing
+            changed `detectable_` says of each effect by how much it would have had to change, either way, to be named:
+            in its unit, of factors as a share of what it is, infinite where no possible change would have been.
 
         Raises
         ------
@@ -330,7 +332,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
                 stacklevel=2,
             )
         self.changes_, self.verdict_ = list(found.changes), found.verdict
-        self.gain_, self.common_ = found.gain, found.common
+        self.gain_, self.common_, self.detectable_ = found.gain, found.common, dict(found.detectable)
         return self
 
     def save(self, path: str | PathLike[str], *, force: bool = False) -> Path:

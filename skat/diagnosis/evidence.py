@@ -386,24 +386,37 @@ class SwiftWeigher(Weigher):
 
         With the values of the others moved, which what an exchange is worth depends on.
         """
-        S, G, scales = list(now.members), self.gram.products, self.priors.scales
+        S, G = list(now.members), self.gram.products
         left, information = self.gram.at_neutral.copy(), np.diag(G).copy()
         if S:
             solved = np.linalg.solve(now.curvature, G[S])
             left = left - G[:, S] @ now.values
             information = information - np.sum(G[S] * solved, axis=0)
-        information = np.maximum(information, 0.0)
-        whole = information + 1 / scales**2
-        # As near as a normal law of the typical size holds a value, and as far as the rows alone pull it.
-        shifts = [left / whole, left / np.maximum(information, 1e-9 * whole)]
-        gains = [
-            left * shift - 0.5 * information * shift**2 - np.log1p((shift / scales) ** 2)
-            for shift in (np.clip(one, self.priors.low, self.priors.high) for one in shifts)
-        ]
-        gain = np.max(gains, axis=0) + self.priors.log_odds + 0.5 * np.log(2 * np.pi / whole)
-        gain -= np.log(np.pi * scales)
+        gain = gains_alone(left, np.maximum(information, 0.0), self.priors)
         gain[self._out(now)] = -np.inf
         return np.asarray(gain)
+
+
+def gains_alone(left: Array, information: Array, priors: Priors) -> Array:
+    """Return about by how much each effect alone would raise the log posterior odds, nats.
+
+    Parameters
+    ----------
+    left, information : ndarray of shape (..., k)
+        Slope and curvature of the log likelihood in each effect's value, where it is neutral.
+    priors : Priors
+        Of the k effects.
+    """
+    scales = priors.scales
+    whole = information + 1 / scales**2
+    # As near as a normal law of the typical size holds a value, and as far as the rows alone pull it.
+    shifts = [left / whole, left / np.maximum(information, 1e-9 * whole)]
+    gains = [
+        left * shift - 0.5 * information * shift**2 - np.log1p((shift / scales) ** 2)
+        for shift in (np.clip(one, priors.low, priors.high) for one in shifts)
+    ]
+    gain = np.max(gains, axis=0) + priors.log_odds + 0.5 * np.log(2 * np.pi / whole)
+    return np.asarray(gain - np.log(np.pi * scales))
 
 
 def _bounded_at_once(H: Array, b: Array, low: Array, high: Array, start: Array) -> Array:

@@ -8,14 +8,14 @@ import numpy as np
 from skat.diagnosis.changes.candidates import priors_of, rivals_of, units_of
 from skat.diagnosis.changes.mixups import mistake_of
 from skat.diagnosis.changes.question import MOST, TURNS, Question, question_of
-from skat.diagnosis.changes.strengths import Logs, OverStrengths, Places
-from skat.diagnosis.changes.telling import Changes, causes_of, gain_of, sizes_of
+from skat.diagnosis.changes.strengths import Logs, OverStrengths
+from skat.diagnosis.changes.telling import Changes, causes_of, detectable_of, gain_of, sizes_of
 from skat.diagnosis.changes.windows import Windows
 from skat.diagnosis.evidence import Priors, Weighed
 from skat.diagnosis.filtering import Array
 from skat.diagnosis.forces.machines import MOTORS, Candidate
 from skat.diagnosis.forces.motions import Log, half_of
-from skat.diagnosis.search import FEW, without_weak
+from skat.diagnosis.search import without_weak
 from skat.effects import Effect
 from skat.simulators import MujocoSimulator, Simulator
 
@@ -98,7 +98,8 @@ def find_changes(
         causes, verdict = (), "unexplained"
     if not causes and worth.logs.differ_beyond_misfit(needed):
         verdict = "unexplained"
-    return Changes(causes, verdict, gain, sizes_of(question, value))
+    detectable = detectable_of(question, worth, needed) if verdict == "nothing changed" else {}
+    return Changes(causes, verdict, gain, sizes_of(question, value), detectable=detectable)
 
 
 @dataclass(frozen=True)
@@ -132,10 +133,10 @@ def _searched(question: Question, needed: float) -> _Found:
     priors, logs = priors_of(question.candidates, question.scales, question.simulator.dt), _logs(question)
     while True:
         worth = OverStrengths(logs, priors, rivals_of(question.candidates))
-        best, nats = _named(worth, needed)
+        best, nats = without_weak(worth.best(needed), worth, needed)
         differences = np.zeros(len(question.candidates))
         differences[list(best.members)] = best.values
-        common = _common(logs, worth.best_places(best.members))
+        common = _common(logs, worth.strength(best.members))
         value = common.level - common.slopes @ differences
         absurd = [*_at_bounds(best, question.candidates, priors), *_impossible(best, question, value)]
         if not absurd:
@@ -171,30 +172,12 @@ def _logs(question: Question) -> Logs:
     return Logs(first.whole(), second.whole(), law, first.parts, second.parts)
 
 
-def _common(logs: Logs, places: Places) -> _Common:
-    k, first, both = len(logs.law.weights), logs.first, logs.both(places)
+def _common(logs: Logs, strength: float) -> _Common:
+    k, first, both = len(logs.law.weights), logs.first, logs.both(strength)
     H = both.products[:k, :k] + np.diag(logs.law.weights)
     solved = np.linalg.solve(H, np.column_stack([both.projections[:k], both.products[:k, k:]]))
     alone = np.linalg.solve(first.products + np.diag(logs.law.weights), first.projections)
     return _Common(*(np.asarray(one, dtype=float) for one in (solved[:, 0], solved[:, 1:], alone)))
-
-
-def _named(worth: OverStrengths, needed: float) -> tuple[Weighed, dict[int, float]]:
-    """Return the set that is named, and what each member is worth, nats."""
-    worth.settled(())
-    while True:
-        best, nats = without_weak(worth.best(needed), worth, needed)
-        # Also of those with a name more, or another in a member's place, that promise most: at the strengths of others
-        # they may be worth little.
-        rests = [[one for one in best.members if one != gone] for gone in best.members]
-        asked = [best.members, *rests]
-        for some in (best.members, *rests):
-            promises = worth.promises(worth(some))
-            asked += [[*some, int(one)] for one in np.argsort(-promises)[:FEW] if promises[one] > -np.inf]
-        if all(worth.is_settled(members) for members in asked):
-            return best, nats
-        for members in asked:
-            worth.settled(members)
 
 
 def _at_bounds(best: Weighed, candidates: Sequence[Candidate], priors: Priors) -> list[int]:

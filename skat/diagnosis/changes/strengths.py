@@ -1,9 +1,10 @@
 r"""Sets of changes, weighed where logs may differ though nothing changed, by as much as makes both logs most likely.
 
 Of a model that is not right, two logs differ by more than noise: by what its misfit looks like in the one motion and in
-the other. A change is in one effect; where there is misfit on a joint, all effects on it differ a little. By how much,
-a strength for each joint, is told by all of them together, anew for each set of changes: variance components, as the
-heterogeneity of studies [1]_, over which the marginal likelihood is summed.
+the other. A change is in one effect; misfit is in all of them, on each joint by the same share of what no effect
+explains there. How large that share is all of them tell together, anew for each set of changes: a variance component,
+as the heterogeneity of studies [1]_, over which the marginal likelihood is summed. So a change on one joint is no
+misfit as long as nothing else differs.
 
 References
 ----------
@@ -11,7 +12,7 @@ References
 """
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -19,44 +20,15 @@ from scipy.special import logsumexp
 
 from skat.diagnosis.changes.law import Law
 from skat.diagnosis.changes.windows import Quadratic
-from skat.diagnosis.evidence import RANK, Gram, Priors, SwiftWeigher, Weighed
+from skat.diagnosis.evidence import Gram, Priors, SwiftWeigher, Weighed, gains_alone
 from skat.diagnosis.filtering import Array
 from skat.diagnosis.search import search_sets
 
-# Of the variance of an effect's difference, over that if all misfit looked like it: places on a grid. No misfit exerts
-# more than all of itself; logs that differ by more do so by a change.
-STRENGTHS, BEYOND = np.power(8.0, np.arange(-10, 1), dtype=float), np.power(8.0, np.arange(1, 5), dtype=float)
-# Of strengths, nats: so unlikely ones count for nothing, and where a smaller one changes so little none does.
-UNLIKELY, FLAT = -12.0, 1e-3
+# Of the variance of an effect's difference, over that if all misfit looked like it. No misfit exerts more than all of
+# itself; logs that differ by more do so by a change.
+STRENGTHS, BEYOND = np.power(8.0, np.arange(-5, 1), dtype=float), np.power(8.0, np.arange(1, 5), dtype=float)
 # Precision of an effect that no joint feels, in typical sizes.
 LEAST = 1e-6
-
-Places = tuple[int, ...]
-
-
-def prior(places: Places) -> float:
-    """Return the log of how likely strengths are beside each other, at most: joints of a machine are about alike."""
-    return -float(np.sum(np.abs(np.array(places) - np.median(places))))
-
-
-def log_sum(gains: Array) -> float:
-    """Return the log of a likelihood summed over strengths of all joints, each told for itself.
-
-    Parameters
-    ----------
-    gains : ndarray of shape (n_joints, n_places)
-        Log likelihood of each joint at each place, nats.
-
-    Returns
-    -------
-    float
-        Over levels of all joints, each as likely, and steps of each joint from it, which end where the grid does, but
-        for a constant.
-    """
-    n = gains.shape[1]
-    steps = np.arange(1 - n, n)
-    at = np.clip(np.arange(n)[:, None] + steps, 0, n - 1)
-    return float(logsumexp(logsumexp(gains[:, at] - np.abs(steps), axis=2).sum(axis=0)))
 
 
 @dataclass(frozen=True)
@@ -70,8 +42,8 @@ class Logs:
     law : Law
     firsts, seconds : tuple of Quadratic
         The windows of each, one of which may be left out.
-    strengths : ndarray of shape (n_places,)
-        By which joints may differ.
+    strengths : ndarray of shape (n_strengths,)
+        By which logs may differ, each as likely.
     """
 
     first: Quadratic
@@ -81,30 +53,15 @@ class Logs:
     seconds: tuple[Quadratic, ...] = ()
     strengths: Array = field(default_factory=lambda: STRENGTHS)
 
-    def both(self, places: Places) -> Quadratic:
-        """Return both logs where they differ by strengths at such places of the grid, one for each joint."""
+    def both(self, strength: float) -> Quadratic:
+        """Return both logs where they differ by a strength."""
         # Of an effect that several joints feel misfit would have to look alike on each.
-        apart = self.second.integrated((1 / self.strengths[list(places)]) @ self.law.alike + LEAST)
+        apart = self.second.integrated(self.law.alike.sum(axis=0) / strength + LEAST)
         return self.first.widened(len(apart.projections)) + apart
 
-    def left(self, places: Places) -> Quadratic:
+    def left(self, strength: float) -> Quadratic:
         """Return the same in candidates alone, with what is common integrated out."""
-        return self.both(places).integrated(self.law.weights).without(len(self.law.weights))
-
-    def climbed(self, start: Places, worth: Callable[[Places], float]) -> Places:
-        """Return places from which no step of one joint's makes a worth larger."""
-        now, best = start, worth(start)
-        moved = True
-        while moved:
-            moved = False
-            for joint in range(len(start)):
-                for step in (-1, 1):
-                    while 0 <= now[joint] + step < len(self.strengths):
-                        tried = (*now[:joint], now[joint] + step, *now[joint + 1 :])
-                        if (value := worth(tried)) <= best:
-                            break
-                        now, best, moved = tried, value, True
-        return now
+        return self.both(strength).integrated(self.law.weights).without(len(self.law.weights))
 
     def shortened(self) -> Iterator["Logs"]:
         """Yield both logs without each of their windows."""
@@ -113,41 +70,10 @@ class Logs:
         for one in self.seconds:
             yield replace(self, second=self.second - one)
 
-    def alike(self) -> list[Places]:
-        """Return the places where joints are all alike."""
-        return [(place,) * len(self.law.alike) for place in range(len(self.strengths))]
-
     def level(self) -> float:
         """Return the log density of both logs if nothing changed, nats."""
-
-        def worth(places: Places) -> float:
-            return self.left(places).level + prior(places)
-
-        best = self.climbed(max(self.alike(), key=worth), worth)
-        return worth(best) + self.room(best, worth)
-
-    def room(self, places: Places, worth: Callable[[Places], float]) -> float:
-        """Return the log of what a worth is at all strengths, summed, over what it is at some.
-
-        As if each joint told its strength for itself. Logs that are alike at all small strengths are so at many.
-        """
-        here = worth(places) - prior(places)
-        gains = np.full((len(places), len(self.strengths)), -np.inf)
-        for joint, start in enumerate(places):
-            gains[joint, start] = 0.0
-            for ahead in (range(start - 1, -1, -1), range(start + 1, len(self.strengths))):
-                last = 0.0
-                for place in ahead:
-                    moved = (*places[:joint], place, *places[joint + 1 :])
-                    gains[joint, place] = worth(moved) - prior(moved) - here
-                    if gains[joint, place] < UNLIKELY:
-                        break
-                    if place < start and abs(gains[joint, place] - last) < FLAT:
-                        # Smaller ones are as if there were none.
-                        gains[joint, :place] = gains[joint, place]
-                        break
-                    last = gains[joint, place]
-        return log_sum(gains) - prior(places)
+        levels = [self.left(strength).level for strength in self.strengths]
+        return float(logsumexp(levels) - np.log(len(levels)))
 
     def differ_beyond_misfit(self, needed: float) -> bool:
         """Return whether logs are likelier by so many nats if they may differ by more than all misfit exerts.
@@ -162,7 +88,7 @@ class Logs:
 
 
 class OverStrengths(SwiftWeigher):
-    """Weighs sets, each at the strengths at which it is worth most.
+    """Weighs sets at all strengths together.
 
     Parameters
     ----------
@@ -173,120 +99,104 @@ class OverStrengths(SwiftWeigher):
     """
 
     def __init__(self, logs: Logs, priors: Priors, rivals: Mapping[int, Sequence[int]]):
-        self.logs = logs
-        # What was tried on a climb, and of it where sets were searched: only there others are weighed.
-        self._tried: dict[Places, tuple[SwiftWeigher, float]] = {}
-        self._at: dict[Places, tuple[SwiftWeigher, float]] = {}
-        # Of each set for which strengths were climbed to, the log of how many strengths are about as likely; and the
-        # largest of them.
-        self._rooms: dict[tuple[int, ...], float] = {}
-        self._most_room = 0.0
         nothing = Gram(np.zeros((0, 0)), np.zeros(0), np.zeros(0))
         super().__init__(nothing, priors, rivals)
-        best = -np.inf
-        for places in sorted(logs.alike(), key=lambda places: -self._worth(places, ())):
-            # Where all candidates together explain too little no set does.
-            if self._most(places) > best:
-                self._search(places, ())
-                best = max(
-                    best, *(one.evidence + self._at[places][1] for one in self._at[places][0].seen.values())
-                )
+        self.logs = logs
+        self._at = [self._weigher(logs, strength) for strength in logs.strengths]
+        self._short: list[list[tuple[SwiftWeigher, float]]] = []
+        tops = [search_sets(worth) for worth, _ in self._at]
+        best = int(np.argmax([top.evidence + level for top, (_, level) in zip(tops, self._at)]))
+        self.gram = self._at[best][0].gram
+        for top in tops:
+            search_sets(self, top.members)
 
-    def settled(self, members: Sequence[int]) -> Weighed:
-        """Return what a set is worth at all strengths, after the best were climbed to for it."""
-        key = tuple(sorted(set(members)))
-        if key not in self._rooms:
-            start = max(self._at, key=lambda places: self._worth(places, key))
-            places = self.logs.climbed(start, lambda places: self._worth(places, key))
-            self._search(places, key)
-            room = self.logs.room(self.best_places(key), lambda places: self._worth(places, key))
-            self._most_room = max(room, self._most_room) if self._rooms else room
-            self._rooms[key] = room
-            self.seen.clear()
-        return self(key)
+    def _weigher(self, logs: Logs, strength: float) -> tuple[SwiftWeigher, float]:
+        left = logs.left(strength)
+        gram = Gram(left.products, left.projections, np.zeros(len(left.projections)))
+        return SwiftWeigher(gram, self.priors, self.rivals), left.level
 
-    def _room_of(self, members: tuple[int, ...]) -> float:
-        # Where strengths were not climbed to it may be as much as of any set.
-        return self._rooms.get(members, self._most_room)
+    def _worths(self, members: Sequence[int]) -> Array:
+        return np.array([worth(members).evidence + level for worth, level in self._at])
 
-    def is_settled(self, members: Sequence[int]) -> bool:
-        """Return whether strengths were climbed to for a set."""
-        return tuple(sorted(set(members))) in self._rooms
+    def _weighed(self, members: tuple[int, ...]) -> Weighed:
+        worths = self._worths(members)
+        shares = np.exp(worths - logsumexp(worths))
+        some = [worth(members) for worth, _ in self._at]
+        values = shares @ [one.values for one in some]
+        scatter = [np.outer(one.values - values, one.values - values) for one in some]
+        covariance = np.tensordot(shares, [one.covariance + more for one, more in zip(some, scatter)], axes=1)
+        return Weighed(
+            members,
+            values,
+            float(logsumexp(worths) - np.log(len(self._at))),
+            float(shares @ [one.likelihood for one in some]),
+            np.linalg.inv(covariance),
+        )
 
-    def best_places(self, members: Sequence[int]) -> Places:
-        """Return the strengths, as places on the grid, at which a set is worth most."""
-        key = tuple(sorted(set(members)))
-        return max(self._at, key=lambda places: self._worth(places, key))
+    def strength(self, members: Sequence[int]) -> float:
+        """Return the strength at which a set is worth most."""
+        return float(self.logs.strengths[np.argmax(self._worths(members))])
+
+    def price(self, members: Sequence[int]) -> float:
+        """Return by how much what a set is worth is less than what it explains, nats."""
+        one = self._at[int(np.argmax(self._worths(members)))][0](members)
+        return one.likelihood - one.evidence
 
     def losses(self, whole: Weighed) -> dict[int, float]:
         """Return what each member of a set is worth, nats, whichever window of either log is left out."""
         found = super().losses(whole)
-        rests = {one: tuple(sorted(set(whole.members) - {one})) for one in found}
-        places = {own: self.best_places(own) for own in (whole.members, *rests.values())}
-        for logs in self.logs.shortened() if found else ():
-            at = {one: self._weigher_of(logs, one) for one in set(places.values())}
-            for one, loss in found.items():
-                # Without the window strengths may be those of the other set.
-                sets = whole.members, rests[one]
-                worths = [at[places[own]] for own in sets]
-                ours, theirs = (
-                    max(worth(own).evidence + level for worth, level in worths) + self._room_of(own)
-                    for own in sets
-                )
-                found[one] = min(loss, ours - theirs)
+        if found and not self._short:
+            self._short = [
+                [self._weigher(logs, strength) for strength in logs.strengths]
+                for logs in self.logs.shortened()
+            ]
+        for at in self._short:
+
+            def worth(members: Sequence[int], at: list[tuple[SwiftWeigher, float]] = at) -> float:
+                return float(logsumexp([one(members).evidence + level for one, level in at]))
+
+            ours = worth(whole.members)
+            for gone, loss in found.items():
+                found[gone] = min(loss, ours - worth([one for one in whole.members if one != gone]))
         return found
 
-    def _weigher_of(self, logs: Logs, places: Places) -> tuple[SwiftWeigher, float]:
-        left = logs.left(places)
-        gram = Gram(left.products, left.projections, np.zeros(len(left.projections)))
-        return SwiftWeigher(gram, self.priors, self.rivals), left.level + prior(places)
+    def _shortened(self) -> list[list[tuple[SwiftWeigher, float]]]:
+        """Return for both logs without each of their windows what weighs sets at each strength."""
+        if not self._short:
+            self._short = [
+                [self._weigher(logs, strength) for strength in logs.strengths]
+                for logs in self.logs.shortened()
+            ]
+        return self._short
 
-    def _weigher(self, places: Places) -> tuple[SwiftWeigher, float]:
-        if places not in self._tried:
-            self._tried[places] = self._weigher_of(self.logs, places)
-        return self._tried[places]
+    def gains_of(self, differences: Array) -> Array:
+        """Return what each candidate alone would be worth, nats, had the second log differed by so much more in it.
 
-    def _worth(self, places: Places, members: tuple[int, ...]) -> float:
-        worth, level = self._weigher(places)
-        return worth(members).evidence + level
+        About, and whichever window of either log is left out.
 
-    def _most(self, places: Places) -> float:
-        """Return what no set is worth more than, but for its prior: what all candidates explain without bounds."""
-        worth, level = self._weigher(places)
-        values, axes = np.linalg.eigh(worth.gram.products)
-        told = values > RANK * max(float(values[-1]), 1e-300)
-        return level + 0.5 * float(np.sum((worth.gram.projections @ axes[:, told]) ** 2 / values[told]))
-
-    def _search(self, places: Places, start: Sequence[int]) -> None:
-        """Find the likeliest sets at some strengths."""
-        worth, _ = self._at[places] = self._weigher(places)
-        self.seen.clear()
-        search_sets(worth, start)
+        Parameters
+        ----------
+        differences : ndarray of shape (..., n_candidates)
+            Of each candidate, in units of its scale, where no other changes.
+        """
+        least = np.full(differences.shape, np.inf)
+        for at in (self._at, *self._shortened()):
+            none, alone = [], []
+            for worth, level in at:
+                h, G = worth.gram.projections, np.diag(worth.gram.products)
+                # A difference moves the quadratic, and bends it no otherwise.
+                none.append(level - h * differences - 0.5 * G * differences**2)
+                alone.append(none[-1] + gains_alone(h + G * differences, G, self.priors))
+            least = np.minimum(least, logsumexp(alone, axis=0) - logsumexp(none, axis=0))
+        return least
 
     def best(self, needed: float) -> Weighed:
         """Return the set that is worth most, where of any two that with more names must be worth so much more, nats."""
-        found = [
-            (one.evidence + level + self._room_of(members) - needed * len(members), members)
-            for worth, level in self._at.values()
-            for members, one in worth.seen.items()
-        ]
-        return self(max(found)[1])
-
-    def _weighed(self, members: tuple[int, ...]) -> Weighed:
-        worth, level = self._at[self.best_places(members)]
-        found = worth(members)
-        return replace(found, evidence=found.evidence + level + self._room_of(members))
+        return max(self.seen.values(), key=lambda one: one.evidence - needed * len(one.members))
 
     def promises(self, now: Weighed) -> Array:
         """Return by how much each further effect would raise the log posterior odds, about; -inf of members."""
-        # At those strengths at which it would then be worth most.
         whole = [
-            level + (ours := worth(now.members)).evidence + worth.promises(ours)
-            for worth, level in self._at.values()
+            level + (ours := worth(now.members)).evidence + worth.promises(ours) for worth, level in self._at
         ]
-        return np.asarray(np.max(whole, axis=0) + self._most_room - now.evidence)
-
-    def price(self, members: Sequence[int]) -> float:
-        """Return by how much what a set is worth is less than what it explains, nats."""
-        one = self._at[self.best_places(members)][0](members)
-        return one.likelihood - one.evidence
+        return np.asarray(np.logaddexp.reduce(whole, axis=0) - np.log(len(self._at)) - now.evidence)

@@ -1,11 +1,12 @@
 """What is told of two logs: causes with intervals and aliases, the gain on windows held out, and sizes of forces."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from skat.diagnosis.changes.question import Question
+from skat.diagnosis.changes.strengths import OverStrengths
 from skat.diagnosis.evidence import SwiftWeigher, Weighed
 from skat.diagnosis.filtering import Array, Mask
 from skat.diagnosis.findings import Alias, Cause, Gain
@@ -16,6 +17,8 @@ from skat.diagnosis.search import ALIAS_FACTOR, alternatives
 from skat.simulators import MujocoSimulator
 
 BOOTSTRAPS = 400
+# Changes that are tried, in typical sizes.
+TRIED = np.geomspace(0.01, 100, 81)
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,9 @@ class Changes:
         How columns of the second log seem to be mixed up; empty if they do not.
     far_off : bool
         Whether the model is so far off that nothing was searched for: no machine is as the first log says.
+    detectable : dict of str to float
+        Where nothing changed: of each effect by how much it would have had to change, either way, to be named; of
+        factors the share of what it is. Infinite where no possible change would have been.
     """
 
     changes: tuple[Cause, ...]
@@ -46,6 +52,7 @@ class Changes:
     common: dict[str, tuple[float, float]]
     mistake: str = ""
     far_off: bool = False
+    detectable: Mapping[str, float] = field(default_factory=dict)
 
 
 def causes_of(
@@ -107,6 +114,37 @@ def _sentence(one: Candidate, value: float) -> str:
     if one.beside:
         place = ", about at (" + ", ".join(f"{at:.2g}" for at in one.beside.values()) + ") m"
     return f"{words}: {abs(value):.4g}{unit} {'more' if value > 0 else 'less'} than it was{place}"
+
+
+def detectable_of(question: Question, worth: OverStrengths, needed: float) -> dict[str, float]:
+    """Return the least change of each effect that would have been named in the second log, in its unit.
+
+    Either way, and all larger ones. Of weights it is that at the place on the body where they act most, of delays one
+    of those that are tried; infinite where none is possible that would have been named.
+
+    Parameters
+    ----------
+    question : Question
+    worth : OverStrengths
+    needed : float
+        What a name needs, nats.
+    """
+    candidates, priors = question.candidates, worth.priors
+    ways = [worth.gains_of(side * TRIED[:, None] * np.ones(len(candidates))) >= needed for side in (-1, 1)]
+    told = np.logical_and.accumulate(np.logical_and(*ways)[::-1], axis=0)[::-1]
+    least = np.where(told.any(axis=0), TRIED[np.argmax(told, axis=0)], np.inf)
+    least[least > np.maximum(-priors.low, priors.high)] = np.inf
+    found: dict[str, float] = {}
+    for one, size, scale in zip(candidates, least, question.scales):
+        if not one.late:
+            found[one.effect.name] = min(found.get(one.effect.name, np.inf), float(size * scale))
+    late = np.array([one.late for one in candidates])
+    gains = worth.gains_of(late * question.simulator.dt / question.scales)
+    for name in {one.effect.name for one in candidates if one.late}:
+        missed = [abs(one) for one, gain in zip(late, gains) if one and gain < needed]
+        sizes = [abs(one) for one in late if one and abs(one) > max(missed, default=0.0)]
+        found[name] = min(sizes, default=np.inf) * question.simulator.dt
+    return found
 
 
 def gain_of(question: Question, value: Array, differences: Array) -> Gain | None:

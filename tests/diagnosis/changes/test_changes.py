@@ -46,6 +46,20 @@ def test_a_gain_that_changed_is_told_as_how_many_times_it_is():
     assert set(found.common_) == {"qvel.shoulder", "qvel.elbow"}
 
 
+def test_a_change_is_named_from_the_size_that_is_said_and_none_far_below_it():
+    same = asked(log_of(4, **WRONG), log_of(5, **WRONG))
+    assert (same.verdict_, same.changes_) == ("nothing changed", [])
+    assert set(same.detectable_) == set(FEW) | {
+        name for name in same.detectable_ if name.startswith("payload[")
+    }
+    least = same.detectable_["gain[elbow]"]
+    assert 0.01 < least < 0.5
+    for times, names in ((1.5, ["gain[elbow]"]), (0.4, [])):
+        found = asked(log_of(4, **WRONG), log_of(5, **WRONG, gain=(1.0, 1 + times * least)))
+        assert [one.name for one in found.changes_] == names
+        assert bool(found.detectable_) == (not names)
+
+
 def test_chords_of_a_delay_meet_and_hold_near_their_ends():
     spans = [_between(late) for late in LATER]
     assert [low for low, _ in spans[1:]] == [high for _, high in spans[:-1]]

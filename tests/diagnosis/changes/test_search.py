@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from skat.diagnosis.changes import find_changes
-from skat.diagnosis.changes.search import _at_bounds, _common, _impossible, _logs, _named
-from skat.diagnosis.changes.strengths import LEAST, STRENGTHS, OverStrengths
+from skat.diagnosis.changes.search import _at_bounds, _common, _impossible, _logs
+from skat.diagnosis.changes.strengths import LEAST, OverStrengths
 from skat.diagnosis.evidence import WIDTH_95, Priors, Weighed
 from skat.diagnosis.findings import Gain
 from skat.diagnosis.forces.machines import Candidate, Model
+from skat.diagnosis.search import without_weak
 from tests.diagnosis.changes.arm import arm, effect_of
 from tests.diagnosis.changes.drawn import ALIKE, WEIGHTS, M, dense, question_of_rows
 from tests.diagnosis.forces.test_force_space import log_of
@@ -23,10 +24,10 @@ def simulator():
 
 def test_what_is_common_is_its_mean_given_the_differences(simulator):
     question = question_of_rows(simulator)
-    places = (8, 10)
-    apart = 1 / (ALIKE.T @ (1 / STRENGTHS[list(places)]) + LEAST)
+    strength = 0.1
+    apart = 1 / (ALIKE.sum(axis=0) / strength + LEAST)
     z, D, N, covariance, first = dense(question, apart)
-    common = _common(_logs(question), places)
+    common = _common(_logs(question), strength)
 
     def mean(target, rows):
         over = np.linalg.solve(covariance[rows, rows], N[rows])
@@ -55,13 +56,14 @@ def test_a_set_with_more_names_must_be_worth_what_they_need(simulator):
     priors = Priors(("",) * M, np.ones(M), np.full(M, np.log(0.1)), np.full(M, -50.0), np.full(M, 50.0))
 
     def named(needed):
-        best, nats = _named(OverStrengths(_logs(question), priors, {}), needed)
+        worth = OverStrengths(_logs(question), priors, {})
+        best, nats = without_weak(worth.best(needed), worth, needed)
         return best.members, nats
 
     members, nats = named(np.log(100))
     assert members == (2,)
     worth = OverStrengths(_logs(question), priors, {})
-    gain = worth.settled((2,)).evidence - worth.settled(()).evidence
+    gain = worth((2,)).evidence - worth(()).evidence
     assert nats[2] == pytest.approx(worth.losses(worth((2,)))[2], abs=0.05)
     assert nats[2] <= gain + 0.05
     assert named(nats[2] - 0.1)[0] == (2,)

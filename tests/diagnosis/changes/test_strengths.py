@@ -1,21 +1,22 @@
 """Sets weighed where logs may differ though nothing changed: by dense normal densities, and by simulation."""
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from skat.diagnosis.changes.law import Law, with_misfit
 from skat.diagnosis.changes.question import Question
-from skat.diagnosis.changes.search import _logs, _named
-from skat.diagnosis.changes.strengths import BEYOND, LEAST, STRENGTHS, OverStrengths, log_sum, prior
+from skat.diagnosis.changes.search import _logs
+from skat.diagnosis.changes.strengths import BEYOND, LEAST, STRENGTHS, OverStrengths
 from skat.diagnosis.evidence import Gram, Priors, SwiftWeigher, Weigher
 from skat.diagnosis.forces.force_space import Rows
 from skat.diagnosis.forces.machines import Candidate, Model
+from skat.diagnosis.search import without_weak
 from tests.diagnosis.changes.arm import arm, effect_of
-from tests.diagnosis.changes.drawn import ALIKE, WEIGHTS, M, dense, question_of_rows
+from tests.diagnosis.changes.drawn import ALIKE, WEIGHTS, K, M, dense, question_of_rows
 
 NEEDED = np.log(100.0)
 
@@ -29,14 +30,14 @@ def priors_of(k):
     return Priors(("",) * k, np.ones(k), np.full(k, -np.log(k + 1.0)), np.full(k, -50.0), np.full(k, 50.0))
 
 
-def apart_at(places):
+def apart_at(strength):
     """Return the variances by which effects of the second log differ."""
-    return 1 / (ALIKE.T @ (1 / STRENGTHS[list(places)]) + LEAST)
+    return 1 / (ALIKE.sum(axis=0) / strength + LEAST)
 
 
-def assert_dense(left, question, places, gone=(None, None)):
+def assert_dense(left, question, strength, gone=(None, None)):
     """Assert that a quadratic is the log density of both logs at any differences."""
-    z, D, N, covariance, _ = dense(question, apart_at(places), gone=gone)
+    z, D, N, covariance, _ = dense(question, apart_at(strength), gone=gone)
     covariance = covariance + (N / WEIGHTS) @ N.T
     for x in np.random.default_rng(1).normal(size=(3, M)) * 3:
         found = left.level + left.projections @ x - 0.5 * x @ left.products @ x
@@ -47,96 +48,35 @@ def assert_dense(left, question, places, gone=(None, None)):
     np.testing.assert_allclose(left.projections, D.T @ over[:, -1], rtol=1e-8, atol=1e-8)
 
 
-@pytest.mark.parametrize("places", [(8, 10), (0, 0), (10, 10), (0, 10), (10, 3)])
-def test_candidates_alone_are_told_by_a_normal_law_of_all_else(simulator, places):
+@pytest.mark.parametrize("strength", [STRENGTHS[0], 0.1, 1.0, BEYOND[-1]])
+def test_candidates_alone_are_told_by_a_normal_law_of_all_else(simulator, strength):
     question = question_of_rows(simulator, differences=(1.0, 0.0, -2.0))
-    assert_dense(_logs(question).left(places), question, places)
+    assert_dense(_logs(question).left(strength), question, strength)
 
 
 def test_logs_that_have_to_be_alike_have_one_value_in_common_and_those_that_may_differ_two(simulator):
     logs = _logs(question_of_rows(simulator))
-    alike, free = logs.both((0, 0)), replace(logs, strengths=np.r_[STRENGTHS, BEYOND]).both((12, 12))
+    alike, free = logs.both(STRENGTHS[0]), logs.both(BEYOND[1])
     own = logs.first.products
     # Of the second log an effect that may be anything tells nothing of what is common.
     assert np.linalg.norm(free.products[:2, :2] - own) < 0.1 * np.linalg.norm(alike.products[:2, :2] - own)
 
 
 def test_logs_without_a_window_are_those_that_never_had_it(simulator):
-    question, places = question_of_rows(simulator, differences=(1.0, 0.0, -2.0)), (8, 10)
+    question, strength = question_of_rows(simulator, differences=(1.0, 0.0, -2.0)), 0.1
     shortened = list(_logs(question).shortened())
     windows = [(one, None) for one in range(5)] + [(None, one) for one in (0, 1, 3, 4)]
     assert len(shortened) == len(windows)
     for logs, gone in zip(shortened, windows, strict=True):
-        assert_dense(logs.left(places), question, places, gone)
+        assert_dense(logs.left(strength), question, strength, gone)
 
 
-def test_strengths_fall_by_a_nat_for_each_step_of_a_joint_from_the_others():
-    assert prior((4, 4, 4)) == 0.0
-    assert prior((7, 7, 7)) == 0.0
-    assert prior((4, 4, 6)) == -2.0
-    assert prior((3, 5, 5, 5, 9)) == -6.0
-    # Of two, what they differ by is all there is.
-    assert prior((2, 5)) == -3.0
-
-
-@pytest.mark.parametrize("kind", ["flat", "level", "sharp", "drawn"])
-def test_strengths_that_joints_tell_for_themselves_are_summed_over_a_common_level(kind):
-    n, joints = 5, 3
-    gains = {
-        "flat": np.zeros((joints, n)),
-        # Alike below some strength, as where nothing differs.
-        "level": np.where(np.arange(n) < 3, 0.0, -50.0) * np.ones((joints, 1)),
-        "sharp": np.where(np.arange(n) == [[1], [1], [3]], 0.0, -50.0),
-        "drawn": np.random.default_rng(0).normal(size=(joints, n)) * 3,
-    }[kind]
-    expected = 0.0
-    for level in range(n):
-        for steps in itertools.product(range(1 - n, n), repeat=joints):
-            at = np.clip(level + np.array(steps), 0, n - 1)
-            expected += np.exp(gains[np.arange(joints), at].sum() - np.abs(steps).sum())
-    assert log_sum(gains) == pytest.approx(np.log(expected), rel=1e-12)
-
-
-def test_a_worth_at_all_strengths_is_its_sum_where_joints_tell_theirs_for_themselves(simulator):
-    logs = _logs(question_of_rows(simulator))
-    gains = np.random.default_rng(1).normal(size=(2, len(STRENGTHS))) * 3
-
-    def worth(places):
-        return float(gains[[0, 1], list(places)].sum()) + prior(places)
-
-    for places in ((0, 0), (4, 7), (10, 2)):
-        assert worth(places) + logs.room(places, worth) == pytest.approx(log_sum(gains))
-
-
-def test_strengths_are_climbed_to_where_no_step_of_a_joint_gains(simulator):
-    logs = _logs(question_of_rows(simulator))
-
-    def worth(places):
-        return -abs(places[0] - 7.2) - 0.5 * abs(places[1] - places[0])
-
-    assert logs.climbed((0, 10), worth) == (7, 7)
-    # At the ends of the grid.
-    assert logs.climbed((5, 5), lambda places: float(sum(places))) == (10, 10)
-    assert logs.climbed((5, 5), lambda places: -float(sum(places))) == (0, 0)
-
-    def both(places):
-        return logs.left(places).level + prior(places)
-
-    for start in ((0, 0), (6, 6), (10, 3)):
-        found = logs.climbed(start, both)
-        assert both(found) >= both(start)
-        for joint in (0, 1):
-            for step in (-1, 1):
-                beside = tuple(place + step * (one == joint) for one, place in enumerate(found))
-                if all(0 <= place < len(STRENGTHS) for place in beside):
-                    assert both(beside) <= both(found)
-
-
-def test_both_logs_are_worth_what_no_change_is_at_the_best_strengths(simulator):
+def test_both_logs_are_worth_what_no_change_is_at_all_strengths(simulator):
     logs = _logs(question_of_rows(simulator))
     worth = OverStrengths(logs, priors_of(M), {})
-    assert logs.level() == pytest.approx(worth.settled(()).evidence, abs=1e-9)
-    assert logs.level() >= max(logs.left(places).level for places in logs.alike())
+    levels = [logs.left(strength).level for strength in STRENGTHS]
+    assert logs.level() == pytest.approx(logsumexp(levels) - np.log(len(levels)), abs=1e-9)
+    assert logs.level() == pytest.approx(worth(()).evidence, abs=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -155,49 +95,51 @@ def test_logs_that_differ_by_more_than_misfit_could_are_told_where_no_one_window
     assert logs.differ_beyond_misfit(NEEDED) == beyond
 
 
-def at(logs, places, members):
-    """Return what a set is worth at some strengths, by a search's weigher of its own."""
-    left = logs.left(places)
+def at(logs, strength, members):
+    """Return what a set is worth at a strength, by a search's weigher of its own."""
+    left = logs.left(strength)
     k = len(left.projections)
     gram = Gram(left.products, left.projections, np.zeros(k))
-    return SwiftWeigher(gram, priors_of(k))(members).evidence + left.level + prior(places)
+    return SwiftWeigher(gram, priors_of(k))(members).evidence + left.level
+
+
+def at_all(logs, members):
+    """Return the same at all strengths together."""
+    return logsumexp([at(logs, strength, members) for strength in STRENGTHS]) - np.log(len(STRENGTHS))
 
 
 @pytest.mark.parametrize("members", [(), (0,), (2,), (0, 2), (0, 1, 2)])
-def test_a_set_is_worth_what_it_is_at_the_strengths_that_are_best_for_it(simulator, members):
+def test_a_set_is_worth_what_it_is_at_all_strengths_together(simulator, members):
     logs = _logs(question_of_rows(simulator, differences=(1.0, 0.0, -2.0)))
     worth = OverStrengths(logs, priors_of(M), {})
-    expected = [at(logs, places, members) for places in logs.alike()]
-    assert worth(members).evidence == pytest.approx(max(expected), abs=0.05)
-    assert worth.best_places(members) == logs.alike()[int(np.argmax(expected))]
-    assert not worth.is_settled(members)
-    settled = worth.settled(members)
-    assert worth.is_settled(members)
-    assert settled.evidence == worth(members).evidence >= max(expected) - 0.05
-    places = worth.best_places(members)
-    room = logs.room(places, lambda places: at(logs, places, members))
-    assert settled.evidence == pytest.approx(at(logs, places, members) + room, abs=0.05)
-    for beside in ((places[0] - 1, places[1]), (places[0] + 1, places[1])):
-        if 0 <= beside[0] < len(STRENGTHS):
-            assert at(logs, beside, members) <= at(logs, places, members) + 0.05
+    assert worth(members).evidence == pytest.approx(at_all(logs, members), abs=0.05)
+    each = [at(logs, strength, members) for strength in STRENGTHS]
+    assert worth.strength(members) == STRENGTHS[np.argmax(each)]
 
 
-def test_strengths_that_were_climbed_to_are_known_to_all_sets(simulator):
+def test_values_and_their_errors_are_those_of_the_mixture_over_strengths(simulator):
     logs = _logs(question_of_rows(simulator, differences=(1.0, 0.0, -2.0)))
     worth = OverStrengths(logs, priors_of(M), {})
-    before = {members: worth(members).evidence for members in ((), (0,), (1,), (0, 2))}
-    worth.settled((0, 2))
-    for members, evidence in before.items():
-        assert worth(members).evidence >= evidence - 0.05
+    shares = np.exp([at(logs, strength, (2,)) for strength in STRENGTHS])
+    shares /= shares.sum()
+    rng, drawn = np.random.default_rng(0), []
+    for strength, share in zip(STRENGTHS, shares):
+        left = logs.left(strength)
+        one = SwiftWeigher(Gram(left.products, left.projections, np.zeros(M)), priors_of(M))((2,))
+        drawn.append(rng.normal(one.values[0], one.deviations[0], round(2e6 * share)))
+    found, drawn = worth((2,)), np.concatenate(drawn)
+    assert found.values[0] == pytest.approx(drawn.mean(), abs=0.01 * drawn.std())
+    assert found.deviations[0] == pytest.approx(drawn.std(), rel=0.01)
 
 
 def test_the_price_of_a_set_is_what_it_explains_but_is_not_worth(simulator):
     logs = _logs(question_of_rows(simulator, differences=(4.0, 0.0, 0.0)))
     worth = OverStrengths(logs, priors_of(M), {})
-    best = worth.settled((0,))
-    places = worth.best_places((0,))
-    gain = at(logs, places, (0,)) - logs.left(places).level - prior(places)
-    assert worth.price((0,)) == pytest.approx(best.likelihood - gain, abs=0.05)
+    strength = worth.strength((0,))
+    left = logs.left(strength)
+    value = worth((0,)).values[0]
+    explained = left.projections[0] * value - 0.5 * left.products[0, 0] * value**2
+    assert worth.price((0,)) == pytest.approx(explained - at(logs, strength, (0,)) + left.level, abs=0.1)
     assert worth.price(()) == 0.0
 
 
@@ -211,6 +153,18 @@ def test_a_promise_is_about_what_a_further_effect_gains(simulator):
         assert promises[one] == pytest.approx(worth((0, one)).evidence - now.evidence, abs=1.0)
     rest = worth((1,))
     np.testing.assert_array_equal(np.isfinite(worth.promises(rest)), [True, False, False])
+
+
+@pytest.mark.parametrize("difference", [-4.0, -0.5, 0.0, 1.0, 5.0])
+def test_what_a_candidate_would_be_worth_is_what_it_is_where_the_log_differs_so(simulator, difference):
+    question = question_of_rows(simulator, differences=(0.5, 0.0, 0.0))
+    found = OverStrengths(_logs(question), priors_of(M), {}).gains_of(np.full((2, M), difference))
+    np.testing.assert_array_equal(found[0], found[1])
+    for one in range(M):
+        rows = question.sides[1]
+        moved = replace(rows, target=rows.target + difference * rows.columns[:, K + one])
+        worth = OverStrengths(_logs(replace(question, sides=(question.sides[0], moved))), priors_of(M), {})
+        assert found[0, one] == pytest.approx(worth.losses(worth((one,)))[one], abs=0.5)
 
 
 # Of each joint as many effects, each a candidate too.
@@ -262,7 +216,7 @@ def misfit_question(simulator, seed, *, apart, change=0.0, spread=0.0025, shown=
 
 def named(question):
     worth = OverStrengths(_logs(question), priors_of(EFFECTS), {})
-    return _named(worth, NEEDED)[0]
+    return without_weak(worth.best(NEEDED), worth, NEEDED)[0]
 
 
 @pytest.mark.parametrize("apart", [0.0, pytest.param(0.01, marks=pytest.mark.long), 0.1])
@@ -285,25 +239,20 @@ def test_an_effect_that_changed_alone_is_named_with_its_value(simulator, apart, 
     assert np.mean(np.abs(values - change) <= widths) >= 0.75
 
 
-def test_misfit_of_one_joint_is_no_misfit_of_the_other(simulator):
-    # Of the first joint all effects differ; on the second one changed alone.
+def test_a_change_on_one_joint_is_told_beside_misfit_on_the_other(simulator):
+    # Of the first joint all effects differ; on the second one changed alone, by more.
     question = misfit_question(simulator, 0, apart=0.0)
     step = np.zeros(EFFECTS)
-    step[:EACH], step[EACH + 1] = [1.0, -0.8, 0.9, -1.1, 0.7, -0.9, 0.8, -1.0], 3.0
+    step[:EACH], step[EACH + 1] = [1.0, -0.8, 0.9, -1.1, 0.7, -0.9, 0.8, -1.0], 8.0
     rows = question.sides[1]
     moved = replace(rows, target=rows.target + rows.columns[:, :EFFECTS] @ step)
-    worth = OverStrengths(_logs(replace(question, sides=(question.sides[0], moved))), priors_of(EFFECTS), {})
-    best, _ = _named(worth, NEEDED)
-    assert best.members == (EACH + 1,)
-    places = worth.best_places(best.members)
-    assert places[0] > max(places[1:]) + 1
+    assert named(replace(question, sides=(question.sides[0], moved))).members == (EACH + 1,)
 
 
 def changed(simulator, shown):
     question = misfit_question(simulator, 0, apart=0.0, change=4.0, shown=shown)
     worth = OverStrengths(_logs(question), priors_of(EFFECTS), {})
-    worth.settled(())
-    return question, worth, worth.settled((2,))
+    return question, worth, worth((2,))
 
 
 def test_a_change_that_hangs_on_one_window_is_worth_less_than_none(simulator):
@@ -325,17 +274,11 @@ def test_a_change_that_several_windows_show_is_worth_about_what_it_is(simulator,
 @pytest.mark.parametrize("shown", [[3], [3, 5], range(WINDOWS)])
 def test_no_member_is_worth_more_than_without_any_one_window(simulator, shown):
     question, worth, whole = changed(simulator, shown)
-    logs, known = _logs(question), [worth.best_places(members) for members in ((), (2,))]
+    logs = _logs(question)
     ways = [logs, *logs.shortened()]
-    found = min(
-        max(at(one, places, (2,)) for places in known) - max(at(one, places, ()) for places in known)
-        for one in ways
-    )
-    rooms = [
-        logs.room(places, lambda some, own=own: at(logs, some, own)) for own, places in zip(((), (2,)), known)
-    ]
+    found = min(at_all(one, (2,)) - at_all(one, ()) for one in ways)
     assert len(ways) == 1 + 2 * WINDOWS
-    assert worth.losses(whole)[2] == pytest.approx(found + rooms[1] - rooms[0], abs=0.1)
+    assert worth.losses(whole)[2] == pytest.approx(found, abs=0.1)
 
 
 def test_one_member_that_hangs_on_a_window_takes_nothing_from_another(simulator):
@@ -343,9 +286,7 @@ def test_one_member_that_hangs_on_a_window_takes_nothing_from_another(simulator)
     rows = question.sides[1]
     moved = replace(rows, target=rows.target + 4.0 * rows.columns[:, EACH])
     worth = OverStrengths(_logs(replace(question, sides=(question.sides[0], moved))), priors_of(EFFECTS), {})
-    whole = worth.settled((2, EACH))
-    for members in ((2,), (EACH,)):
-        worth.settled(members)
+    whole = worth((2, EACH))
     plain, found = Weigher.losses(worth, whole), worth.losses(whole)
     assert found[2] < 0 < plain[2]
     assert NEEDED < 0.8 * plain[EACH] < found[EACH] <= plain[EACH]
