@@ -726,9 +726,8 @@ def _different(first: mujoco.MjModel, second: mujoco.MjModel) -> tuple[str, ...]
 
 
 def _same(first: object, second: object) -> bool:
-    return np.array_equal(
-        np.asarray(first), np.asarray(second), equal_nan=np.asarray(first).dtype.kind == "f"
-    )
+    # By bytes, which is several times as fast as by values and holds NaN for equal to itself.
+    return np.asarray(first).tobytes() == np.asarray(second).tobytes()
 
 
 def _value(model: mujoco.MjModel, name: str) -> object:

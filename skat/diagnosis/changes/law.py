@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skat.diagnosis.changes.windows import Windows
+from skat.diagnosis.changes.windows import Quadratic
 from skat.diagnosis.filtering import Array
 from skat.diagnosis.forces.force_space import LEFT_AT_LEAST, NOISE_TURNS, Rows, joined, noise_of
 
@@ -63,40 +63,65 @@ def settled_law(sides: Sequence[Rows]) -> Law:
     noise = noise_of(together, together.target**2, flat=True)
     spread, weights = np.full(k, BEGUN**2), np.r_[np.ones(k), np.full(k, BEGUN**-2)]
     maps = np.eye(k, 2 * k), np.hstack([np.eye(k), np.eye(k)])
+    # Windows of both logs, one behind the other.
+    windows = [
+        (place, np.flatnonzero(mask)[rows.stretch == one])
+        for place, (rows, mask) in enumerate(zip(sides, masks))
+        for one in np.unique(rows.stretch)
+    ]
+    second = np.array([bool(place) for place, _ in windows])
     for turn in range(2 * NOISE_TURNS):
-        squares = np.empty(len(noise))
-        for turn_of_window in range(WINDOW_TURNS):
-            windows = [Windows.of(rows, noise[own]) for rows, own in zip(sides, masks)]
-            one, other = (window.without(spread).whole() for window in windows)
-            both, G1 = one + other, other.products
-            H = np.block([[both.products + np.diag(weights[:k]), G1], [G1, G1 + np.diag(weights[k:])]])
+        parts = [
+            Quadratic.of(together.target[own] / noise[own], together.columns[own] / noise[own, None])
+            for _, own in windows
+        ]
+        G, h = np.array([one.products for one in parts]), np.array([one.projections for one in parts])
+        for _ in range(WINDOW_TURNS):
+            inner = np.linalg.inv(G + np.diag(1 / spread))
+            apart, alone = inner @ G, (inner @ h[:, :, None])[:, :, 0]
+            # Of the rest of each window, with what it has of its own integrated out.
+            rest, right = apart / spread[:, None], alone / spread
+            one, other = rest[~second].sum(axis=0), rest[second].sum(axis=0)
+            H = np.block([[one + other + np.diag(weights[:k]), other], [other, other + np.diag(weights[k:])]])
             law = np.linalg.inv(H)
-            solved = law @ np.r_[both.projections, other.projections]
-            moments, told = np.zeros(k), np.zeros(k)
-            for rows, own, window, map_ in zip(sides, masks, windows, maps):
-                value, cover = map_ @ solved, map_ @ law @ map_.T
-                for one, part in zip(np.unique(rows.stretch), window.parts):
-                    G, h = part.products, part.projections
-                    inner = np.linalg.inv(G + np.diag(1 / spread))
-                    apart = inner @ G
-                    mean = inner @ h - apart @ value
-                    moments += mean**2
-                    told += 1 - (np.diag(inner) + np.sum((apart @ cover) * apart, axis=1)) / spread
-                    if turn_of_window < WINDOW_TURNS - 1:
-                        continue
-                    mine = rows.stretch == one
-                    N = rows.columns[mine] / noise[own][mine, None]
-                    seen = N - N @ apart
-                    lever = np.sum((N @ inner) * N, axis=1) + np.sum((seen @ cover) * seen, axis=1)
-                    left = rows.target[mine] - rows.columns[mine] @ (value + mean)
-                    squares[np.flatnonzero(own)[mine]] = left**2 / np.maximum(1 - lever, LEFT_AT_LEAST)
+            solved = law @ np.r_[right.sum(axis=0), right[second].sum(axis=0)]
+            values, covers = (
+                np.array(each) for each in zip(*((map_ @ solved, map_ @ law @ map_.T) for map_ in maps))
+            )
+            value, cover = values[second.astype(int)], covers[second.astype(int)]
+            means = alone - (apart @ value[:, :, None])[:, :, 0]
+            moments = np.sum(means**2, axis=0)
+            unsure = np.einsum("wii->wi", inner) + np.sum((apart @ cover) * apart, axis=2)
+            told = np.sum(1 - unsure / spread, axis=0)
             # MacKay's fixed point: squares over how many of them the rows tell, and not the law itself.
+            last = inner, apart, value, cover, means
             spread = (moments + PSEUDO * APART_AT_LEAST**2) / (np.maximum(told, 0) + PSEUDO)
             weights = 2 / (1 + solved**2)
+        squares = np.empty(len(noise))
+        for (_, own), *of_window in zip(windows, *last):
+            squares[own] = _squares(together.target[own], together.columns[own], noise[own], *of_window)
         noise = noise_of(together, squares, flat=turn < NOISE_TURNS)
     return Law(
         (noise[first], noise[~first]), spread, weights[:k], solved[:k], maps[1] @ solved, np.zeros((0, k))
     )
+
+
+def _squares(
+    target: Array,
+    columns: Array,
+    noise: Array,
+    inner: Array,
+    apart: Array,
+    value: Array,
+    cover: Array,
+    mean: Array,
+) -> Array:
+    """Return unbiased squares of what a window's values leave of its rows, (n_rows,)."""
+    N = columns / noise[:, None]
+    seen = N - N @ apart
+    lever = np.sum((N @ inner) * N, axis=1) + np.sum((seen @ cover) * seen, axis=1)
+    left = target - columns @ (value + mean)
+    return np.asarray(left**2 / np.maximum(1 - lever, LEFT_AT_LEAST))
 
 
 def with_misfit(sides: Sequence[Rows], law: Law) -> Law:
