@@ -229,11 +229,9 @@ def right(line):
 
 def is_detectable(line, lines):
     """Whether a dose is as large as its untouched halves say that it has to be; None where they were not asked."""
-    machine_and_run = line["case"].split(" | ")[1:3]
+    _, machine, run, *_ = line["case"].split(" | ")
     for other in lines:
-        if (other["what"], other["seed"]) == ("nothing", 0) and other["case"].split(" | ")[
-            1:3
-        ] == machine_and_run:
+        if other["case"] == f"nothing | {machine} | {run} | forth":
             if "detectable" not in other or other["verdict"] != "nothing changed":
                 return None
             ((name, size),) = line["truth"].items()

@@ -377,10 +377,6 @@ class SwiftWeigher(Weigher):
         evidence += float(np.sum(0.5 * (slope * unit) ** 2 + inside))
         return Weighed(members, values, evidence, likelihood, curvature)
 
-    def settled(self, members: Sequence[int]) -> Weighed:
-        """Return what a set is worth, to the end."""
-        return self(members)
-
     def promises(self, now: Weighed) -> Array:
         """Return about by how much each further effect would raise the log posterior odds; -inf of members and rivals.
 

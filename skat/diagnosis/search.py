@@ -256,6 +256,6 @@ def alternatives(best: Weighed, worth: SwiftWeigher, within: float) -> dict[int,
         rest = worth.without(best, one)
         least = best.evidence - rest.evidence - within - UNSURE
         likely = [int(other) for other in np.flatnonzero(worth.promises(rest) > least) if other != one]
-        lost = [(other, best.evidence - worth.settled((*rest.members, other)).evidence) for other in likely]
+        lost = [(other, best.evidence - worth((*rest.members, other)).evidence) for other in likely]
         found[one] = sorted([pair for pair in lost if pair[1] <= within], key=lambda pair: pair[1])
     return found

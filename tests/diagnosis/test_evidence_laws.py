@@ -293,4 +293,3 @@ def test_swift_weighing_comes_to_the_same(low, high, strength):
         assert one.evidence == pytest.approx(other.evidence, abs=0.02)
         np.testing.assert_allclose(one.values, other.values, atol=0.02 * np.max(other.deviations))
         assert one.likelihood == pytest.approx(other.likelihood, abs=0.02)
-        assert swift.settled(members) is one
