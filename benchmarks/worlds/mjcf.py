@@ -50,6 +50,30 @@ CART_POLE = """
 </mujoco>
 """
 
+# A quadrotor of 1.3 kg, arms of .2 m; a rotor's drag turns it about its axis.
+QUADROTOR = """
+<mujoco model="quadrotor">
+  <option timestep="0.002" integrator="implicitfast"/>
+  <worldbody>
+    <body name="frame" pos="0 0 1">
+      <freejoint name="root"/>
+      <inertial pos="0 0 0" mass="1.3" diaginertia="0.012 0.012 0.021"/>
+      <geom type="box" size="0.1 0.1 0.03" contype="0" conaffinity="0"/>
+      <site name="front_left" pos="0.14 0.14 0.03"/>
+      <site name="rear_left" pos="-0.14 0.14 0.03"/>
+      <site name="rear_right" pos="-0.14 -0.14 0.03"/>
+      <site name="front_right" pos="0.14 -0.14 0.03"/>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor name="front_left" site="front_left" gear="0 0 1 0 0 -0.016" ctrllimited="true" ctrlrange="0 9"/>
+    <motor name="rear_left" site="rear_left" gear="0 0 1 0 0 0.016" ctrllimited="true" ctrlrange="0 9"/>
+    <motor name="rear_right" site="rear_right" gear="0 0 1 0 0 -0.016" ctrllimited="true" ctrlrange="0 9"/>
+    <motor name="front_right" site="front_right" gear="0 0 1 0 0 0.016" ctrllimited="true" ctrlrange="0 9"/>
+  </actuator>
+</mujoco>
+"""
+
 # The six links of a UR5e: place of the joint in the link before, its axis, mass kg, centre m, principal inertia kg m2.
 UR5E_LINKS = (
     ("shoulder", (0, 0, 0.163), "0 0 1", 3.761, (0, 0.026, -0.002), (0.0103, 0.0103, 0.00666)),

@@ -19,7 +19,7 @@ A log of one call::
     log.size                                      # s of the whole truth, see Log.size
     log.sigma, log.exact                          # true noise of the ideal sensor; true states of the rows
 
-``mjcf, frame_skip, X, y, groups, truth = robots.as_tuple(log)`` gives the six at once. Robots: two_link, cart_pole,
+``mjcf, frame_skip, X, y, groups, truth = robots.as_tuple(log)`` gives the six at once. Robots: two_link, cart_pole, quadrotor,
 torque_arm, servo_arm, servo_arm_15hz, so101, quadruped_hung, quadruped_free, hopper, halfcheetah, puck, and feedback
 (the two-link arm under feedback of its own noisy readings of a row ago).
 
@@ -60,9 +60,10 @@ class Robot:
         Returns the nominal MJCF.
     frame_skip : int
         Time steps of a row.
-    drive : {"torques", "tracking", "feedback", "servos", "random"}
+    drive : {"torques", "tracking", "feedback", "servos", "random", "hover"}
         Smooth random torques; torques of a controller that tracks a smooth random reference from exact readings, or
-        from noisy ones of a row ago; smooth random targets of servos; random commands that are held for some rows.
+        from noisy ones of a row ago; smooth random targets of servos; random commands that are held for some rows;
+        rotors of a controller that tracks a smooth random place, m, from exact readings.
     amplitude : tuple or float
         Of commands (torques, rad) or of references (rad).
     centre : tuple
@@ -156,6 +157,7 @@ ROBOTS = {
         rows=1500,
         episodes=4,
     ),
+    "quadrotor": Robot(lambda: texts.QUADROTOR, 5, "hover", (0.6, 0.6, 0.4), rate=0.5, rows=1500),
     "hopper": Robot(
         functools.partial(texts.gymnasium_text, "hopper.xml"), 4, "random", 1.0, rows=1000, episodes=20
     ),
@@ -231,6 +233,7 @@ def make_log(
     finer=1,
     noise=NOISE,
     unmodelled=0.0,
+    build=None,
 ):
     """Return a `Log`; see the head of this module.
 
@@ -248,13 +251,15 @@ def make_log(
         Time steps of reality for one of the model.
     noise : float
         Of the ideal sensor, over the spread of each channel.
+    build : callable, optional
+        Of the world: a subclass of `World`, which is the default.
     """
     truth = dict(truth or {})
     kind = ROBOTS[robot]
     rows, episodes = rows or kind.rows, episodes or kind.episodes
     per_episode = rows // episodes
     entropy = [*np.atleast_1d(seed).tolist(), sum(robot.encode())]
-    world = World(robot, truth, finer=finer)
+    world = (build or World)(robot, truth, finer=finer)
     spread, rms = scales(robot)
     # Nobody measures a puck's height to a thousandth of a millimetre.
     sigma = noise / NOISE * np.maximum(NOISE * spread, np.repeat(LEAST_NOISE, len(spread) // 2))
@@ -399,11 +404,13 @@ def run(world, n_rows, rng, forces, errors):
     model, kind = world.model, world.kind
     nominal = nominal_model(kind.text())
     nu, dt = model.nu, world.dt
-    driven = model.actuator_trnid[:, 0]
+    hovers = kind.drive == "hover"
+    driven = np.array([], int) if hovers else model.actuator_trnid[:, 0]
     positions, dofs = model.jnt_qposadr[driven], model.jnt_dofadr[driven]
     centre = np.array(kind.centre) if kind.centre else model.qpos0[positions]
-    smooth = Smooth(rng, nu, kind.rate) if kind.drive != "random" else None
-    amplitude = np.broadcast_to(np.asarray(kind.amplitude, float), nu)
+    n_references = 3 if hovers else nu
+    smooth = Smooth(rng, n_references, kind.rate) if kind.drive != "random" else None
+    amplitude = np.broadcast_to(np.asarray(kind.amplitude, float), n_references)
     limited = model.actuator_ctrllimited.astype(bool)
     low, high = np.where(limited, model.actuator_ctrlrange.T, [[-np.inf], [np.inf]])
     state = start_state(world, rng, smooth, amplitude, centre, positions, dofs)
@@ -421,6 +428,8 @@ def run(world, n_rows, rng, forces, errors):
             command = amplitude * smooth(time)[0]
         elif kind.drive == "servos":
             command = centre + amplitude * smooth(time)[0]
+        elif hovers:
+            command = _hovering(nominal, states[row], *(amplitude * one for one in smooth(time)))
         else:
             late = row - 1 if kind.drive == "feedback" and row else row
             seen = states[late] + (errors[late] if kind.drive == "feedback" else 0.0)
@@ -460,6 +469,28 @@ def _tracking(world, nominal, helper, seen, angle, rate, centre):
     return gravity + inertia * (15.0**2 * error + 1.5 * 15.0 * late) + 0.8 * friction
 
 
+def _hovering(model, state, place, speed):
+    """Return the thrust of each rotor of a quadrotor that tracks a place about that of its model, by the model's mass.
+
+    2 rad/s in place, 12 rad/s in attitude, both critically damped; the thrust is turned to where it is wanted.
+    """
+    q, v = state[:7], state[7:]
+    push = 4.0 * (model.qpos0[:3] + place - q[:3]) + 4.0 * (speed - v[:3]) - model.opt.gravity
+    axes = np.zeros(9)
+    mujoco.mju_quat2Mat(axes, q[3:])
+    axes = axes.reshape(3, 3)
+    mass, inertia = model.body_mass[1], model.body_inertia[1]
+    thrust = mass * push @ axes[:, 2]
+    # About which axis of the frame, and how far, its own z is off; yaw is held.
+    off = axes.T @ np.cross(axes[:, 2], push / np.linalg.norm(push))
+    off[2] = -2 * q[0] * q[6]
+    moment = inertia * (144.0 * off - 24.0 * v[3:])
+    arms = model.actuator_gear[:, 5] / model.actuator_gear[:, 2]
+    places = model.site_pos[model.actuator_trnid[:, 0]]
+    mixer = np.stack([np.ones(model.nu), places[:, 1], -places[:, 0], arms])
+    return np.linalg.solve(mixer, np.r_[thrust, moment])
+
+
 def machine(robot, rng=None, families=("dry_friction", "damping", "armature")):
     """Return what every machine of a kind has and its model lacks: name to value, one per joint and family.
 
@@ -497,7 +528,10 @@ def start_state(world, rng, smooth, amplitude, centre, positions, dofs):
     """Return the state in which an episode begins."""
     model, kind = world.model, world.kind
     qpos, qvel = model.qpos0.copy(), np.zeros(model.nv)
-    if kind.drive in ("tracking", "feedback", "servos"):
+    if kind.drive == "hover":
+        place, rate = smooth(0.0)
+        qpos[:3], qvel[:3] = qpos[:3] + amplitude * place, amplitude * rate
+    elif kind.drive in ("tracking", "feedback", "servos"):
         angle, rate = smooth(0.0)
         qpos[positions], qvel[dofs] = centre + amplitude * angle, amplitude * rate
         if world.is_free:

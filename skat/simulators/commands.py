@@ -80,9 +80,7 @@ class CommandPath:
                     past = history[:, :, late] if history is not None else None
                     acts[:, :, late] = delayed_controls(commands[:, late], past, steps, n_substeps, hold=hold)
         if self.lag.any():
-            step = dt / n_substeps
-            shares = np.array([1 - math.exp(-step / lag) if lag > 0 else 1.0 for lag in self.lag])
-            acts = filtered(acts, starts, shares)
+            acts = filtered(acts, starts, self.lag * n_substeps / dt)
         return acts - np.clip(acts, -self.dead_zone, self.dead_zone)
 
 
@@ -118,17 +116,17 @@ def delayed_controls(
     return delayed
 
 
-def filtered(acts: Array, starts: NDArray[np.intp], shares: Sequence[float] | Array) -> Array:
+def filtered(acts: Array, starts: NDArray[np.intp], lags: Sequence[float] | Array) -> Array:
     """Return what filters of first order, in steady state as each episode begins, make of piecewise constant inputs.
 
-    As MuJoCo's ``filterexact`` with ``actearly``: at the end of each substep.
+    Exactly, the mean over each substep: what acts on something that is much slower.
 
     Parameters
     ----------
     acts : ndarray of shape (n_rows, n_substeps, nu)
     starts : ndarray of shape (n_rows,)
-    shares : sequence of nu floats
-        1 - exp(-step / time constant): of the way that a filter goes in a substep.
+    lags : sequence of nu floats
+        Time constants, in substeps; 0: no filter.
     """
     from scipy.signal import lfilter  # loads slowly, for commands that few models filter
 
@@ -136,10 +134,14 @@ def filtered(acts: Array, starts: NDArray[np.intp], shares: Sequence[float] | Ar
     for start in np.unique(starts):
         rows = np.flatnonzero(starts == start) if len(starts) < 2 else slice(*_span(starts, start))
         path = acts[rows].reshape(-1, acts.shape[2])
-        for column, share in enumerate(shares):
-            if share < 1:
-                first = [(1 - share) * path[0, column]]
-                values, _ = lfilter([share], [1, share - 1], path[:, column], zi=first)
+        for column, lag in enumerate(lags):
+            if lag > 0:
+                # What the filter held as a substep began is left at its end by so much, and in its mean.
+                left = math.exp(-1 / lag)
+                mean = lag * -math.expm1(-1 / lag)
+                ahead = mean * (1 - left) - (1 - mean) * left
+                first = [mean * path[0, column]]
+                values, _ = lfilter([1 - mean, ahead], [1, -left], path[:, column], zi=first)
                 found[rows, :, column] = values.reshape(-1, acts.shape[1])
     return found
 

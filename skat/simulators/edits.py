@@ -230,12 +230,18 @@ def delay_actuators(actuators: Sequence[int], spec: mujoco.MjSpec, delay: float)
 
 
 def filter_commands(actuators: Sequence[int], spec: mujoco.MjSpec, lag: float) -> None:
-    """Put a filter of first order between actuators and their controls, or a slower one in its place."""
-    elements = spec.actuators
+    """Put a filter of first order between actuators and their controls, or a slower one in its place.
+
+    MuJoCo's acts as it is at the end of a time step; its time constant is such that it comes as late, in the mean, as one
+    of which the mean over the step acts.
+    """
+    elements, step = spec.actuators, float(spec.option.timestep)
     for index in actuators:
         actuator = elements[index]
+        own = actuator.dynprm[0] if actuator.actearly else 0.0
+        total = lag + (step / math.expm1(step / own) if own else 0.0)
         actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
-        actuator.dynprm[0] = (actuator.dynprm[0] if actuator.actearly else 0.0) + lag
+        actuator.dynprm[0] = step / math.log1p(step / total) if total else 0.0
         actuator.actearly = True
 
 

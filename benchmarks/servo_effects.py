@@ -1,0 +1,149 @@
+"""What position servos and people do to a robot: lag, play, friction that grows with load, a weight that was put on.
+
+A servo arm like a UR5e, one like an SO-101, a quadruped on its feet and a quadrotor, none of which the engine was made
+with; worlds of plain MuJoCo (`worlds/servos.py`), sensors of 1 % noise, and every family of `ALSO` on offer beside
+what is offered always. Wanted of ten seeds each: nine named, eight alone; a lag of 5 ms right to 20 %, play of .25 and
+1 degree to 25 %, as play or dead zone, a weight to 5 %; friction that grows with load, by the law M4 of an MX-106, not
+called dry; and of a hundred clean logs at most two accused::
+
+    python benchmarks/servo_effects.py --cut
+    python benchmarks/servo_effects.py --cases "so101 | play"     # see tables.py for the rest
+"""
+
+import re
+
+import mujoco
+import numpy as np
+import tables
+from tables import Case, Table
+from worlds.robots import make_log, nominal_model
+from worlds.servos import ServoWorld
+
+ALSO = ("lag", "lag_torque", "dead_zone", "backlash", "payload", "stribeck", "load_friction")
+N_SEEDS, N_CLEAN = 10, 100
+ROWS = 800
+LAG, PLAY = 0.005, {"quarter": np.radians(0.25), "degree": np.radians(1.0)}
+# A joint of each arm that carries something, and where weights go: kg, m in the body's frame.
+JOINTS = {"servo_arm": ("lift", "elbow", "wrist1"), "so101": ("lift", "elbow", "flex")}
+WEIGHTS = {
+    "servo_arm": ("wrist_3", 1.0, {"y": 0.12}),
+    "so101": ("gripper", 0.05, {"x": 0.06}),
+    "quadruped_free": ("trunk", 1.0, {"x": -0.1}),
+    "quadrotor": ("frame", 0.13, {"x": 0.02}),
+}
+# Largest error of a size, as a share.
+RIGHT = {"lag": 0.2, "lag_torque": 0.2, "play": 0.25, "weight": 0.05}
+# What is said of each kind where it is rightly named.
+FAMILIES = {
+    "lag": ("lag",),
+    "lag_torque": ("lag_torque", "lag"),
+    "play": ("backlash", "dead_zone"),
+    "load": ("load_friction",),
+    "weight": ("payload", "mass"),
+}
+# What is part of the same thing: M4 sticks and is viscous, and a weight moves the centre of mass.
+PARTS = {"load": ("stribeck", "damping"), "weight": ("centre_of_mass", "inertia")}
+
+
+def cases(cut):
+    found = []
+    for index in range(1 if cut else N_SEEDS):
+        for robot in ("so101",) if cut else JOINTS:
+            seed = 9700 + index
+            found += [
+                Case(f"{robot} | lag", seed),
+                Case(f"{robot} | lag_torque", seed),
+                *(Case(f"{robot} | play | {width}", seed) for width in PLAY),
+                Case(f"{robot} | load", seed),
+            ]
+        found += [Case(f"{robot} | weight", 9700 + index) for robot in (("so101",) if cut else WEIGHTS)]
+    robots = list(WEIGHTS)
+    for index in range(2 if cut else N_CLEAN):
+        robot = robots[index % 2 if cut else index % len(robots)]
+        found.append(Case(f"{robot} | clean", 9800 + index // len(robots)))
+    return found
+
+
+def truth_of(case):
+    """Return what is hidden."""
+    robot, kind, *which = case.name.split(" | ")
+    if kind == "clean":
+        return {}
+    if kind == "weight":
+        body, mass, place = WEIGHTS[robot]
+        return {f"payload[{body}]": mass, **{f"payload[{body}.{axis}]": at for axis, at in place.items()}}
+    joint = JOINTS[robot][case.seed % len(JOINTS[robot])]
+    return {
+        "lag": {"lag[all]": LAG},
+        "lag_torque": {f"lag_torque[{joint}]": LAG},
+        "play": {f"backlash[{joint}]": PLAY[which[0]] if which else 0.0},
+        "load": {f"mx106[{joint}]": 1.0},
+    }[kind]
+
+
+def run(case, parameters):
+    robot, kind, *_ = case.name.split(" | ")
+    log = make_log(robot, truth_of(case), seed=case.seed, rows=ROWS, build=ServoWorld)
+    simulator = tables.simulator_of(log)
+    offered = [effect.name for effect in simulator.effects(also=ALSO)]
+    answer, _ = tables.ask(
+        simulator, log.X, log.y, log.groups, seed=case.seed, parameters={"effects": offered, **parameters}
+    )
+    model = nominal_model(log.mjcf)
+    masses = {mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, one): model.body_mass[one] for one in range(1, model.nbody)}
+    return {"robot": robot, "kind": kind, "truth": log.truth, "masses": masses, "n_effects": len(offered), **answer}
+
+
+def said(line):
+    """Return the causes that say what is hidden, by name or by an alias: their sizes in its unit."""
+    (name, value), *_ = line["truth"].items()
+    target = re.search(r"\[(.*)\]$", name).group(1)
+    found = {}
+    for cause in line["causes"]:
+        for one in (cause["name"], *(alias for alias, _ in cause["aliases"])):
+            family, _, element = one.rstrip("]").partition("[")
+            if family in FAMILIES[line["kind"]] and element == target:
+                found[cause["name"]] = _size(line, cause, target)
+                break
+    return found, value
+
+
+def _size(line, cause, target):
+    family, value = cause["name"].partition("[")[0], cause["value"]
+    if family == "dead_zone":
+        return 2 * value
+    return (value - 1) * line["masses"][target] if family == "mass" else value
+
+
+def is_named(line):
+    """Whether it is said, and as large as it is."""
+    found, value = said(line)
+    most = RIGHT.get(line["kind"], np.inf)
+    return any(abs(one / value - 1) <= most for one in found.values())
+
+
+def is_alone(line):
+    """Whether nothing else is said but what is part of it."""
+    found, _ = said(line)
+    parts = (*FAMILIES[line["kind"]], *PARTS.get(line["kind"], ()))
+    beside = [cause["name"] for cause in line["causes"] if cause["name"].partition("[")[0] not in parts]
+    return is_named(line) and not [name for name in beside if name not in found]
+
+
+def report(lines, shown):
+    hidden = [line for line in lines if line["kind"] != "clean"]
+    for kind in dict.fromkeys((line["robot"], line["case"].partition(" | ")[2]) for line in hidden):
+        mine = [line for line in hidden if (line["robot"], line["case"].partition(" | ")[2]) == kind]
+        label = ", ".join(kind)
+        shown.share(f"{label}: named, of the right size", map(is_named, mine), ">= 9 of 10")
+        shown.share("... alone", map(is_alone, mine), ">= 8 of 10")
+        errors = [abs(size / value - 1) for found, value in map(said, mine) for size in found.values()]
+        shown.number("... error of its size, as a share", errors)
+    clean = [line for line in lines if line["kind"] == "clean"]
+    shown.share("nothing hidden: alarms", [not tables.silent(line) for line in clean], "<= 2 %")
+
+
+TABLE = Table("servo_effects", cases, run, report)
+
+if __name__ == "__main__":
+    tables.main(TABLE, __doc__)
