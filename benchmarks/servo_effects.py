@@ -90,8 +90,18 @@ def run(case, parameters):
         simulator, log.X, log.y, log.groups, seed=case.seed, parameters={"effects": offered, **parameters}
     )
     model = nominal_model(log.mjcf)
-    masses = {mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, one): model.body_mass[one] for one in range(1, model.nbody)}
-    return {"robot": robot, "kind": kind, "truth": log.truth, "masses": masses, "n_effects": len(offered), **answer}
+    masses = {
+        mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, one): model.body_mass[one]
+        for one in range(1, model.nbody)
+    }
+    return {
+        "robot": robot,
+        "kind": kind,
+        "truth": log.truth,
+        "masses": masses,
+        "n_effects": len(offered),
+        **answer,
+    }
 
 
 def said(line):

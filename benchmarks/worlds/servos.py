@@ -23,7 +23,14 @@ from worlds.robots import World, actuator_names, edited_model
 OWN = ("lag", "lag_torque", "backlash", "payload", "mx106")
 FINER = {"lag_torque": 10, "backlash": 5}
 # Friction of M4, N m; per N m of load; at rest, and how it falls with speed.
-MX106 = {"stribeck": 0.1049, "load": 0.00915, "load_stribeck": 0.2224, "viscous": 0.05096, "speed": 1.6233, "exponent": 1.3235}
+MX106 = {
+    "stribeck": 0.1049,
+    "load": 0.00915,
+    "load_stribeck": 0.2224,
+    "viscous": 0.05096,
+    "speed": 1.6233,
+    "exponent": 1.3235,
+}
 # Time constant s and damping ratio of the ends of play.
 HARD = "0.001 1"
 
@@ -55,7 +62,10 @@ class ServoWorld(World):
             for name, value in self.own.items()
             if name.startswith("lag_torque")
         ]
-        self.gains = {one: (self.real.actuator_gainprm[one, 0], *self.real.actuator_biasprm[one, :3]) for one, _ in self.slow}
+        self.gains = {
+            one: (self.real.actuator_gainprm[one, 0], *self.real.actuator_biasprm[one, :3])
+            for one, _ in self.slow
+        }
         for one, _ in self.slow:
             self.real.actuator_gainprm[one], self.real.actuator_biasprm[one] = 0, 0
         self.loaded = [
@@ -135,7 +145,7 @@ class ServoWorld(World):
 
     def _m4(self, dof):
         v = self.data.qvel[dof]
-        slow = np.exp(-abs(v / MX106["speed"]) ** MX106["exponent"])
+        slow = np.exp(-(abs(v / MX106["speed"]) ** MX106["exponent"]))
         load = MX106["load"] + MX106["load_stribeck"] * slow
         return MX106["viscous"] * abs(v) + MX106["stribeck"] * slow + load * abs(self.load[dof])
 
@@ -157,9 +167,13 @@ def _written(text, own):
         if f"payload[{name}]" in own:
             centre = [float(one) for one in body.find("inertial").get("pos").split()]
             place = [own.get(f"payload[{name}.{axis}]", at) for axis, at in zip("xyz", centre)]
-            weight = ElementTree.SubElement(body, "body", {"name": f"{name}.weight", "pos": " ".join(map(repr, place))})
+            weight = ElementTree.SubElement(
+                body, "body", {"name": f"{name}.weight", "pos": " ".join(map(repr, place))}
+            )
             mass, inertia = own[f"payload[{name}]"], "1e-9 1e-9 1e-9"
-            ElementTree.SubElement(weight, "inertial", {"pos": "0 0 0", "mass": repr(mass), "diaginertia": inertia})
+            ElementTree.SubElement(
+                weight, "inertial", {"pos": "0 0 0", "mass": repr(mass), "diaginertia": inertia}
+            )
     for parent in list(tree.find("worldbody").iter()):
         for body in [one for one in list(parent) if one.tag == "body"]:
             joint = body.find("joint")
@@ -170,14 +184,18 @@ def _written(text, own):
 
 def _loosen(parent, body, joint, play):
     """Put a motor between a body and its parent, and play between motor and body."""
-    motor = ElementTree.Element("body", {"name": f"{body.get('name')}.motor", "pos": body.get("pos", "0 0 0")})
+    motor = ElementTree.Element(
+        "body", {"name": f"{body.get('name')}.motor", "pos": body.get("pos", "0 0 0")}
+    )
     body.set("pos", "0 0 0")
     parent.insert(list(parent).index(body), motor)
     parent.remove(body)
     body.remove(joint)
     if not float(joint.get("armature", 0)):
         raise ValueError(f"{joint.get('name')} has no rotor: play needs one")
-    ElementTree.SubElement(motor, "inertial", {"pos": "0 0 0", "mass": "1e-6", "diaginertia": "1e-9 1e-9 1e-9"})
+    ElementTree.SubElement(
+        motor, "inertial", {"pos": "0 0 0", "mass": "1e-6", "diaginertia": "1e-9 1e-9 1e-9"}
+    )
     motor.append(joint)
     motor.append(body)
     half = float(np.degrees(play / 2))  # as MJCF has it by default

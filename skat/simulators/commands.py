@@ -119,7 +119,9 @@ def delayed_controls(
 def filtered(acts: Array, starts: NDArray[np.intp], lags: Sequence[float] | Array) -> Array:
     """Return what filters of first order, in steady state as each episode begins, make of piecewise constant inputs.
 
-    Exactly, the mean over each substep: what acts on something that is much slower.
+    Solved by the implicit rule of Euler: what acts in a substep comes as late, in the mean, as the time constant says.
+    MuJoCo's ``filterexact`` with ``actearly`` and another time constant is the same, see `edits.filter_commands`; with
+    its own it would come half a substep early, as it acts as it is at the substep's end.
 
     Parameters
     ----------
@@ -136,12 +138,8 @@ def filtered(acts: Array, starts: NDArray[np.intp], lags: Sequence[float] | Arra
         path = acts[rows].reshape(-1, acts.shape[2])
         for column, lag in enumerate(lags):
             if lag > 0:
-                # What the filter held as a substep began is left at its end by so much, and in its mean.
-                left = math.exp(-1 / lag)
-                mean = lag * -math.expm1(-1 / lag)
-                ahead = mean * (1 - left) - (1 - mean) * left
-                first = [mean * path[0, column]]
-                values, _ = lfilter([1 - mean, ahead], [1, -left], path[:, column], zi=first)
+                left = lag / (lag + 1)
+                values, _ = lfilter([1 - left], [1, -left], path[:, column], zi=[left * path[0, column]])
                 found[rows, :, column] = values.reshape(-1, acts.shape[1])
     return found
 
