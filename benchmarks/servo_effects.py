@@ -12,7 +12,6 @@ called dry; and of a hundred clean logs at most two accused::
 
 import re
 
-import mujoco
 import numpy as np
 import tables
 from tables import Case, Table
@@ -90,10 +89,7 @@ def run(case, parameters):
         simulator, log.X, log.y, log.groups, seed=case.seed, parameters={"effects": offered, **parameters}
     )
     model = nominal_model(log.mjcf)
-    masses = {
-        mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, one): model.body_mass[one]
-        for one in range(1, model.nbody)
-    }
+    masses = {model.body(one).name: float(model.body_mass[one]) for one in range(1, model.nbody)}
     return {
         "robot": robot,
         "kind": kind,

@@ -19,9 +19,9 @@ A log of one call::
     log.size                                      # s of the whole truth, see Log.size
     log.sigma, log.exact                          # true noise of the ideal sensor; true states of the rows
 
-``mjcf, frame_skip, X, y, groups, truth = robots.as_tuple(log)`` gives the six at once. Robots: two_link, cart_pole, torque_arm,
-servo_arm, servo_arm_15hz, so101, quadruped_hung, quadruped_free, quadrotor, hopper, halfcheetah, puck, and feedback
-(the two-link arm under feedback of its own noisy readings of a row ago).
+``mjcf, frame_skip, X, y, groups, truth = robots.as_tuple(log)`` gives the six at once. Robots: two_link, cart_pole,
+torque_arm, servo_arm, servo_arm_15hz, so101, quadruped_hung, quadruped_free, quadrotor, hopper, halfcheetah, puck, and
+feedback (the two-link arm under feedback of its own noisy readings of a row ago).
 
 Hidden families: mass, inertia, length, centre_of_mass, gravity, tilt, wind, damping, dry_friction, armature, stiffness,
 gain, kp, kv, offset, contact_friction[all], restitution[all], delay[action], bias, scale.

@@ -232,8 +232,8 @@ def delay_actuators(actuators: Sequence[int], spec: mujoco.MjSpec, delay: float)
 def filter_commands(actuators: Sequence[int], spec: mujoco.MjSpec, lag: float) -> None:
     """Put a filter of first order between actuators and their controls, or a slower one in its place.
 
-    MuJoCo's acts as it is at the end of a time step, half a step early; its time constant is such that it comes as late,
-    in the mean, as is asked for.
+    MuJoCo's acts as it is at the end of a time step, half a step early; its time constant is such that it comes as
+    late, in the mean, as is asked for.
     """
     elements, step = spec.actuators, float(spec.option.timestep)
     for index in actuators:

@@ -70,7 +70,7 @@ def test_lag_is_the_law_of_a_filter_of_first_order():
     states = simulator.rollout(np.zeros((1, 2)), controls, n_steps=50, effects={"lag[m]": lag})[0]
     time = 0.002 * np.arange(46)
     speed = torque / 0.05 * (time - lag * (1 - np.exp(-time / lag)))
-    # As late in the mean as the law says, though steps are finite; between, off by a share of a step that falls with it.
+    # As late in the mean as the law says, though steps are finite; as it begins, off by less than half of one.
     late = time > 3 * lag
     np.testing.assert_allclose(states[5:, 1][late], speed[late], rtol=2e-3)
     np.testing.assert_allclose(states[5:, 1], speed, atol=0.2 * 0.0005 * torque / 0.05)
