@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, ortho_group
 
 from skat.diagnosis.filtering import Array, Chains, Mask
-from skat.simulators import Simulator
+from skat.simulators import Past, Simulator
 from skat.simulators.tables import episode_starts
 
 Places = NDArray[np.intp]
@@ -269,10 +269,10 @@ def linearise(
     simulator, places = space.simulator, space.places
     rows, after = space.rows(path), space.path_ends(path)
     known = None if covariances is None else covariances[:, :-1][places]
-    afresh = slopes is None or (renewed and remembers(simulator, values))
-    if simulator.state_names and afresh:
-        return _assembled(space, path, _sloped(space, rows, after, values, known))
-    (outputs,) = simulator.predict_many(rows, [values], groups=space.groups)
+    past = simulator.past(rows, [values], groups=space.groups)
+    if simulator.state_names and slopes is None:
+        return _assembled(space, path, _sloped(space, rows, after, values, known, past))
+    (outputs,) = simulator.predict_many(rows, [values], past=past)
     if not simulator.state_names or slopes is None:
         return _assembled(space, path, _without_states(outputs, space.d))
     found = _kept(space, slopes, np.where(slopes.valid[:, None], outputs, np.nan))
@@ -280,11 +280,9 @@ def linearise(
         return _assembled(space, path, found)
     anew = ~(slopes.valid & _as_expected(space, slopes, path, outputs, covariances))
     if anew.any():
-        chosen = replace(
-            space, X=space.X[anew], groups=space.groups[anew], places=(places[0][anew], places[1][anew])
-        )
-        part = covariances[:, :-1][chosen.places]
-        found = found.with_rows(anew, _sloped(chosen, rows[anew], after[anew], values, part))
+        part = covariances[:, :-1][places][anew]
+        own = past.of(np.flatnonzero(anew))
+        found = found.with_rows(anew, _sloped(space, rows[anew], after[anew], values, part, own))
     return _assembled(space, path, found)
 
 
@@ -345,32 +343,34 @@ def _without_states(outputs: Array, d: int) -> _ByRow:
 
 
 def _sloped(
-    space: StateSpace, rows: Array, after: Array, values: Mapping[str, float], covariances: Array | None
+    space: StateSpace,
+    rows: Array,
+    after: Array,
+    values: Mapping[str, float],
+    covariances: Array | None,
+    past: Past,
 ) -> _ByRow:
     """Return rows with slopes taken over what is not known of the states that they start from, (n_rows, d, d)."""
     d, n, units = space.d, len(rows), space.spread
     roots = (
         np.tile(np.diag(FIRST_STEP * units), (n, 1, 1)) if covariances is None else _roots(covariances, units)
     )
-    base, up, down = _ends(space, rows, after, values, OUTER * roots)
+    base, up, down = _ends(space, rows, after, values, OUTER * roots, past)
     inverse = np.linalg.inv(roots)
     transitions = ((up - down) / (2 * OUTER)) @ inverse
     far = np.any(np.maximum(np.abs(up), np.abs(down)) > FAR * units[:, None], axis=(1, 2))
     base = np.where(far[:, None], np.nan, base)
     bends, beyond = np.zeros((n, d, d)), np.zeros((n, d))
-    carrier = _joint_carrier(space, rows, values, base, after)
+    carrier = _joint_carrier(space, rows, values, base, after, past)
     if covariances is not None:
         second = up + down
         beyond = second.sum(axis=-1) / (2 * OUTER**2)
         bends = np.einsum("nia,nja->nij", second, second) / (2 * OUTER**4)
         bent = is_bent(transitions, bends, covariances) & ~far
         if bent.any():
-            every = remembers(space.simulator, values)
-            chosen = np.full(n, True) if every else bent
-            part = replace(space, groups=space.groups[chosen])
-            many = _averaged(part, rows[chosen], after[chosen], values, roots[chosen])
-            for own, one in zip((transitions, bends, beyond), many):
-                own[bent] = one[bent[chosen]]
+            own = past.of(np.flatnonzero(bent))
+            many = _averaged(space, rows[bent], after[bent], values, roots[bent], own)
+            transitions[bent], bends[bent], beyond[bent] = many
             transitions[bent] = transitions[bent] @ inverse[bent]
     return _ByRow(
         base, transitions, bends, beyond, rows[:, : len(space.simulator.state_names)], base, carrier
@@ -378,7 +378,7 @@ def _sloped(
 
 
 def _averaged(
-    space: StateSpace, rows: Array, after: Array, values: Mapping[str, float], roots: Array
+    space: StateSpace, rows: Array, after: Array, values: Mapping[str, float], roots: Array, past: Past
 ) -> tuple[Array, Array, Array]:
     """Return slopes by standard normal variables, the covariance of what these leave, and means beyond the centre.
 
@@ -386,7 +386,7 @@ def _averaged(
     """
     d = space.d
     Z = normal_points(d, max(PAIRS, d + 1))
-    _, up, down = _ends(space, rows, after, values, roots @ Z)
+    _, up, down = _ends(space, rows, after, values, roots @ Z, past)
     odd, even = (up - down) / 2, (up + down) / 2
     slopes = odd @ Z.T / Z.shape[1]
     beyond = even.mean(axis=-1)
@@ -413,20 +413,18 @@ def normal_points(d: int, least: int) -> Array:
 
 
 def _ends(
-    space: StateSpace, rows: Array, after: Array, values: Mapping[str, float], offsets: Array
+    space: StateSpace, rows: Array, after: Array, values: Mapping[str, float], offsets: Array, past: Past
 ) -> tuple[Array, Array, Array]:
     """Return where rows end, and by how much off from there if they start displaced by offsets or by their negatives.
 
-    Both are of shape (n_rows, d, k), as `offsets` is.
+    Both are of shape (n_rows, d, k), as `offsets` is. What was before a row is as it was.
     """
     simulator = space.simulator
     moved = [rows]
     for offset in np.moveaxis(offsets, -1, 0):
         moved += [simulator.displace(rows, offset), simulator.displace(rows, -offset)]
-    copies = np.concatenate(
-        [space.groups + copy * (int(space.groups.max()) + 1) for copy in range(len(moved))]
-    )
-    (outputs,) = simulator.predict_many(np.concatenate(moved), [values], groups=copies)
+    copies = past.of(np.tile(np.arange(len(rows)), len(moved)))
+    (outputs,) = simulator.predict_many(np.concatenate(moved), [values], past=copies)
     outputs = outputs.reshape(len(moved), len(rows), -1)
     safe = _finite(outputs[0], after)
     off = np.stack([simulator.residual(_finite(one, safe), safe) for one in outputs[1:]], axis=-1)
@@ -453,7 +451,7 @@ def is_bent(transitions: Array, bends: Array, covariances: Array, share: float =
 
 
 def _joint_carrier(
-    space: StateSpace, rows: Array, values: Mapping[str, float], base: Array, safe: Array
+    space: StateSpace, rows: Array, values: Mapping[str, float], base: Array, safe: Array, past: Past
 ) -> Array | None:
     """Return the derivative of the next state by a force on each joint, (n_rows, d, n_forces)."""
     forces = [effect for effect, _ in space.simulator.joint_forces()]
@@ -461,7 +459,7 @@ def _joint_carrier(
         return None
     sizes = [SMALL_FORCE * effect.bounds[1] for effect in forces]
     candidates = [{**values, effect.name: size} for effect, size in zip(forces, sizes)]
-    outputs = space.simulated(rows, candidates)
+    outputs = space.simulator.predict_many(rows, candidates, past=past.under([0] * len(candidates)))
     base = _finite(base, safe)
     columns = [space.simulator.residual(_finite(one, base), base) / size for one, size in zip(outputs, sizes)]
     return np.stack(columns, axis=-1)
@@ -533,19 +531,17 @@ def _mean_derivative(
     """Return the derivative by a parameter in bent rows, the mean over what is not known of where they start."""
     simulator, units = space.simulator, space.spread
     candidates = [{**values, name: end} for end in ends]
-    every = any(remembers(simulator, one) for one in candidates)
-    chosen = np.full(len(rows), True) if every else bent
-    roots = _roots(known[chosen], units)
-    sums, numbers = np.zeros((int(chosen.sum()), space.d)), np.zeros(int(chosen.sum()))
+    past = simulator.past(rows, candidates, groups=space.groups).of(np.flatnonzero(bent))
+    roots = _roots(known[bent], units)
+    sums, numbers = np.zeros((int(bent.sum()), space.d)), np.zeros(int(bent.sum()))
     # Of one turn of the axes so many points are as good as any.
     for point in normal_points(space.d, SLOPE_PAIRS)[:, :SLOPE_PAIRS].T:
         for offset in (roots @ point, -roots @ point):
-            moved = simulator.displace(rows[chosen], offset)
-            low, high = simulator.predict_many(moved, candidates, groups=space.groups[chosen])
+            low, high = simulator.predict_many(simulator.displace(rows[bent], offset), candidates, past=past)
             fine = np.isfinite(low).all(axis=1) & np.isfinite(high).all(axis=1)
             sums[fine] += simulator.residual(high[fine], low[fine])
             numbers += fine
-    slopes: Array = sums[bent[chosen]] / np.maximum(numbers[bent[chosen], None], 1) / (ends[1] - ends[0])
+    slopes: Array = sums / np.maximum(numbers[:, None], 1) / (ends[1] - ends[0])
     return slopes
 
 
@@ -554,11 +550,6 @@ def _roots(covariances: Array, units: Array) -> Array:
     variances, axes = np.linalg.eigh(covariances / (units[:, None] * units))
     roots: Array = axes * units[:, None] * np.sqrt(np.clip(variances, SMALLEST_STEP**2, 1.0))[:, None]
     return roots
-
-
-def remembers(simulator: Simulator, values: Mapping[str, float]) -> bool:
-    """Whether a row of the simulation depends on the rows before it."""
-    return bool(simulator.n_lags(values)) or bool(simulator.extended(values).hidden_state_names)
 
 
 def moved_path(space: StateSpace, path: Array, deviations: Array) -> Array:

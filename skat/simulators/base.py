@@ -3,7 +3,7 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Self, TypeVar
 
 import numpy as np
@@ -159,7 +159,12 @@ class Simulator(BaseEstimator, ABC):
         return outputs
 
     def predict_many(
-        self, X: ArrayLike, candidates: Sequence[Mapping[str, float]], *, groups: ArrayLike | None = None
+        self,
+        X: ArrayLike,
+        candidates: Sequence[Mapping[str, float]],
+        *,
+        groups: ArrayLike | None = None,
+        past: "Past | None" = None,
     ) -> Array:
         """Simulate each row under each candidate set of effect values.
 
@@ -169,6 +174,8 @@ class Simulator(BaseEstimator, ABC):
         candidates : sequence of mappings from name to value
         groups : array-like of shape (n_rows,), optional
             As in `predict`.
+        past : Past, optional
+            What these rows have of those before them, as `past` returns it, in place of what `groups` says.
 
         Returns
         -------
@@ -180,41 +187,75 @@ class Simulator(BaseEstimator, ABC):
         outputs = np.empty((len(totals), len(inputs), len(self.output_names)))
         if not totals or not len(inputs):
             return outputs
+        past = self._past(inputs, totals, groups) if past is None else past
+        for kind, which in self._by_memory(totals):
+            some, before = [totals[index] for index in which], past.under(which)
+            true = self._true(inputs, some)
+            if kind:
+                found = _Carried(self, some, before).step(true, before.acting, np.arange(len(inputs)))
+            else:
+                found = self._outputs(true, [self._physical(one) for one in some], before.acting, None)[0]
+            outputs[which] = self._measured(found, some)
+        return outputs
+
+    def past(
+        self, X: ArrayLike, candidates: Sequence[Mapping[str, float]], *, groups: ArrayLike | None = None
+    ) -> "Past":
+        """Return what each row has of the rows before it under each candidate: with it, rows do not need each other.
+
+        Parameters
+        ----------
+        X, candidates, groups
+            As in `predict_many`.
+        """
+        inputs = checked_columns(X, self.input_names, "X")
+        return self._past(inputs, [self._total(values) for values in candidates], groups)
+
+    def _past(self, inputs: Array, totals: Sequence[Mapping[str, float]], groups: ArrayLike | None) -> "Past":
         starts = episode_starts(groups, len(inputs))
+        acting = self._acting(self._actions(inputs), starts, [self._physical(one) for one in totals])
+        found = self._steady(totals, len(inputs), acting)
+        times = np.arange(len(inputs)) - starts
+        for kind, which in self._by_memory(totals):
+            if kind:
+                some = [totals[index] for index in which]
+                self._carry_along(self._true(inputs, some), some, found.under(which), times)
+        return found
+
+    def _steady(
+        self, totals: Sequence[Mapping[str, float]], n_rows: int, acting: Sequence[Acting] = ()
+    ) -> "Past":
+        """Return the past of rows whose hidden states are steady."""
+        widths = [
+            (len(self._own_hidden_names(self._physical(total))), len(self._lagging(total)))
+            for total in totals
+        ]
+        hidden, ahead = (tuple(np.full((n_rows, one[k]), np.nan) for one in widths) for k in (0, 1))
+        return Past(tuple(acting), hidden, ahead)
+
+    def _by_memory(self, totals: Sequence[Mapping[str, float]]) -> Iterator[tuple[bool, NDArray[np.intp]]]:
+        """Yield whether candidates have hidden states, and which do or do not."""
         n_hidden = np.array([self._n_hidden(total) for total in totals])
         for kind in np.unique(n_hidden > 0):
-            which = np.flatnonzero((n_hidden > 0) == kind)
-            some = [totals[index] for index in which]
-            repeated = np.broadcast_to(inputs, (len(some), *inputs.shape))
-            true = self._true_inputs(repeated, some) if self.state_names else repeated
-            acting = self._acting(self._actions(inputs), starts, [self._physical(one) for one in some])
-            simulate = self._carried_along if kind else self._simulated
-            outputs[which] = self._measured(simulate(true, some, acting, starts), some)
-        return outputs
+            yield bool(kind), np.flatnonzero((n_hidden > 0) == kind)
 
-    def _simulated(
-        self, inputs: Array, totals: Sequence[Mapping[str, float]], acting: Sequence[Acting], starts: Any
-    ) -> Array:
-        """Return the outputs of rows that hold the whole state."""
-        return self._outputs(inputs, [self._physical(total) for total in totals], acting, None)[0]
+    def _true(self, inputs: Array, totals: Sequence[Mapping[str, float]]) -> Array:
+        repeated = np.broadcast_to(inputs, (len(totals), *inputs.shape))
+        return self._true_inputs(repeated, totals) if self.state_names else repeated
 
-    def _carried_along(
-        self,
-        inputs: Array,
-        totals: Sequence[Mapping[str, float]],
-        acting: Sequence[Acting],
-        starts: NDArray[np.intp],
-    ) -> Array:
-        """Return the outputs of rows in the order of time, each with the hidden state that the one before left."""
-        outputs = np.empty((*inputs.shape[:2], len(self.output_names)))
-        times = np.arange(len(starts)) - starts
-        order = np.argsort(times, kind="stable")
-        carried = _Carried(self, totals, int(np.count_nonzero(times == 0)))
-        episodes = np.unique(starts, return_inverse=True)[1]
+    def _carry_along(
+        self, inputs: Array, totals: Sequence[Mapping[str, float]], past: "Past", times: NDArray[np.intp]
+    ) -> None:
+        """Simulate rows in the order of time, and write what each leaves into the past of the next one."""
+        order, has_next = np.argsort(times, kind="stable"), np.r_[np.diff(times) == 1, False]
         for rows in np.split(order, np.flatnonzero(np.diff(times[order])) + 1):
-            now = [None if one is None else tuple(part[rows] for part in one) for one in acting]
-            outputs[:, rows] = carried.step(inputs[:, rows], now, episodes[rows])
-        return outputs
+            now = past.of(rows)
+            carried = _Carried(self, totals, now)
+            carried.step(inputs[:, rows], now.acting, np.arange(len(rows)))
+            followed = np.flatnonzero(has_next[rows])
+            for mine, left in ((past.hidden, carried.hidden), (past.ahead, carried.ahead)):
+                for one, other in zip(mine, left):
+                    one[rows[followed] + 1] = other[followed]
 
     def rollout(
         self,
@@ -306,7 +347,7 @@ class Simulator(BaseEstimator, ABC):
             None if one is None else tuple(part.reshape(n_episodes, n_rows, *part.shape[1:]) for part in one)
             for one in acting
         ]
-        carried = _Carried(self, totals, n_episodes)
+        carried = _Carried(self, totals, self._steady(totals, n_episodes))
         for step in range(n_before):
             rows = np.broadcast_to(earlier[:, step], (len(totals), *earlier[:, step].shape))
             now = [None if one is None else tuple(part[:, step] for part in one) for one in by_step]
@@ -569,31 +610,56 @@ def is_sensor(name: str) -> bool:
     return name.startswith(("bias[", "scale[")) and not name.partition("[")[2].startswith("ctrl.")
 
 
+@dataclass(frozen=True)
+class Past:
+    """What rows have of the rows before them, an entry for each candidate.
+
+    Attributes
+    ----------
+    acting : tuple of None or tuple of ndarray of shape (n_rows, n_substeps, n_actions)
+        What acts of the commands in each substep; None: those of the row.
+    hidden : tuple of ndarray of shape (n_rows, n_hidden)
+        States that the rows do not hold, as each begins; NaN: steady.
+    ahead : tuple of ndarray of shape (n_rows, n_lagging)
+        By how much the truth is ahead of what a sensor's filter shows; NaN: steady.
+    """
+
+    acting: tuple["Acting", ...]
+    hidden: tuple[Array, ...]
+    ahead: tuple[Array, ...]
+
+    def of(self, rows: NDArray[np.intp]) -> "Past":
+        """Return that of some rows, in their order; a row may be there more than once."""
+        acting = tuple(None if one is None else tuple(part[rows] for part in one) for one in self.acting)
+        return Past(acting, tuple(one[rows] for one in self.hidden), tuple(one[rows] for one in self.ahead))
+
+    def under(self, candidates: Sequence[int] | NDArray[np.intp]) -> "Past":
+        """Return that under some candidates, in their order."""
+        acting, hidden = [self.acting[one] for one in candidates], [self.hidden[one] for one in candidates]
+        return Past(tuple(acting), tuple(hidden), tuple(self.ahead[one] for one in candidates))
+
+
 class _Carried:
     """The hidden states of candidates, an entry for each episode, carried from row to row.
 
     A sensor's filter hides how far the truth is ahead of what it reads.
     """
 
-    def __init__(self, simulator: Simulator, totals: Sequence[Mapping[str, float]], n_episodes: int):
+    def __init__(self, simulator: Simulator, totals: Sequence[Mapping[str, float]], begin: Past):
         self._simulator = simulator
         self._physical = [simulator._physical(total) for total in totals]
         self._lagging = [simulator._lagging(total) for total in totals]
-        self._hidden = [
-            np.full((n_episodes, len(simulator._own_hidden_names(values))), np.nan)
-            for values in self._physical
-        ]
-        self._ahead = [np.full((n_episodes, len(lags)), np.nan) for lags in self._lagging]
+        self.hidden, self.ahead = ([one.copy() for one in part] for part in (begin.hidden, begin.ahead))
 
     def step(self, inputs: Array, acting: Sequence[Acting], episodes: NDArray[np.intp]) -> Array:
         """Return the outputs of one row of each of these episodes, as sensors without a bias read them."""
         simulator, dt = self._simulator, float(self._simulator.dt or math.nan)
-        before = [hidden[episodes] for hidden in self._hidden]
+        before = [hidden[episodes] for hidden in self.hidden]
         if not any(self._lagging):
             outputs, after = simulator._outputs(inputs, self._physical, acting, before)
         else:
             read, true = inputs, np.array(inputs)
-            ahead = [one[episodes] for one in self._ahead]
+            ahead = [one[episodes] for one in self.ahead]
             if any(np.isnan(one).any() for one in ahead):
                 # A steady state: the filter lags what moves at a constant speed by its time constant.
                 ended = simulator._outputs(true, self._physical, acting, before)[0]
@@ -611,9 +677,9 @@ class _Carried:
                     left = math.exp(-dt / lag)
                     speed = (outputs[index, :, column] - true[index, :, column]) / dt
                     now = lag * speed * (1 - left) + ahead[index][:, place] * left
-                    self._ahead[index][episodes, place] = np.nan_to_num(now)
+                    self.ahead[index][episodes, place] = np.nan_to_num(now)
                     outputs[index, :, column] -= now
-        for kept, one in zip(self._hidden, after):
+        for kept, one in zip(self.hidden, after):
             kept[episodes] = one
         return outputs
 

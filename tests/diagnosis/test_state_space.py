@@ -15,7 +15,6 @@ from skat.diagnosis.statespace import (
     guessed,
     in_chains,
     linearise,
-    remembers,
     state_space,
     tangent_mask,
 )
@@ -372,14 +371,29 @@ def test_slopes_of_another_fit_are_kept_where_they_are_not_to_be_renewed():
     )
 
 
-def test_a_simulation_remembers_where_commands_come_late_and_else_not():
-    simulator = MujocoSimulator(
-        "<mujoco><worldbody><body><joint name='a'/><geom size='.1' pos='.1 0 0'/></body></worldbody>"
-        "<actuator><motor joint='a'/></actuator></mujoco>",
-        frame_skip=5,
-    )
-    assert not remembers(simulator, {})
-    assert remembers(simulator, {"delay[action]": 2 * simulator.dt})
+ARM = """
+<mujoco><worldbody><body><joint name="a" armature=".01" frictionloss=".05"/>
+<geom size=".1" mass="1" pos=".1 0 0"/></body>
+</worldbody><actuator><position name="a" joint="a" kp="20"/></actuator></mujoco>
+"""
+
+
+@pytest.mark.parametrize("values", [{"lag[a]": 0.03}, {"delay[action]": 0.013}, {"lag_torque[a]": 0.02}])
+def test_rows_that_are_taken_anew_are_those_of_a_whole_log_whatever_they_remember(values):
+    simulator = MujocoSimulator(ARM, frame_skip=5)
+    rng = np.random.default_rng(0)
+    commands = np.cumsum(rng.normal(scale=0.1, size=(1, 40, 1)), axis=1)
+    states = simulator.rollout(np.zeros((1, 2)), commands, n_steps=40, effects=values)[0]
+    X, y = np.column_stack([states[:-1], commands[0]]), states[1:]
+    space = state_space(simulator, X, y, np.zeros(40, dtype=int), consecutive=True)
+    covariances = np.tile(np.diag([1e-6, 1e-4]), (*space.measured.shape[:2], 1, 1))
+    whole = linearise(space, space.measured, values, covariances)
+    np.testing.assert_allclose(whole.outputs, y, atol=1e-9)
+    # Slopes from elsewhere: all that stick or have begun to slide are taken anew, in a log that is not whole.
+    other = linearise(space, space.measured, {"damping[a]": 0.3, **values}, covariances)
+    again = linearise(space, space.measured, values, covariances, slopes=other, renewed=True)
+    np.testing.assert_allclose(again.outputs, y, atol=1e-9)
+    np.testing.assert_allclose(again.chains.transitions, whole.chains.transitions, atol=1e-2)
 
 
 # -- noise -----------------------------------------------------------------------------------------------------------
