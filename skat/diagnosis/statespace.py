@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, ortho_group
 
 from skat.diagnosis.filtering import Array, Chains, Mask
-from skat.simulators import Past, Simulator
+from skat.simulators import Simulator
+from skat.simulators.base import Past
 from skat.simulators.tables import episode_starts
 
 Places = NDArray[np.intp]
