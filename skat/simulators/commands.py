@@ -134,7 +134,7 @@ def filtered(acts: Array, starts: NDArray[np.intp], lags: Sequence[float] | Arra
 
     found = np.array(acts)
     for start in np.unique(starts):
-        rows = np.flatnonzero(starts == start) if len(starts) < 2 else slice(*_span(starts, start))
+        rows = slice(*_span(starts, start))
         path = acts[rows].reshape(-1, acts.shape[2])
         for column, lag in enumerate(lags):
             if lag > 0:

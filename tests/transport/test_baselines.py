@@ -6,6 +6,7 @@ import pytest
 import scipy.linalg
 
 from skat import CORAL, AffineTransport, ExactTransport, IdentityTransport
+from skat.transport.baselines import KernelAlignment
 
 
 def samples(n_source=40, n_target=30):
@@ -73,3 +74,16 @@ def test_exact_transport_heeds_weights():
     exact = ExactTransport().fit(X, y, sample_weight=([3, 1], [1, 1]))
     np.testing.assert_allclose(exact.coupling_, [[0.5, 0.25], [0.0, 0.25]], atol=1e-12)
     np.testing.assert_allclose(exact.transform(X), [[2 / 3], [2.0]], atol=1e-12)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_kernel_alignment_refuses_one_value_that_is_not_finite(value):
+    X, y = samples()
+    broken = y.copy()
+    broken[3, 0] = value
+    with pytest.raises(ValueError, match="y"):
+        KernelAlignment().fit(X, broken)
+    with pytest.raises(ValueError, match="X"):
+        KernelAlignment(n_components=10).fit(X, y).transform(
+            np.where(np.arange(len(X))[:, None] == 2, value, X)
+        )
