@@ -31,6 +31,7 @@ HUGE = 1e10  # MuJoCo's own limit of a state that is not divergent
 INTEGRATOR, MUSCLE = int(mujoco.mjtDyn.mjDYN_INTEGRATOR), int(mujoco.mjtDyn.mjDYN_MUSCLE)
 FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT), MUSCLE)
 JOINT_TRANSMISSION = int(mujoco.mjtTrn.mjTRN_JOINT)
+LIMITS = ("actuator_ctrlrange", "actuator_ctrllimited", "actuator_forcerange", "actuator_forcelimited")
 
 _left_to_other_processes: list[object] = []
 
@@ -513,6 +514,7 @@ class _ForcedPool(_Pool):
     def __init__(self, model: mujoco.MjModel, size: int):
         super().__init__(model, size)
         self._fields: dict[str, Array] = {}
+        self._limits: dict[str, Array] = {}
 
     def _set_models(self, models: list[mujoco.MjModel], which: np.ndarray) -> None:
         for name in sorted({name for model in models for name in _different(self.model, model)}):
@@ -573,6 +575,7 @@ class _ForcedPool(_Pool):
         own = {name: self._own(name) for kind in changed if kind in kinds for name in changed[kind]}
         for name in own:
             self._field(name)[:count] = own[name]
+        self._limits = {name: self._own(name) for name in LIMITS} if "torque_lags" in kinds else {}
         bound = {
             "drag": ("cvel", "xipos", "subtree_com"),
             "load": ("qfrc_bias", "qfrc_spring", "qfrc_actuator"),
@@ -635,7 +638,7 @@ class _ForcedPool(_Pool):
         """
         at, count = laws.lagging, self.count
         lengths, speeds = seen["actuator_length"][:count], seen["actuator_velocity"][:count]
-        free, wanted = _forces_of(self._own, own, self.ctrl[:count], lengths, speeds)
+        free, wanted = _forces_of(self._limits, own, self.ctrl[:count], lengths, speeds)
         if "speed_slopes" in laws.kinds:
             low, high = np.moveaxis(self._field("actuator_forcerange")[:count], 2, 0)
             wanted = np.where(laws.slopes > 0, np.clip(wanted, low, high), wanted)
@@ -675,15 +678,15 @@ def _weighted(model: mujoco.MjModel, entries: Array, accelerations: Array) -> Ar
 
 
 def _forces_of(
-    own: Callable[[str], Array], parameters: dict[str, Array], controls: Array, length: Array, speed: Array
+    own: dict[str, Array], parameters: dict[str, Array], controls: Array, length: Array, speed: Array
 ) -> tuple[Array, Array]:
     """Return the force (n_rows, nu) of actuators that are affine in length and speed, and the same within limits."""
     gain, bias = parameters["actuator_gainprm"], parameters["actuator_biasprm"]
-    limits, limited = own("actuator_ctrlrange"), own("actuator_ctrllimited")
+    limits, limited = own["actuator_ctrlrange"], own["actuator_ctrllimited"]
     controls = np.where(limited, np.clip(controls, limits[..., 0], limits[..., 1]), controls)
     force = (gain[..., 0] + gain[..., 1] * length + gain[..., 2] * speed) * controls
     force = force + bias[..., 0] + bias[..., 1] * length + bias[..., 2] * speed
-    limits, limited = own("actuator_forcerange"), own("actuator_forcelimited")
+    limits, limited = own["actuator_forcerange"], own["actuator_forcelimited"]
     return force, np.where(limited, np.clip(force, limits[..., 0], limits[..., 1]), force)
 
 
