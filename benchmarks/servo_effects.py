@@ -40,8 +40,14 @@ FAMILIES = {
     "load": ("load_friction",),
     "weight": ("payload", "mass"),
 }
-# What is part of the same thing: M4 sticks and is viscous, and a weight moves the centre of mass.
-PARTS = {"load": ("stribeck", "damping"), "weight": ("centre_of_mass", "inertia")}
+# What is part of the same thing: M4 sticks and is viscous, a weight moves the centre of mass, and worlds of torque that
+# lags and of play go in finer steps than the model.
+PARTS = {
+    "load": ("stribeck", "damping"),
+    "weight": ("centre_of_mass", "inertia"),
+    "lag_torque": ("timestep",),
+    "play": ("timestep",),
+}
 
 
 def cases(cut):
