@@ -22,8 +22,10 @@ ALSO = ("lag", "lag_torque", "dead_zone", "backlash", "payload", "stribeck", "lo
 N_SEEDS, N_CLEAN = 10, 100
 ROWS = 800
 LAG, PLAY = 0.005, {"quarter": np.radians(0.25), "degree": np.radians(1.0)}
-# A joint of each arm that carries something, and where weights go: kg, m in the body's frame.
+# A joint of each arm that carries something; one whose motor presses on either flank, as where gravity keeps it on one
+# play is an offset; and where weights go: kg, m in the body's frame.
 JOINTS = {"servo_arm": ("lift", "elbow", "wrist1"), "so101": ("lift", "elbow", "flex")}
+LOOSE = {"servo_arm": ("pan", "elbow", "wrist2"), "so101": ("pan", "lift", "roll")}
 WEIGHTS = {
     "servo_arm": ("wrist_3", 1.0, {"y": 0.12}),
     "so101": ("gripper", 0.05, {"x": 0.06}),
@@ -77,7 +79,7 @@ def truth_of(case):
     if kind == "weight":
         body, mass, place = WEIGHTS[robot]
         return {f"payload[{body}]": mass, **{f"payload[{body}.{axis}]": at for axis, at in place.items()}}
-    joint = JOINTS[robot][case.seed % len(JOINTS[robot])]
+    joint = (LOOSE if kind == "play" else JOINTS)[robot][case.seed % 3]
     return {
         "lag": {"lag[all]": LAG},
         "lag_torque": {f"lag_torque[{joint}]": LAG},

@@ -119,9 +119,7 @@ def delayed_controls(
 def filtered(acts: Array, starts: NDArray[np.intp], lags: Sequence[float] | Array) -> Array:
     """Return what filters of first order, in steady state as each episode begins, make of piecewise constant inputs.
 
-    Solved by the implicit rule of Euler: what acts in a substep comes as late, in the mean, as the time constant says.
-    MuJoCo's ``filterexact`` with ``actearly`` and another time constant is the same, see `edits.filter_commands`; with
-    its own it would come half a substep early, as it acts as it is at the substep's end.
+    Exactly, the mean over each substep: what something much slower feels. MuJoCo's ``actearly`` has the substep's end.
 
     Parameters
     ----------
@@ -138,8 +136,10 @@ def filtered(acts: Array, starts: NDArray[np.intp], lags: Sequence[float] | Arra
         path = acts[rows].reshape(-1, acts.shape[2])
         for column, lag in enumerate(lags):
             if lag > 0:
-                left = lag / (lag + 1)
-                values, _ = lfilter([1 - left], [1, -left], path[:, column], zi=[left * path[0, column]])
+                # Of what the filter held as a substep began, so much is left at its end, and in its mean.
+                left, mean = math.exp(-1 / lag), lag * -math.expm1(-1 / lag)
+                weights = [1 - mean, mean * (1 - left) - (1 - mean) * left]
+                values, _ = lfilter(weights, [1, -left], path[:, column], zi=[mean * path[0, column]])
                 found[rows, :, column] = values.reshape(-1, acts.shape[1])
     return found
 
