@@ -1,3 +1,4 @@
+import functools
 import importlib
 import sys
 from pathlib import Path
@@ -17,6 +18,13 @@ def worlds():
 def cases():
     """What the benchmark hides in the worlds."""
     return _import("worlds.cases")
+
+
+@pytest.fixture(scope="session")
+def servo_log():
+    """Return a log of a robot with what servos and people do to it: ``servo_log(robot, truth, **settings)``."""
+    robots, servos = _import("worlds.robots"), _import("worlds.servos")
+    return functools.partial(robots.make_log, build=servos.ServoWorld)
 
 
 def _import(name):
