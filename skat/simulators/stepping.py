@@ -392,15 +392,13 @@ class _Pool:
             self._load_plays(hidden[:, na + lagging :].reshape(count, len(plays), 2), widths)
 
     def _load_plays(self, hidden: Array, widths: Array) -> None:
-        """Set the motors: where they were, or, in a steady state, at the flank that they press on."""
+        """Set the motors: where they were, or, as without play, at the flank that they press on."""
         count, unknown = self.count, np.isnan(hidden[:, :, 0])
         for play in self.plays:
             self.qpos[:count, play.play], self.qvel[:count, play.play_dof] = 0, 0
         pressed = np.zeros((count, len(self.plays)))
         if unknown.any():
-            torque = self.batch.bind("qfrc_actuator")
-            self._forward(mujoco.mjtStage.mjSTAGE_ACC)
-            pressed = -np.sign(torque[:count][:, [play.joint_dof for play in self.plays]])
+            pressed = -np.sign(self._carried_by_plays())
             self.warm[:count] = 0
         for index, play in enumerate(self.plays):
             place = np.where(unknown[:, index], pressed[:, index] * widths[:, index] / 2, hidden[:, index, 0])
@@ -408,6 +406,19 @@ class _Pool:
             self.qpos[:count, play.play], self.qvel[:count, play.play_dof] = place, speed
             self.qpos[:count, play.joint] -= place
             self.qvel[:count, play.joint_dof] -= speed
+
+    def _carried_by_plays(self) -> Array:
+        """Return the force that goes from each motor to its link if these move as one, (n_rows, n_plays)."""
+        bound = [self.batch.bind(name) for name in ("M", "qfrc_smooth", "qfrc_constraint")]
+        self._forward(mujoco.mjtStage.mjSTAGE_ACC)
+        entries, smooth, constraint = (values[: self.count] for values in bound)
+        inertia = _dense(self.model, entries)
+        loose = [play.play_dof for play in self.plays]
+        rigid = [dof for dof in range(self.model.nv) if dof not in loose]
+        forces = (smooth + constraint)[:, rigid, None]
+        moved = np.linalg.solve(inertia[np.ix_(range(self.count), rigid, rigid)], forces)
+        carried: Array = (inertia[np.ix_(range(self.count), loose, rigid)] @ moved)[..., 0] - smooth[:, loose]
+        return carried
 
     def _seen(self) -> tuple[list[int], list[int]]:
         """Return the columns of qpos and qvel that the rows hold."""
@@ -460,7 +471,8 @@ class _Pool:
         bound = [self.batch.bind(name) for name in ("M", "qfrc_smooth")]
         self._forward(mujoco.mjtStage.mjSTAGE_ACC)
         entries, acting = (values[: self.count] for values in bound)
-        return _weighted(self.model, entries, accelerations) - acting, self._dry_friction()
+        forces = (_dense(self.model, entries) @ accelerations[..., None])[..., 0]
+        return forces - acting, self._dry_friction()
 
     def constrained(self) -> NDArray[np.bool_]:
         """Return in which rows a constraint exerts a force."""
@@ -666,15 +678,12 @@ def _alike(jobs: Sequence[Job]) -> list[list[int]]:
     return list(together.values())
 
 
-def _weighted(model: mujoco.MjModel, entries: Array, accelerations: Array) -> Array:
-    """Return M a of rows from the lower triangles (n_rows, nC) of their mass matrices."""
+def _dense(model: mujoco.MjModel, entries: Array) -> Array:
+    """Return the mass matrices (n_rows, nv, nv) of rows from their lower triangles (n_rows, nC)."""
     rows, columns = np.repeat(np.arange(model.nv), model.M_rownnz), model.M_colind
-    forces = np.zeros_like(accelerations)
-    for place, (row, column) in enumerate(zip(rows, columns)):
-        forces[:, row] += entries[:, place] * accelerations[:, column]
-        if row != column:
-            forces[:, column] += entries[:, place] * accelerations[:, row]
-    return forces
+    found = np.zeros((len(entries), model.nv, model.nv))
+    found[:, rows, columns] = found[:, columns, rows] = entries
+    return found
 
 
 def _forces_of(

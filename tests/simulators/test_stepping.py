@@ -9,18 +9,19 @@ import pytest
 from skat.simulators import MujocoSimulator, stepping
 from skat.simulators.friction import NEUTRAL, budget, creep
 from skat.simulators.stepping import (
+    LIMITS,
     Forces,
     Job,
     Play,
     Rest,
     Stepper,
     _alike,
+    _dense,
     _different,
     _forces_of,
     _rigid_parts,
     _sizes,
     _thread_count,
-    _weighted,
     steady_activations,
 )
 
@@ -157,8 +158,8 @@ def test_a_mass_matrix_times_accelerations_is_that_of_the_full_one():
     mujoco.mj_forward(MODEL, data)
     full, accelerations = np.zeros((3, 3)), np.random.default_rng(0).normal(size=(5, 3))
     mujoco.mj_fullM(MODEL, data, full)
-    found = _weighted(MODEL, np.tile(data.M, (5, 1)), accelerations)
-    np.testing.assert_allclose(found, accelerations @ full, rtol=1e-12)
+    found = _dense(MODEL, np.tile(data.M, (5, 1)))
+    np.testing.assert_allclose((found @ accelerations[..., None])[..., 0], accelerations @ full, rtol=1e-12)
 
 
 def test_rows_that_settle_stop_by_themselves_and_others_never_do():
@@ -380,7 +381,7 @@ def test_forces_of_affine_actuators_are_mujocos_within_their_limits():
         return np.tile(getattr(model, name), (20, *[1] * getattr(model, name).ndim))
 
     given = {name: own(name) for name in ("actuator_gainprm", "actuator_biasprm")}
-    free, limited = _forces_of(own, given, inputs[:, 6:], lengths, speeds)
+    free, limited = _forces_of({name: own(name) for name in LIMITS}, given, inputs[:, 6:], lengths, speeds)
     np.testing.assert_allclose(limited, forces, atol=1e-12)
     np.testing.assert_allclose(free[:, [0, 2]], forces[:, [0, 2]], atol=1e-12)
     assert (np.abs(free[:, 1]) > np.abs(forces[:, 1])).any()
