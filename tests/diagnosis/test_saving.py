@@ -415,7 +415,8 @@ def turns(monkeypatch):
     return written
 
 
-@pytest.mark.parametrize(("stage", "done"), [("search", 1), ("gain", 0)])
+# In `make test` one that is interrupted again and again is so in the search.
+@pytest.mark.parametrize(("stage", "done"), [pytest.param("search", 1, marks=pytest.mark.long), ("gain", 0)])
 def test_interrupted_fit_comes_to_the_answer_of_one_that_was_not(of_function, tmp_path, turns, stage, done):
     reference, log = of_function
     path = tmp_path / "fit.skat"
