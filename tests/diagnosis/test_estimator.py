@@ -354,7 +354,9 @@ def test_effect_that_no_state_depends_on_has_no_detectable_size(diagnosed):
 
 def test_detectable_size_falls_with_the_noise(simulator):
     fine, coarse = (
-        fitted(simulator, measure(3, n_steps=20, noise=noise), effects=["bob", "drag"]).identifiability_["smallest"]
+        fitted(simulator, measure(3, n_steps=20, noise=noise), effects=["bob", "drag"]).identifiability_[
+            "smallest"
+        ]
         for noise in (0.002, 0.02)
     )
     assert fine["bob"] < coarse["bob"] / 5

@@ -114,7 +114,7 @@ def test_radius_of_a_wheel_is_named_and_measured():
         (softer, TENDONS, "tendon_stiffness[band]", -9.0, 0.0),
         (stickier, TENDONS, "tendon_dry_friction[flexor]", 1.0, 0.0),
         (askew, SERVO, "offset[servo]", 0.15, 0.0),
-        (stiffer, SERVO, "kp[servo]", 1.2, 1.0),
+        pytest.param(*(stiffer, SERVO, "kp[servo]", 1.2, 1.0), marks=pytest.mark.long),
         (weaker, SERVO, "force_limit[servo]", 0.1, 1.0),
     ],
 )

@@ -171,7 +171,9 @@ def pushed_cart(damping, smooth, seed=0, n=70):
 
 def pushed_twice(seed):
     """Return a log of two episodes, positions filtered: what goes row by row takes no longer for two than for one."""
-    (X, y, _), (other_X, other_y, _) = (pushed_cart(0.6, filtered(2, 0.2), seed + episode) for episode in range(2))
+    (X, y, _), (other_X, other_y, _) = (
+        pushed_cart(0.6, filtered(2, 0.2), seed + episode) for episode in range(2)
+    )
     return np.r_[X, other_X], np.r_[y, other_y], np.repeat([0, 1], len(y))
 
 
