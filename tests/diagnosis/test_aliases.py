@@ -23,7 +23,7 @@ CART = """
 N_SUBSTEPS = 5
 
 
-def driven(mass=1.0, gear=1.0, n_episodes=13, n_steps=12):
+def driven(mass=1.0, gear=1.0, n_episodes=8, n_steps=20):
     """Return X, y and groups of a cart of another mass and gear, stepped by plain MuJoCo, with 1 % of noise."""
     model = mujoco.MjModel.from_xml_string(CART)
     model.body_mass[1] *= mass

@@ -36,7 +36,7 @@ HEAVIER = pendulum.TEXT.format(damping=0.15)
 @pytest.fixture(scope="module")
 def space():
     """A log of a pendulum that is damped more than the model says."""
-    return pendulum.laid_out(SIMULATOR, *pendulum.measured(HEAVIER, 0, rows=60, episodes=6))
+    return pendulum.laid_out(SIMULATOR, *pendulum.measured(HEAVIER, 0, rows=125))
 
 
 @pytest.fixture(scope="module")
