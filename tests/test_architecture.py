@@ -14,20 +14,25 @@ def script():
     return runpy.run_path(str(DOCS / "architecture.py"))
 
 
-def test_picture_is_that_of_the_imports(script):
+@pytest.fixture(scope="module")
+def imports(script):
+    """What each part imports: every module of the package is read for it."""
+    return script["imports_of_parts"]()
+
+
+def test_picture_is_that_of_the_imports(script, imports):
     drawn = (DOCS / "_static" / "architecture.svg").read_text("utf-8")
-    assert drawn == script["drawing"](script["imports_of_parts"]()), "run python docs/architecture.py"
+    assert drawn == script["drawing"](imports), "run python docs/architecture.py"
 
 
-def test_picture_has_a_box_for_each_part(script):
-    svg = ElementTree.fromstring(script["drawing"](script["imports_of_parts"]()))
+def test_picture_has_a_box_for_each_part(script, imports):
+    svg = ElementTree.fromstring(script["drawing"](imports))
     names = [text.text for text in svg.iter("{http://www.w3.org/2000/svg}text")]
-    assert sorted(names) == sorted(script["imports_of_parts"]())
+    assert sorted(names) == sorted(imports)
     assert {"diagnosis", "simulators", "effects"} <= set(names)
 
 
-def test_every_part_stands_above_what_it_imports(script):
-    imports = script["imports_of_parts"]()
+def test_every_part_stands_above_what_it_imports(script, imports):
     level = {name: n for n, row in enumerate(script["layers"](imports)) for name in row}
     assert all(level[near] < level[name] for name, nears in imports.items() for near in nears)
 

@@ -324,7 +324,7 @@ def test_a_second_report_gets_another_name_unless_one_is_given(here):
     (here / "log-report.html").write_text("mine")
     (here / "r.html").write_text("mine")
     assert "r.html exists" in refused("diagnose", "model.xml", "log.csv", "-o", "r.html")
-    arguments = ("diagnose", "model.xml", "log.csv", "--effect", "damping[rail]")
+    arguments = ("diagnose", "model.xml", "log.csv", "--effect", "damping[rail]", "--test-size", "0")
     assert skat(*arguments).exit_code == 0
     assert (here / "log-report.html").read_text() == "mine"
     assert (here / "log-report-2.html").exists()

@@ -32,7 +32,7 @@ COMMANDS = {
     for path in [DOCS / "tutorial.rst", *sorted((DOCS / "how_to").glob("*.rst"))]
 }
 # A short log of a robot with the model's own time step, and one effect, is enough to see that a page's lines run.
-QUICK = {"timestep": 0.002, "n_episodes": 4, "n_rows": 40}
+QUICK = {"timestep": 0.002, "n_episodes": 6, "n_rows": 25}
 SHORTER = {
     "changed": ["--effect", "mass[lower]", "--effect", "gain[elbow]"],
     "diagnose": ["--effect", "dry_friction[elbow]", "--test-size", "0"],

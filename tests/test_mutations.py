@@ -51,8 +51,11 @@ def test_the_seed_draws_the_lines(script):
 
 
 def test_every_module_of_the_core_has_tests(script):
-    for each in script["drawn"](ROOT, "all", 10**6):
-        assert (ROOT / script["folder_of_tests"](each.path, ROOT)).exists()
+    modules = [file.relative_to(ROOT) for file in (ROOT / "skat").rglob("*.py")]
+    core = [module for module in modules if not script["NOT_NUMERICAL"] & set(module.parts)]
+    assert len(core) > 30
+    for module in core:
+        assert (ROOT / script["folder_of_tests"](str(module), ROOT)).exists()
 
 
 def run_in_script(code):

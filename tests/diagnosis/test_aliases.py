@@ -57,9 +57,10 @@ def names(cause):
     "truth",
     [
         {"mass": 0.5},
-        pytest.param({"mass": 0.35}, marks=pytest.mark.long),
-        {"gear": 2.5},
-        pytest.param({"gear": 0.6}, marks=pytest.mark.long),
+        *(
+            pytest.param(one, marks=pytest.mark.long)
+            for one in ({"mass": 0.35}, {"gear": 2.5}, {"gear": 0.6})
+        ),
     ],
 )
 def test_half_the_mass_and_twice_the_gain_are_the_same(truth):
@@ -96,7 +97,9 @@ def six_limits(X, **limits):
     return X[:, :6] + np.clip(X[:, 6:], -ends, ends)
 
 
-@pytest.mark.parametrize("seed", [19, 63, 86, 119, 137, 139, 161])
+@pytest.mark.parametrize(
+    "seed", [19, 63, 86, *(pytest.param(seed, marks=pytest.mark.long) for seed in (119, 137, 139, 161))]
+)
 def test_a_limit_that_is_never_reached_is_not_named(seed):
     """Far from neutral in standard errors it always is; these seeds named one, by the Wald statistic."""
     names = [f"limit{k}" for k in range(6)]

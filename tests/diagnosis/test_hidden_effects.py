@@ -102,7 +102,7 @@ def test_single_hidden_effect_is_named_and_measured(worlds, cases, kind, hidden)
 
 
 def test_nothing_hidden_is_nothing_found(worlds):
-    diagnosis = diagnosed(worlds, worlds.measure("puck", seed=SEED, n_episodes=EPISODES["puck"], n_steps=25))
+    diagnosis = diagnosed(worlds, worlds.measure("puck", seed=SEED, n_episodes=10, n_steps=10))
     assert diagnosis.verdict_ == "nothing detected"
     assert diagnosis.causes_ == []
 

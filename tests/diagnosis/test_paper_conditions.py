@@ -29,7 +29,7 @@ def assert_diagnosed(diagnosis, truth):
     "condition", [*QUICK, *(pytest.param(name, marks=pytest.mark.long) for name in LONG)]
 )
 def test_condition_of_hopper_is_diagnosed(worlds, cases, condition):
-    n_steps = 25 if condition in QUICK else 50
+    n_steps = 15 if condition in QUICK else 50
     assert_diagnosed(*diagnosed(worlds, cases, "hopper", condition, n_episodes=4, n_steps=n_steps))
 
 

@@ -32,11 +32,11 @@ def push(q, v, time, rng):
     return 0.3 * rng.normal()
 
 
-def logs(simulator, text, law, *, hidden=False, **options):
+def logs(simulator, text, law, *, hidden=False, rows=125, n_episodes=(4, 16)):
     """Return a log to fit, and one to test."""
     spaces = []
-    for seed, episodes in ((0, 2), (1, 8)):
-        X, y, groups = measured(text, seed, law=law, episodes=episodes, **options)
+    for seed, episodes in enumerate(n_episodes):
+        X, y, groups = measured(text, seed, law=law, episodes=episodes, rows=rows)
         if hidden:
             X[:, 1] = y[:, 1] = np.nan
         spaces.append(laid_out(simulator, X, y, groups))
@@ -97,7 +97,7 @@ def test_rows_that_were_not_measured_do_not_count(simulator):
 
 def test_a_delay_is_known_at_the_start_of_each_window(simulator):
     """Else each prediction begins with commands that were not given."""
-    X, y, groups = measured(NOMINAL, 6, delay=3, episodes=6)
+    X, y, groups = measured(NOMINAL, 6, delay=3, episodes=12, rows=80)
     cause = {"delay[action]": 0.03}
     space = laid_out(simulator, X, y, groups)
     fitted = known(space, cause, 1e-6)
@@ -107,12 +107,12 @@ def test_a_delay_is_known_at_the_start_of_each_window(simulator):
 
 
 def test_one_wild_row_does_not_decide(simulator):
-    train, test = logs(simulator, DAMPED, push)
+    train, test = logs(simulator, DAMPED, push, n_episodes=(4, 8))
     fitted = known(train, CAUSE, 0.3, nu=3)
     quiet = predicted_gain(test, fitted, CAUSE)
-    X, y, groups = measured(DAMPED, 1, law=push, episodes=8)
-    y[1024, 1] += 10
-    X[1025, 1] += 10
+    X, y, groups = measured(DAMPED, 1, law=push, episodes=8, rows=125)
+    y[524, 1] += 10
+    X[525, 1] += 10
     wild = predicted_gain(laid_out(simulator, X, y, groups), fitted, CAUSE)
     assert wild.explained == pytest.approx(quiet.explained, abs=0.25)
 
@@ -134,7 +134,7 @@ def test_overlays_show_the_episodes_that_the_nominal_model_predicts_worst(simula
 
 @pytest.mark.parametrize("start", ["measured", "fitted"])
 def test_whole_episodes_in_open_loop_end_where_the_world_does(simulator, start):
-    train, test = logs(simulator, DAMPED, None, rows=150)
+    train, test = logs(simulator, DAMPED, None, rows=150, n_episodes=(2, 6))
     gain = open_loop_gain(
         test, known(train, CAUSE, 1e-6), CAUSE, initial_state=start, random_state=random_state()
     )

@@ -1,5 +1,7 @@
 """What is left of a log: what predicts it, how large it is, and what it looks like."""
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -23,14 +25,23 @@ def left(simulator, law, seed=3, **options):
     return find_remainder(space, fitted, random_state=np.random.RandomState(0))
 
 
-def test_quadratic_friction_is_found_predictable_from_velocity(simulator):
+def drag(q, v, time, rng):
+    return -0.03 * abs(v) * v
+
+
+@functools.cache
+def left_of_drag():
+    return left(MujocoSimulator(NOMINAL, frame_skip=FRAME_SKIP), drag, rows=125, episodes=6)
+
+
+def test_quadratic_friction_is_found_predictable_from_velocity():
     """3 % of the square of a speed of 5 rad/s: its size, and its law in every bin."""
-    remainder = left(simulator, lambda q, v, time, rng: -0.03 * abs(v) * v)
+    remainder = left_of_drag()
     (part,) = remainder.parts
     assert part.regressor == "|qvel.hinge|qvel.hinge"
     assert part.law.coordinate == "qvel.hinge"
     assert (part.name, part.unit) == ("hinge", "N m")
-    v = measured(NOMINAL, 3, law=lambda q, v, time, rng: -0.03 * abs(v) * v)[0][:, 1]
+    v = measured(NOMINAL, 3, law=drag, rows=125, episodes=6)[0][:, 1]
     assert part.predictable == pytest.approx(np.sqrt(np.mean((0.03 * v**2) ** 2)), rel=0.15)
     middle = (part.law.edges[1:] + part.law.edges[:-1]) / 2
     true = -0.03 * np.abs(middle) * middle
@@ -39,7 +50,10 @@ def test_quadratic_friction_is_found_predictable_from_velocity(simulator):
 
 
 def test_a_magnet_is_found_predictable_from_position_and_drawn_where_it_is(simulator):
-    remainder = left(simulator, lambda q, v, time, rng: 0.4 * np.exp(-0.5 * ((np.sin(q - 0.4)) / 0.2) ** 2))
+    def magnet(q, v, time, rng):
+        return 0.4 * np.exp(-0.5 * ((np.sin(q - 0.4)) / 0.2) ** 2)
+
+    remainder = left(simulator, magnet, rows=125, episodes=6)
     (part,) = remainder.parts
     assert part.regressor == "qpos.hinge"
     strongest = int(np.argmax(part.law.mean))
@@ -139,8 +153,8 @@ def test_what_is_left_of_a_function_without_a_state_is_its_errors(bent):
         assert part.predictable == pytest.approx(bent * np.sqrt(np.mean(X[:, 1] ** 4)), rel=0.2)
 
 
-def test_what_causes_explain_beside_a_law_decides_whether_it_is_much(simulator):
-    remainder = left(simulator, lambda q, v, time, rng: -0.03 * abs(v) * v)
+def test_what_causes_explain_beside_a_law_decides_whether_it_is_much():
+    remainder = left_of_drag()
     ahead = remainder.parts[0].ahead
 
     def gain(nominal):

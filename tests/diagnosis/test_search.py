@@ -27,7 +27,7 @@ NOMINAL = ARM.format(damping=0.05, mass=0.6)
 SIGMA = np.array([0.002, 0.002, 0.02, 0.02])
 
 
-def measured(text, seed, *, rows=150, force=0.0, episodes=2):
+def measured(text, seed, *, rows=50, force=0.0, episodes=6):
     """Return a log by plain MuJoCo, ten milliseconds a row, under random torques held for a row."""
     model, rng = mujoco.MjModel.from_xml_string(text), np.random.default_rng(seed)
     X, y, groups = [], [], []
@@ -60,7 +60,7 @@ def asked(simulator, X, y, groups):
 
 @pytest.mark.parametrize("force", [0.0, 0.3], ids=["no force", "a random force"])
 def test_a_right_model_is_not_accused_and_its_noise_is_found(simulator, force):
-    found = asked(simulator, *measured(NOMINAL, 0, rows=300, force=force))
+    found = asked(simulator, *measured(NOMINAL, 0, rows=300, episodes=2, force=force))
     assert not found.values
     assert found.settled
     np.testing.assert_allclose(np.sqrt(found.fitted.estimate.noise.error), SIGMA, rtol=0.15)

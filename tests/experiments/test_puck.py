@@ -86,16 +86,16 @@ def test_the_learning_curve_falls_and_repeats_from_its_seed():
     options = {
         "simulations": ["isotr_low_offc"],
         "methods": ["affine", "least_squares"],
-        "sizes": (8, 24),
+        "sizes": (6, 16),
         "n_repeats": 6,
-        "n_test": 20,
+        "n_test": 15,
     }
     calls = []
     curve = puck_learning_curve(**options, progress=lambda *call: calls.append(call))
     pd.testing.assert_frame_equal(curve, puck_learning_curve(**options))
     assert calls[-1] == ("carrying", 12, 12)
     errors = curve.pivot(index="method", columns="n_strikes", values="error_after")
-    assert (errors[24] < errors[8]).all()
+    assert (errors[16] < errors[6]).all()
     assert (curve["error_after_std"] > 0).all()
 
 
@@ -107,12 +107,12 @@ def test_what_does_not_exist_is_refused():
 
 
 def test_of_few_measured_strikes_more_simulated_ones_are_fitted_to_the_same():
-    options = {"simulations": ["isotr_low"], "n_test": 20, "n_repeats": 3}
-    curve = puck_learning_curve(methods=["affine"], sizes=[12, 24], n_measured=12, **options)
-    paired = puck_learning_curve(methods=["affine"], sizes=[12, 24], **options)
+    options = {"simulations": ["isotr_low"], "n_test": 15, "n_repeats": 6}
+    curve = puck_learning_curve(methods=["affine"], sizes=[8, 16], n_measured=8, **options)
+    paired = puck_learning_curve(methods=["affine"], sizes=[8, 16], **options)
     # With as many simulated as measured strikes these are pairs, the same in both curves.
     assert curve["error_after"][0] == pytest.approx(paired["error_after"][0], rel=1e-12)
     assert (curve["error_after"] < curve["error_before"]).all()
     assert paired["error_after"][1] < curve["error_after"][1]
     with pytest.raises(ValueError, match="learns from pairs"):
-        puck_learning_curve(methods=["procrustes_whitened"], sizes=[30], n_measured=12, **options)
+        puck_learning_curve(methods=["procrustes_whitened"], sizes=[5], n_measured=4, **options)

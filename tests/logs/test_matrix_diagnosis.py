@@ -95,7 +95,7 @@ def test_a_log_in_any_format_and_state_names_the_same_cause_inside_the_same_inte
 
 def test_the_error_of_interpolation_is_carried_into_the_noise(tmp_path):
     path = formats.documented(tmp_path / "log.csv", "jitter")
-    pd.read_csv(path).tail(80).to_csv(path, index=False)
+    pd.read_csv(path).tail(45).to_csv(path, index=False)
     log = load_log(path, MujocoSimulator(MODEL))
     assert log.interpolation
     least = np.sqrt(log.floor)

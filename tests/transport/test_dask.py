@@ -117,7 +117,7 @@ def test_a_cluster_fits_an_array_larger_than_the_memory_of_any_worker():
     limit = 320 * 2**20
     settings = {"n_workers": 2, "threads_per_worker": 1, "memory_limit": limit, "dashboard_address": ":0"}
     with distributed.LocalCluster(processes=True, **settings) as cluster, distributed.Client(cluster):
-        X = da.random.default_rng(0).normal(size=(850_000, 50), chunks=(50_000, 50))
+        X = da.random.default_rng(0).normal(size=(850_000, 50), chunks=(25_000, 50))
         assert X.nbytes > limit
         y = X[:400_000] * 3.0 + 1.0
         transport = AffineTransport().fit(X, y)

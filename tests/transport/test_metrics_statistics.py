@@ -161,7 +161,7 @@ def test_debiased_score_names_what_it_needs():
 
 
 @pytest.mark.parametrize("law", [exponential, bimodal])
-@pytest.mark.parametrize("n_rows", [200, 1000])
+@pytest.mark.parametrize("n_rows", [pytest.param(200, marks=pytest.mark.long), 1000])
 def test_upper_bound_holds_in_expectation(law, n_rows):
     rng = np.random.default_rng(0)
     truth = (1 - population_score(law)) ** 2
@@ -186,7 +186,7 @@ def test_upper_bound_sees_in_many_dimensions_what_debiasing_hides():
 @pytest.mark.parametrize("n_features", [1, 2, 27])
 def test_upper_bound_of_one_law_is_about_one(n_features):
     rng = np.random.default_rng(0)
-    samples = rng.normal(size=(10, 2, 1000, n_features))
+    samples = rng.normal(size=(5, 2, 1000, n_features))
     scores = [affinity_upper_bound(X, y, random_state=0) for X, y in samples]
     assert np.mean(np.square(np.subtract(1, scores))) < 0.003
 

@@ -192,11 +192,11 @@ def test_pairs_that_are_not_are_shrunk_as_unpaired_rows_are():
 
 
 def near_domains(rng, n_rows, shift, n_features=10):
-    """Return 2,000 source rows, few target rows of a law whose mean is so many deviations off, and that mean."""
+    """Return 1,000 source rows, few target rows of a law whose mean is so many deviations off, and that mean."""
     source_root = rng.normal(size=(n_features, n_features))
     target_root = source_root @ (np.eye(n_features) + 0.1 * rng.normal(size=source_root.shape))
     mean = shift * source_root[:, 0]
-    source = rng.normal(size=(2000, n_features)) @ source_root.T
+    source = rng.normal(size=(1000, n_features)) @ source_root.T
     return source, rng.normal(size=(n_rows, n_features)) @ target_root.T + mean, mean, source_root
 
 
@@ -229,7 +229,7 @@ def test_a_shrunk_mean_does_not_depend_on_units_and_is_the_formula():
     root = np.linalg.cholesky(np.cov(X.T, bias=True))
     shift = np.linalg.solve(root, y.mean(axis=0) - X.mean(axis=0))
     whitened = np.linalg.solve(root, np.linalg.solve(root, np.cov(y.T, bias=True)).T)
-    error = whitened / 19 + np.eye(10) / 1999
+    error = whitened / 19 + np.eye(10) / 999
     weight = (np.trace(error) - 2 * np.linalg.eigvalsh(error).max()) / (shift @ shift)
     assert 0 < weight < 1
     assert fitted.mean_shrinkage_ == pytest.approx(weight, rel=1e-9)

@@ -75,7 +75,7 @@ def test_a_mass_that_changed_is_told_though_motions_differ():
     assert change.interval[0] < 1.4 < change.interval[1]
 
 
-@pytest.mark.parametrize("where", [(0, 1), (0,), (1,)])
+@pytest.mark.parametrize("where", [(0, 1), pytest.param((0,), marks=pytest.mark.long), (1,)])
 def test_a_change_is_told_where_the_speed_of_one_joint_alone_was_measured(where):
     logs = log_of(5, **WRONG), log_of(4, **WRONG, gain=(1.0, 1.25))
     for one in where:
