@@ -151,8 +151,9 @@ def report(lines, shown):
         label = ", ".join(kind)
         shown.share(f"{label}: named, of the right size", map(is_named, mine), ">= 9 of 10")
         shown.share("... alone", map(is_alone, mine), ">= 8 of 10")
-        errors = [abs(size / value - 1) for found, value in map(said, mine) for size in found.values()]
-        shown.number("... error of its size, as a share", errors)
+        if mine[0]["kind"] in RIGHT:
+            errors = [abs(size / value - 1) for found, value in map(said, mine) for size in found.values()]
+            shown.number("... error of its size, as a share", errors)
     clean = [line for line in lines if line["kind"] == "clean"]
     shown.share("nothing hidden: alarms", [not tables.silent(line) for line in clean], "<= 2 %")
 
