@@ -79,13 +79,12 @@ def truth_of(case):
     if kind == "weight":
         body, mass, place = WEIGHTS[robot]
         return {f"payload[{body}]": mass, **{f"payload[{body}.{axis}]": at for axis, at in place.items()}}
+    if kind == "lag":
+        return {"lag[all]": LAG}
     joint = (LOOSE if kind == "play" else JOINTS)[robot][case.seed % 3]
-    return {
-        "lag": {"lag[all]": LAG},
-        "lag_torque": {f"lag_torque[{joint}]": LAG},
-        "play": {f"backlash[{joint}]": PLAY[which[0]] if which else 0.0},
-        "load": {f"mx106[{joint}]": 1.0},
-    }[kind]
+    if kind == "play":
+        return {f"backlash[{joint}]": PLAY[which[0]]}
+    return {f"lag_torque[{joint}]": LAG} if kind == "lag_torque" else {f"mx106[{joint}]": 1.0}
 
 
 def run(case, parameters):

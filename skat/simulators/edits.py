@@ -238,7 +238,9 @@ def filter_commands(actuators: Sequence[int], spec: mujoco.MjSpec, lag: float) -
     elements, step = spec.actuators, float(spec.option.timestep)
     for index in actuators:
         actuator = elements[index]
-        own = actuator.dynprm[0] if actuator.actearly else 0.0
+        # Without dynamics MuJoCo's default of a time constant is 1 s, and means nothing.
+        is_same = actuator.actearly and actuator.dyntype == mujoco.mjtDyn.mjDYN_FILTEREXACT
+        own = actuator.dynprm[0] if is_same else 0.0
         total = lag + (step / math.expm1(step / own) if own else 0.0)
         actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
         actuator.dynprm[0] = step / math.log1p(step / total) if total else 0.0

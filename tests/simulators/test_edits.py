@@ -171,6 +171,7 @@ def test_a_delay_adds_to_the_models_and_keeps_as_many_samples_as_it_needs(
         ("", 0.02),
         ('dyntype="filterexact" dynprm=".03" actearly="true"', 0.0480),
         ('dyntype="filterexact" dynprm=".03"', 0.02),
+        ('actearly="true"', 0.02),
     ],
 )
 def test_a_filter_of_commands_comes_as_late_in_the_mean_and_adds_to_one_that_is_there(own, lag):
