@@ -15,9 +15,10 @@ TORCH ?= torch==2.13.0+cpu
 demo: $(VENV)/.installed
 	$(BIN)/skat demo
 
-# One thread for linear algebra: that of one worker would wait for that of the others. The order is drawn anew each
-# time; the first line of the output has its seed, and `make test SEED=...` repeats it.
-PYTEST = OMP_NUM_THREADS=1 MPLBACKEND=agg $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal $(if $(SEED),-p randomly --randomly-seed=$(SEED))
+# One thread for linear algebra: that of one worker would wait for that of the others. Tests are compiled once, and
+# not by every worker. The order is drawn anew each time; the first line of the output has its seed, and
+# `make test SEED=...` repeats it.
+PYTEST = PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 MPLBACKEND=agg $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal $(if $(SEED),-p randomly --randomly-seed=$(SEED))
 
 test: $(VENV)/.installed-test
 	$(PYTEST) -m "not long"
