@@ -77,8 +77,9 @@ def test_processes_do_not_change_the_answer(log, alone, shared_calls):
 
 def test_cluster_does_not_change_the_answer(log, alone, shared_calls):
     distributed = pytest.importorskip("distributed")
+    # One process of two threads: most of the time of another goes into its imports.
     with (
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as cluster,
+        distributed.LocalCluster(n_workers=1, threads_per_worker=2, dashboard_address=":0") as cluster,
         distributed.Client(cluster),
         joblib.parallel_config(backend="dask"),
     ):
