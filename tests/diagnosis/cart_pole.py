@@ -48,8 +48,8 @@ def cart_pole(X, **values):
     def slope(at):
         return np.column_stack([at[:, 2:], *accelerations(at, force, p)])
 
-    h = DT / 4
-    for _ in range(4):
+    h = DT / 2
+    for _ in range(2):
         k1 = slope(state)
         k2 = slope(state + h / 2 * k1)
         k3 = slope(state + h / 2 * k2)

@@ -323,7 +323,7 @@ def test_bounds_without_end_are_refused(bounds):
 
 def test_interval_of_a_gain_needs_several_episodes():
     simulator = make_simulator()
-    X, y, groups, _ = measure(0, bob=3.0, n_steps=20)
+    X, y, groups, _ = measure(0, bob=3.0, n_steps=12)
     diagnosis = SimulationDiagnosis(simulator, effects=["bob"], test_size=0, random_state=0).fit(X, y, groups)
     for episodes, known in ((1, False), (4, False), (8, True)):
         rows = groups < episodes

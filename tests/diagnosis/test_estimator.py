@@ -23,8 +23,11 @@ from tests.diagnosis.cart_pole import (
 )
 
 FEW = STRETCHES * STRETCH_ROWS[0]
+# Episodes are short, as a fit goes through all of them at once, row by row.
+SHORT_EPISODES = {"n_episodes": 13, "n_steps": 12}
+MORE_EPISODES = {"n_episodes": 16, "n_steps": 12}
 # A log that several tests look at: a motor of four fifths of its strength shows in half of the usual rows.
-SHORT = {"n_episodes": 6, "n_steps": 20, "gain": 0.8}
+SHORT = {"n_episodes": 10, "n_steps": 12, "gain": 0.8}
 
 
 @pytest.fixture
@@ -85,13 +88,13 @@ def test_world_and_simulation_are_the_same_physics(simulator, hidden):
 def test_hidden_effect_is_named_with_its_size(simulator, diagnosed, name, value):
     family, _, channel = name.rstrip("]").partition("[")
     if channel:
-        X, y, groups, _ = measure(3, n_steps=20)
+        X, y, groups, _ = measure(3, **MORE_EPISODES)
         k = STATES.index(channel)
         for rows in (X, y):
             rows[:, k] = rows[:, k] + value if family == "bias" else rows[:, k] * value
         diagnosis = fitted(simulator, (X, y, groups))
     else:
-        diagnosis = diagnosed(3, n_steps=20, **{name: value})
+        diagnosis = diagnosed(3, **MORE_EPISODES, **{name: value})
     assert diagnosis.verdict_ in ("named", "ambiguous")
     assert [cause.name for cause in diagnosis.causes_] == [name]
     (cause,) = diagnosis.causes_
@@ -113,14 +116,14 @@ def test_hidden_effect_is_named_with_its_size(simulator, diagnosed, name, value)
     ],
 )
 def test_most_of_an_excess_well_above_the_noise_is_explained(simulator, hidden):
-    gain = fitted(simulator, measure(3, noise=0.0005, n_steps=20, **hidden)).gain_
+    gain = fitted(simulator, measure(3, noise=0.0005, **MORE_EPISODES, **hidden)).gain_
     assert gain.nominal > 10
     assert gain.explained > 0.9
     assert gain.interval[0] > 0.8
 
 
 def test_two_hidden_effects_are_both_named(simulator):
-    diagnosis = fitted(simulator, measure(4, drag=0.2, pole=1.05, n_steps=20))
+    diagnosis = fitted(simulator, measure(4, drag=0.2, pole=1.05, **SHORT_EPISODES))
     assert {cause.name for cause in diagnosis.causes_} == {"drag", "pole"}
     assert diagnosis.verdict_ == "named"
     for cause in diagnosis.causes_:
@@ -166,7 +169,7 @@ def test_effect_with_narrow_bounds_is_named():
     simulator = FunctionSimulator(
         cart_pole, input_names=(*STATES, "force"), output_names=STATES, state_names=STATES, effects=[narrow]
     )
-    (cause,) = fitted(simulator, measure(6, gravity=1.04), effects=["gravity"]).causes_
+    (cause,) = fitted(simulator, measure(6, gravity=1.04, **SHORT_EPISODES), effects=["gravity"]).causes_
     assert cause.interval[0] < 1.04 < cause.interval[1]
 
 
@@ -185,18 +188,14 @@ def test_cause_that_was_not_offered_is_unexplained(simulator):
 
 
 def test_errors_above_a_noise_that_is_known_are_unexplained(simulator):
-    log = measure(3, pole=1.6, n_steps=20)
+    log = measure(3, pole=1.6, **SHORT_EPISODES)
     diagnosis = fitted(simulator, log, effects=["drag", "dry_friction"], noise=log[3])
     assert diagnosis.verdict_ == "unexplained"
-    clean = measure(3, n_steps=20)
+    clean = measure(3, **MORE_EPISODES)
     assert fitted(simulator, clean, noise=clean[3]).verdict_ == "nothing detected"
 
 
-# Each of these fits many logs once, and asks all that they can tell: a fixture is made anew in each process. Episodes
-# are short, as a fit goes through all of them at once, row by row.
-SHORT_EPISODES = {"n_episodes": 13, "n_steps": 12}
-
-
+# Each of these fits many logs once, and asks all that they can tell: a fixture is made anew in each process.
 def assert_noise_is_that_of_the_measurement(diagnoses, logs):
     ratios = [
         diagnosis.noise_ / deviations for diagnosis, (*_, deviations) in zip(diagnoses, logs, strict=True)
@@ -258,7 +257,7 @@ def test_fit_leaves_the_parameters_and_the_log_alone(refitted):
 
 
 def test_only_the_effects_given_are_considered(simulator):
-    diagnosis = fitted(simulator, measure(3, bob=1.1, n_steps=20), effects=["bob", "drag"])
+    diagnosis = fitted(simulator, measure(3, bob=1.1, **MORE_EPISODES), effects=["bob", "drag"])
     assert list(diagnosis.identifiability_.index) == ["bob", "drag"]
     assert [cause.name for cause in diagnosis.causes_] == ["bob"]
 
@@ -269,14 +268,14 @@ def test_max_effects_bounds_the_number_of_causes(simulator):
 
 
 def test_without_test_rows_there_is_no_gain(simulator):
-    diagnosis = fitted(simulator, measure(3, bob=1.1, n_steps=20), test_size=0)
+    diagnosis = fitted(simulator, measure(3, bob=1.1, **MORE_EPISODES), test_size=0)
     assert diagnosis.gain_ is None
     assert diagnosis.verdict_ == "named"
     assert "bob" in repr(diagnosis)
 
 
 def test_noise_that_is_given_is_kept(simulator):
-    log = measure(3, bob=1.1, n_steps=20)
+    log = measure(3, bob=1.1, **MORE_EPISODES)
     diagnosis = fitted(simulator, log, noise=log[3])
     np.testing.assert_allclose(diagnosis.noise_, log[3], rtol=1e-12)
     assert [cause.name for cause in diagnosis.causes_] == ["bob"]
@@ -293,8 +292,8 @@ def test_single_episode_warns_and_is_diagnosed(simulator):
 
 
 def test_extended_simulation_predicts_and_scores_as_the_diagnosis_does(simulator, diagnosed):
-    X, y, _, _ = measure(3, n_steps=20, bob=1.1)
-    diagnosis = diagnosed(3, n_steps=20, bob=1.1)
+    X, y, _, _ = measure(3, **MORE_EPISODES, bob=1.1)
+    diagnosis = diagnosed(3, **MORE_EPISODES, bob=1.1)
     np.testing.assert_array_equal(diagnosis.predict(X), diagnosis.extended_simulator_.predict(X))
     values = {cause.name: cause.value for cause in diagnosis.causes_}
     np.testing.assert_allclose(diagnosis.predict(X), simulator.predict(X, effects=values), rtol=1e-12)
@@ -304,7 +303,7 @@ def test_extended_simulation_predicts_and_scores_as_the_diagnosis_does(simulator
 
 
 def test_gain_on_another_log_one_step_and_open_loop(diagnosed):
-    diagnosis = diagnosed(3, n_steps=20, pole=1.6)
+    diagnosis = diagnosed(3, **MORE_EPISODES, pole=1.6)
     fresh = measure(7, pole=1.6)
     one_step = diagnosis.evaluate(*fresh[:3])
     assert (one_step.horizon, one_step.floor) == (10.0, pytest.approx(1.0))
@@ -324,7 +323,7 @@ def test_gain_on_another_log_one_step_and_open_loop(diagnosed):
 
 
 def test_outputs_choose_the_channels_of_the_distance(diagnosed):
-    diagnosis = diagnosed(3, n_steps=20, pole=1.6)
+    diagnosis = diagnosed(3, **MORE_EPISODES, pole=1.6)
     fresh = measure(7, pole=1.6)
     gain = diagnosis.evaluate(*fresh[:3], horizon="episode", outputs=["x"])
     assert set(gain.channels) == {"x"}
@@ -334,7 +333,7 @@ def test_outputs_choose_the_channels_of_the_distance(diagnosed):
 
 
 def test_evaluate_refuses_what_it_does_not_know(diagnosed):
-    diagnosis = diagnosed(3, n_steps=20, bob=1.1)
+    diagnosis = diagnosed(3, **MORE_EPISODES, bob=1.1)
     X, y, groups, _ = measure(7, bob=1.1)
     with pytest.raises(ValueError, match="horizon must be seconds, None or 'episode'; it is 'whole'"):
         diagnosis.evaluate(X, y, groups, horizon="whole")
@@ -345,7 +344,7 @@ def test_evaluate_refuses_what_it_does_not_know(diagnosed):
 
 
 def test_effect_that_no_state_depends_on_has_no_detectable_size(diagnosed):
-    table = diagnosed(3, n_steps=20).identifiability_
+    table = diagnosed(3, **MORE_EPISODES).identifiability_
     # The track looks the same everywhere: where its origin lies cannot be seen.
     assert table.loc["bias[x]", "smallest"] > 1e6
     assert np.isfinite(table.loc[["bob", "drag", "bias[angle]", "bias[v]"], "smallest"]).all()
@@ -354,7 +353,7 @@ def test_effect_that_no_state_depends_on_has_no_detectable_size(diagnosed):
 
 def test_detectable_size_falls_with_the_noise(simulator):
     fine, coarse = (
-        fitted(simulator, measure(3, n_steps=20, noise=noise), effects=["bob", "drag"]).identifiability_[
+        fitted(simulator, measure(3, **MORE_EPISODES, noise=noise), effects=["bob", "drag"]).identifiability_[
             "smallest"
         ]
         for noise in (0.002, 0.02)
@@ -363,7 +362,7 @@ def test_detectable_size_falls_with_the_noise(simulator):
 
 
 def test_preflight_needs_no_measurement_and_foresees_what_a_log_shows(simulator):
-    log = measure(3)
+    log = measure(3, **MORE_EPISODES)
     diagnosis = SimulationDiagnosis(simulator, random_state=0, noise=log[3], test_size=0)
     table = diagnosis.preflight(log[0], groups=log[2])
     assert not hasattr(diagnosis, "verdict_")
@@ -413,7 +412,7 @@ def test_a_first_look_at_a_short_log_is_a_whole_fit(simulator, diagnosed):
 
 
 def test_no_channel_has_less_noise_than_its_floor(simulator):
-    X, y, groups, deviations = measure(2, n_steps=20)
+    X, y, groups, deviations = measure(2, **SHORT_EPISODES)
     floor = np.array([0.0, (5 * deviations[1]) ** 2, 0.0, 0.0])
     found = [
         SimulationDiagnosis(simulator, random_state=0).fit(X, y, groups, floor=given).noise_
