@@ -51,8 +51,16 @@ def random_state():
     return np.random.RandomState(0)
 
 
-@pytest.mark.parametrize("hidden", [False, True], ids=["all measured", "no velocities"])
-@pytest.mark.parametrize("law", [None, push], ids=["no force", "a random force"])
+# Each force and each way to measure once; the other pairs of them are long.
+@pytest.mark.parametrize(
+    ("law", "hidden"),
+    [
+        pytest.param(None, False, id="no force, all measured"),
+        pytest.param(push, True, id="a random force, no velocities"),
+        pytest.param(None, True, id="no force, no velocities", marks=pytest.mark.long),
+        pytest.param(push, False, id="a random force, all measured", marks=pytest.mark.long),
+    ],
+)
 def test_a_right_model_is_at_the_floor_and_a_cause_explains_what_it_adds(simulator, law, hidden):
     train, test = logs(simulator, DAMPED, law, hidden=hidden)
     gain = predicted_gain(test, known(train, CAUSE, 0.3 if law else 1e-6), CAUSE)
