@@ -10,7 +10,7 @@ from skat.diagnosis.forces.motions import _later
 from skat.simulators import FunctionSimulator, MujocoSimulator
 from tests.diagnosis.forces.test_force_space import ARM, log_of
 
-WRONG = {"friction": (0.12, 0.06), "damping": (0.1, 0.05), "mass": 1.15}
+WRONG = {"friction": (0.12, 0.06), "damping": (0.1, 0.05), "mass": 1.15, "rows": 800}
 # One test asks about all 43 effects of the arm, the others about these.
 FEW = [
     *("gain[shoulder]", "gain[elbow]", "mass[upper]", "mass[lower]", "damping[shoulder]", "damping[elbow]"),
