@@ -2,6 +2,7 @@
 
 import json
 import zipfile
+from functools import cache
 from pathlib import Path
 
 import mujoco
@@ -44,8 +45,9 @@ FORMATS = (
 )
 
 
+@cache
 def motion():
-    """Return times, positions, velocities and commands of the arm, every ms."""
+    """Return times, positions, velocities and commands of the arm, every ms; nobody may write to them."""
     model = mujoco.MjModel.from_xml_string(ARM)
     data = mujoco.MjData(model)
     steps = ROWS * 1000 // RATE

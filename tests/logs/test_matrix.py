@@ -1,4 +1,5 @@
 import ast
+import functools
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +21,19 @@ def arm():
 
 
 @pytest.fixture(scope="module")
-def clean(arm, tmp_path_factory):
-    return load_log(formats.documented(tmp_path_factory.mktemp("clean") / "log.csv"), arm)
+def documented(arm, tmp_path_factory):
+    """A function of a state that reads its documented CSV, at the first call."""
+
+    def read(state):
+        told = {"units": "deg"} if state == "degrees" else {}
+        return load_log(formats.documented(tmp_path_factory.mktemp(state) / "log.csv", state), arm, **told)
+
+    return functools.cache(read)
+
+
+@pytest.fixture(scope="module")
+def clean(documented):
+    return documented("clean")
 
 
 def test_the_writer_knows_nothing_of_skat():
@@ -33,12 +45,11 @@ def test_the_writer_knows_nothing_of_skat():
 
 @pytest.mark.parametrize("state", formats.STATES)
 @pytest.mark.parametrize("kind", formats.FORMATS)
-def test_a_log_in_any_format_and_state_is_that_of_the_documented_csv(kind, state, arm, clean, tmp_path):
+def test_a_log_in_any_format_and_state_is_that_of_the_documented_csv(kind, state, arm, documented, clean, tmp_path):
     """Equal to the CSV in the same state; and that to the clean one, as far as it was measured."""
     source, options = formats.write(kind, state, tmp_path)
     log = load_log(source, arm, **options)
-    told = {"units": "deg"} if state == "degrees" else {}
-    same = load_log(formats.documented(tmp_path / "log.csv", state), arm, **told)
+    same = documented(state)
     # The last command of a Minari episode is not recorded, and no transition begins at it.
     np.testing.assert_allclose(log.X, same.X, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(log.y, same.y, rtol=1e-12, atol=1e-12)
