@@ -1,6 +1,7 @@
 """What has to be set before the libraries that read it are loaded, and who rewrites the asserts of which tests."""
 
 import contextlib
+import gc
 import importlib
 import multiprocessing
 import os
@@ -11,6 +12,14 @@ import pytest
 if "forkserver" in multiprocessing.get_all_start_methods():
     # Workers of a dask cluster are forked from a process that has loaded what they need, and do not load it each.
     os.environ.setdefault("DASK_DISTRIBUTED__WORKER__MULTIPROCESSING_METHOD", "forkserver")
+
+# Next to nothing of what is made while tests are collected is garbage.
+gc.disable()
+
+
+def pytest_collection_finish():
+    gc.freeze()
+    gc.enable()
 
 
 def pytest_collection():

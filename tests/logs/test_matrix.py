@@ -45,7 +45,9 @@ def test_the_writer_knows_nothing_of_skat():
 
 @pytest.mark.parametrize("state", formats.STATES)
 @pytest.mark.parametrize("kind", formats.FORMATS)
-def test_a_log_in_any_format_and_state_is_that_of_the_documented_csv(kind, state, arm, documented, clean, tmp_path):
+def test_a_log_in_any_format_and_state_is_that_of_the_documented_csv(
+    kind, state, arm, documented, clean, tmp_path
+):
     """Equal to the CSV in the same state; and that to the clean one, as far as it was measured."""
     source, options = formats.write(kind, state, tmp_path)
     log = load_log(source, arm, **options)
