@@ -6,7 +6,7 @@ changes the spec in place; a list of indices means the edit of each.
 
 import copy
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import mujoco
@@ -290,8 +290,8 @@ def prepare_lag(actuator: int, spec: mujoco.MjSpec, lag: float) -> None:
 def add_play(joint: str, rotor: float, spec: mujoco.MjSpec, width: float) -> None:
     """Put a joint with play between a joint's motor, which keeps its armature and friction, and the link.
 
-    A motor without inertia gets `rotor`. Its flanks are as hard as the time step allows. Keyframes, which do not know
-    of this joint, go. What is then to be done once all else is edited: `let_flanks_feel_dampers`.
+    A motor without inertia gets `rotor`. Keyframes, which do not know of this joint, go. `finish_plays` does what waits
+    for all other edits.
     """
     motor = next(one for one in spec.joints if one.name == joint)
     if motor.armature <= 0:
@@ -303,7 +303,6 @@ def add_play(joint: str, rotor: float, spec: mujoco.MjSpec, width: float) -> Non
         axis=motor.axis,
         limited=mujoco.mjtLimited.mjLIMITED_TRUE,
         range=_in_units(spec, motor, [-width / 2, width / 2]),
-        solref_limit=[2 * spec.option.timestep, 1.0],
         solimp_limit=[0.95, 0.99, 1e-4, 0.5, 2.0],
         armature=0.0,
         damping=np.zeros_like(motor.damping),
@@ -322,15 +321,20 @@ def add_play(joint: str, rotor: float, spec: mujoco.MjSpec, width: float) -> Non
         spec.delete(key)
 
 
-def let_flanks_feel_dampers(spec: mujoco.MjSpec, shares: Mapping[int, float]) -> None:
-    """Have the flanks of plays stop what motors are with their dampers, in a spec whose time step h is final.
+def finish_plays(joints: Collection[str], spec: mujoco.MjSpec, shares: Mapping[int, float]) -> None:
+    """Make the flanks of joints' plays hard, and have them stop motors with their dampers, once the time step h is set.
 
-    An implicit integrator solves (M + h D) a = f, but its constraints know M alone: to a flank a small rotor with a
-    strong servo, h D >> M, is as good as nothing, and the link goes on through it. Here h D is written into the
-    armatures, and D is explicit: without constraints the same equation, and with them one that they know. That needs a
-    D of joints alone (dampers, speed feedback of actuators on hinges and slides); otherwise nothing changes. `shares`
-    says of actuators, by index, how much of the force acts within a time step, where it is late.
+    Flanks are as hard as the time step allows. An implicit integrator solves (M + h D) a = f, but its constraints know
+    M alone: to a flank a small rotor with a strong servo, h D >> M, is as good as nothing, and the link goes on
+    through it. Here h D is written into the armatures, and D is explicit: without constraints the same equation, and
+    with them one that they know. That needs a D of joints alone (dampers, speed feedback of actuators on hinges and
+    slides); otherwise it stays as it is. `shares` says of actuators, by index, how much of the force acts within a
+    time step, where it is late.
     """
+    step, plays = spec.option.timestep, {name + PLAY for name in joints}
+    for joint in spec.joints:
+        if joint.name in plays:
+            joint.solref_limit = [2 * step, 1.0]
     euler = spec.option.integrator == mujoco.mjtIntegrator.mjINT_EULER
     if (euler and spec.option.disableflags & EULERDAMP) or not (euler or spec.option.integrator in IMPLICIT):
         return
@@ -348,7 +352,7 @@ def let_flanks_feel_dampers(spec: mujoco.MjSpec, shares: Mapping[int, float]) ->
     if among:
         return
     for joint in spec.joints:
-        joint.armature += spec.option.timestep * rates[joint.name]
+        joint.armature += step * rates[joint.name]
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     spec.option.disableflags |= EULERDAMP
 

@@ -24,7 +24,7 @@ from skat.simulators.channels import HINGE, StateLayout, joint_name, state_layou
 from skat.simulators.commands import CommandPath
 from skat.simulators.compiling import checked_model, compile_spec, lean_spec
 from skat.simulators.derived import write_down
-from skat.simulators.edits import PLAY, add_payload, let_flanks_feel_dampers
+from skat.simulators.edits import PLAY, add_payload, finish_plays
 from skat.simulators.friction import NEUTRAL, braking_share, creep
 from skat.simulators.furnishing import with_base, with_motors
 from skat.simulators.source import (
@@ -277,7 +277,7 @@ class MujocoSimulator(Simulator):
                 beside |= {} if of_payload else {effect.name: value}
             else:
                 edits[effect.name](spec, value)
-        self._end_plays(spec, values)
+        self._finish_plays(spec, values)
         beside |= {name: value for name, value in values.items() if name not in self._own_by_name}
         said = [f"One transition is {substeps} time steps."]
         said += [self._all_by_name[name].describe(value) + "." for name, value in values.items()]
@@ -785,7 +785,7 @@ class MujocoSimulator(Simulator):
                 edit(spec, values[effect.name])
             if n_substeps != self.frame_skip:
                 spec.option.timestep = spec.option.timestep * self.frame_skip / n_substeps
-            self._end_plays(spec, values)
+            self._finish_plays(spec, values)
             try:
                 cache[key] = compile_spec(spec)
             except ValueError as error:
@@ -795,17 +795,16 @@ class MujocoSimulator(Simulator):
         cache.move_to_end(key)
         return cache[key]
 
-    def _end_plays(self, spec: mujoco.MjSpec, values: Mapping[str, float]) -> None:
-        if not any(name.startswith("backlash[") for name in values):
-            return
-        step = spec.option.timestep
-        lags = {
-            name[len("lag_torque[") : -1]: lag
-            for name, lag in values.items()
-            if name.startswith("lag_torque[")
-        }
-        late = {self._actuator_names.index(name): step / lag for name, lag in lags.items() if lag > 0}
-        let_flanks_feel_dampers(spec, {index: 1 + math.expm1(-x) / x for index, x in late.items()})
+    def _finish_plays(self, spec: mujoco.MjSpec, values: Mapping[str, float]) -> None:
+        joints, lags = (
+            {name.partition("[")[2][:-1]: values[name] for name in values if name.startswith(family)}
+            for family in ("backlash[", "lag_torque[")
+        )
+        if joints:
+            late = {name: spec.option.timestep / lag for name, lag in lags.items() if lag > 0}
+            # Of a constant input a filter passes so much, in the mean over a time step.
+            shares = {self._actuator_names.index(name): 1 + math.expm1(-x) / x for name, x in late.items()}
+            finish_plays(joints, spec, shares)
 
     def _is_of_commands(self, effect: Effect) -> bool:
         """Whether an effect's edit is for written models only: here the commands, or the time steps, are changed."""
