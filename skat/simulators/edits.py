@@ -321,15 +321,15 @@ def add_play(joint: str, rotor: float, spec: mujoco.MjSpec, width: float) -> Non
         spec.delete(key)
 
 
-def finish_plays(joints: Collection[str], spec: mujoco.MjSpec, shares: Mapping[int, float]) -> None:
+def finish_plays(joints: Collection[str], spec: mujoco.MjSpec, shares: Mapping[int, float]) -> bool:
     """Make the flanks of joints' plays hard, and have them stop motors with their dampers, once the time step h is set.
 
     Flanks are as hard as the time step allows. An implicit integrator solves (M + h D) a = f, but its constraints know
     M alone: to a flank a small rotor with a strong servo, h D >> M, is as good as nothing, and the link goes on
     through it. Here h D is written into the armatures, and D is explicit: without constraints the same equation, and
     with them one that they know. That needs a D of joints alone (dampers, speed feedback of actuators on hinges and
-    slides); otherwise it stays as it is. `shares` says of actuators, by index, how much of the force acts within a
-    time step, where it is late.
+    slides); otherwise it stays as it is. Returned is whether it does not. `shares` says of actuators, by index, how
+    much of the force acts within a time step, where it is late.
     """
     step, plays = spec.option.timestep, {name + PLAY for name in joints}
     for joint in spec.joints:
@@ -337,7 +337,7 @@ def finish_plays(joints: Collection[str], spec: mujoco.MjSpec, shares: Mapping[i
             joint.solref_limit = [2 * step, 1.0]
     euler = spec.option.integrator == mujoco.mjtIntegrator.mjINT_EULER
     if (euler and spec.option.disableflags & EULERDAMP) or not (euler or spec.option.integrator in IMPLICIT):
-        return
+        return False
     rates = {joint.name: float(joint.damping[0]) for joint in spec.joints}
     hinges = {joint.name for joint in spec.joints if joint.type in ONE_AXIS}
     among = spec.option.viscosity or spec.option.density or any(np.any(one.damping) for one in spec.tendons)
@@ -350,11 +350,12 @@ def finish_plays(joints: Collection[str], spec: mujoco.MjSpec, shares: Mapping[i
         elif rate:
             rates[actuator.target] += float(actuator.gear[0]) ** 2 * rate * shares.get(index, 1.0)
     if among:
-        return
+        return False
     for joint in spec.joints:
         joint.armature += step * rates[joint.name]
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     spec.option.disableflags |= EULERDAMP
+    return True
 
 
 def _follow(first: mujoco.MjsJoint, last: mujoco.MjsJoint) -> None:

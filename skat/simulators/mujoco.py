@@ -277,11 +277,15 @@ class MujocoSimulator(Simulator):
                 beside |= {} if of_payload else {effect.name: value}
             else:
                 edits[effect.name](spec, value)
-        self._finish_plays(spec, values)
+        through_armatures = self._finish_plays(spec, values)
         beside |= {name: value for name, value in values.items() if name not in self._own_by_name}
         said = [f"One transition is {substeps} time steps."]
         said += [self._all_by_name[name].describe(value) + "." for name, value in values.items()]
         said += [f"{name} is written as {value:g}, in whole time steps." for name, value in rounded.items()]
+        if through_armatures:
+            said.append(
+                "Armatures hold the time step times the damping of joints, which flanks of play must know."
+            )
         spec.comment = " ".join(said)
         spec.compile()
         files = {target: write_xml(spec).encode()}
@@ -795,16 +799,17 @@ class MujocoSimulator(Simulator):
         cache.move_to_end(key)
         return cache[key]
 
-    def _finish_plays(self, spec: mujoco.MjSpec, values: Mapping[str, float]) -> None:
+    def _finish_plays(self, spec: mujoco.MjSpec, values: Mapping[str, float]) -> bool:
         joints, lags = (
             {name.partition("[")[2][:-1]: values[name] for name in values if name.startswith(family)}
             for family in ("backlash[", "lag_torque[")
         )
-        if joints:
-            late = {name: spec.option.timestep / lag for name, lag in lags.items() if lag > 0}
-            # Of a constant input a filter passes so much, in the mean over a time step.
-            shares = {self._actuator_names.index(name): 1 + math.expm1(-x) / x for name, x in late.items()}
-            finish_plays(joints, spec, shares)
+        if not joints:
+            return False
+        late = {name: spec.option.timestep / lag for name, lag in lags.items() if lag > 0}
+        # Of a constant input a filter passes so much, in the mean over a time step.
+        shares = {self._actuator_names.index(name): 1 + math.expm1(-x) / x for name, x in late.items()}
+        return finish_plays(joints, spec, shares)
 
     def _is_of_commands(self, effect: Effect) -> bool:
         """Whether an effect's edit is for written models only: here the commands, or the time steps, are changed."""

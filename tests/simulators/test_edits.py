@@ -249,11 +249,11 @@ def test_flanks_are_as_hard_as_the_time_step_allows_and_know_of_dampers_on_joint
     spec = mujoco.MjSpec.from_string(DAMPED.format(integrator, option, tendon, actuator))
     edits.add_play("hinge", 0.02, spec, 0.08)
     before = spec.copy().compile().opt
-    edits.finish_plays(["hinge"], spec, {})
+    explicit = edits.finish_plays(["hinge"], spec, {})
     found = spec.compile()
     np.testing.assert_allclose(found.dof_armature, armatures)
     np.testing.assert_allclose(found.jnt_solref[1], [2 * 0.01, 1.0])
-    explicit = armatures != [0.2, 0, 0]
+    assert explicit == (armatures != [0.2, 0, 0])
     assert (found.opt.integrator != before.integrator) == (explicit and integrator != "Euler")
     assert bool(found.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_EULERDAMP) == explicit
 

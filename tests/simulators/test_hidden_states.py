@@ -254,6 +254,7 @@ def test_play_is_carried_along_a_log_and_written_as_a_joint(tmp_path):
     (path,) = simulator.to_mjcf(tmp_path / "loose.xml")
     model = mujoco.MjModel.from_xml_path(str(path))
     assert model.nq == 3
+    assert "time step times the damping" in path.read_text()
     assert model.joint("elbow.play").range[1] == pytest.approx(0.01)
     far = []
     for flank in (-0.01, 0.01):
