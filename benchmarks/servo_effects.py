@@ -18,7 +18,10 @@ from tables import Case, Table
 from worlds.robots import make_log, nominal_model
 from worlds.servos import ServoWorld
 
-ALSO = ("lag", "lag_torque", "dead_zone", "backlash", "payload", "stribeck", "load_friction")
+ALSO = (
+    *("lag", "lag_torque", "delay", "dead_zone", "backlash", "torque_speed", "scale", "payload"),
+    *("stribeck", "load_friction"),
+)
 N_SEEDS, N_CLEAN = 10, 100
 ROWS = 800
 LAG, PLAY = 0.005, {"quarter": np.radians(0.25), "degree": np.radians(1.0)}
@@ -26,6 +29,16 @@ LAG, PLAY = 0.005, {"quarter": np.radians(0.25), "degree": np.radians(1.0)}
 # play is an offset; and where weights go: kg, m in the body's frame.
 JOINTS = {"servo_arm": ("lift", "elbow", "wrist1"), "so101": ("lift", "elbow", "flex")}
 LOOSE = {"servo_arm": ("pan", "elbow", "wrist2"), "so101": ("pan", "lift", "roll")}
+# The rest of what servos do, of one joint: sizes in each arm. The large one never comes near its limits.
+REST = {
+    "zone": ("dead_zone[{}]", {"servo_arm": 0.01, "so101": 0.02}),
+    "tires": ("torque_speed[{}]", {"so101": 2.0}),
+    "weak": ("force_limit[{}]", {"so101": 0.5}),
+    "late": ("delay[{}]", {"servo_arm": 0.01, "so101": 0.01}),
+    "sensor": ("lag[qvel.{}]", {"servo_arm": 0.01, "so101": 0.01}),
+    "unit": ("scale[ctrl.{}]", {"servo_arm": 0.9, "so101": 0.9}),
+    "zero": ("bias[ctrl.{}]", {"servo_arm": 0.03, "so101": 0.03}),
+}
 WEIGHTS = {
     "servo_arm": ("wrist_3", 1.0, {"y": 0.12}),
     "so101": ("gripper", 0.05, {"x": 0.06}),
@@ -33,7 +46,7 @@ WEIGHTS = {
     "quadrotor": ("frame", 0.13, {"x": 0.02}),
 }
 # Largest error of a size, as a share.
-RIGHT = {"lag": 0.2, "lag_torque": 0.2, "play": 0.25, "weight": 0.05}
+RIGHT = {"lag": 0.2, "lag_torque": 0.2, "play": 0.25, "weight": 0.05, **dict.fromkeys(REST, 0.2)}
 # What is said of each kind where it is rightly named.
 FAMILIES = {
     "lag": ("lag",),
@@ -41,6 +54,8 @@ FAMILIES = {
     "play": ("backlash", "dead_zone"),
     "load": ("load_friction",),
     "weight": ("payload", "mass"),
+    "zone": ("dead_zone", "backlash"),
+    **{kind: (name.partition("[")[0],) for kind, (name, _) in REST.items() if kind != "zone"},
 }
 # What is part of the same thing: M4 sticks and is viscous, a weight moves the centre of mass, and worlds of torque that
 # lags and of play go in finer steps than the model.
@@ -62,6 +77,7 @@ def cases(cut):
                 Case(f"{robot} | lag_torque", seed),
                 *(Case(f"{robot} | play | {width}", seed) for width in PLAY),
                 Case(f"{robot} | load", seed),
+                *(Case(f"{robot} | {kind}", seed) for kind, (_, sizes) in REST.items() if robot in sizes),
             ]
         found += [Case(f"{robot} | weight", 9700 + index) for robot in (("so101",) if cut else WEIGHTS)]
     robots = list(WEIGHTS)
@@ -84,6 +100,9 @@ def truth_of(case):
     joint = (LOOSE if kind == "play" else JOINTS)[robot][case.seed % 3]
     if kind == "play":
         return {f"backlash[{joint}]": PLAY[which[0]]}
+    if kind in REST:
+        name, sizes = REST[kind]
+        return {name.format(joint): sizes[robot]}
     return {f"lag_torque[{joint}]": LAG} if kind == "lag_torque" else {f"mx106[{joint}]": 1.0}
 
 

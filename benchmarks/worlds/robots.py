@@ -393,7 +393,7 @@ class World:
         # Measured = scale * true + bias.
         for family, act in (("scale", np.multiply), ("bias", np.add)):
             for name, value in self.truth.items():
-                if _family(name) == family:
+                if _family(name) == family and not _target(name).startswith("ctrl."):
                     column = names.index(_target(name))
                     measured[:, column] = act(measured[:, column], value)
         return measured

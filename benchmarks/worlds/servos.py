@@ -1,10 +1,16 @@
-r"""Servos as they are: commands and torques that lag, play in gears, friction that grows with load; and weights put on.
+r"""Servos as they are: what is late, lags, tires or has play, friction that grows with load; and weights put on.
 
 Worlds for `robots.make_log(..., build=ServoWorld)`, in plain MuJoCo, with what no property of the nominal model is::
 
     lag[all], lag[<actuator>]     s: commands pass a filter of first order, solved exactly and meant over a time step
     lag_torque[<actuator>]        s: its torque does, explicitly, in steps of a tenth
     backlash[<joint>]             rad: motor and link are joints of their own, with hard ends; in steps of a fifth
+    dead_zone[<actuator>]         rad: half of the width in which a servo takes what it lacks of its place for nothing
+    torque_speed[<actuator>]      N m s/rad: its limits fall with its speed
+    force_limit[<actuator>]       its limits, times this
+    delay[<actuator>]             s: its commands arrive late; of what arrives within a time step the mean acts
+    scale[ctrl.<actuator>], bias[ctrl.<actuator>]    what acts is scale * command + bias
+    lag[<channel>]                s: its sensor is a filter of first order, exact on lines between time steps
     payload[<body>], payload[<body>.x|y|z]    kg, m: a point mass and its place in the body's frame
     mx106[<joint>]                the friction of a servo MX-106, by the law M4 that `BAM`_ published for it, times this
 
@@ -18,9 +24,9 @@ import xml.etree.ElementTree as ElementTree
 import mujoco
 import numpy as np
 
-from worlds.robots import World, actuator_names, edited_model
+from worlds.robots import World, actuator_names, channel_names, edited_model
 
-OWN = ("lag", "lag_torque", "backlash", "payload", "mx106")
+OWN = ("lag", "lag_torque", "dead_zone", "torque_speed", "force_limit", "backlash", "payload", "mx106")
 FINER = {"lag_torque": 10, "backlash": 5}
 # Friction of M4, N m; per N m of load; at rest, and how it falls with speed.
 MX106 = {
@@ -40,7 +46,7 @@ class ServoWorld(World):
 
     def __init__(self, robot, truth=None, *, finer=1):
         truth = dict(truth or {})
-        self.own = {name: value for name, value in truth.items() if name.partition("[")[0] in OWN}
+        self.own = {name: value for name, value in truth.items() if _is_own(name)}
         plain = {name: value for name, value in truth.items() if name not in self.own}
         super().__init__(robot, plain, finer=finer)
         self.truth = truth
@@ -52,11 +58,33 @@ class ServoWorld(World):
         self.data = mujoco.MjData(self.real)
         self._places()
         names = actuator_names(self.model)
-        self.lags = np.zeros(self.model.nu)
+        self.lags, self.zones, self.tiring, self.delays, self.shifts = (
+            np.zeros(len(names)) for _ in range(5)
+        )
+        self.scales = np.ones(len(names))
+        self.limits = self.real.actuator_forcerange.copy()
+        per_actuator = {
+            "lag": self.lags,
+            "dead_zone": self.zones,
+            "torque_speed": self.tiring,
+            "delay": self.delays,
+            "scale": self.scales,
+            "bias": self.shifts,
+        }
         for name, value in self.own.items():
             family, _, target = name.rstrip("]").partition("[")
-            if family == "lag":
-                self.lags[:] = np.where(np.array([target in ("all", one) for one in names]), value, self.lags)
+            mine = np.array([target.removeprefix("ctrl.") in ("all", one) for one in names])
+            if family in per_actuator:
+                per_actuator[family][mine] = value
+            elif family == "force_limit":
+                self.limits[mine] *= value
+        self.real.actuator_forcerange[:] = self.limits
+        channels = channel_names(self.model)
+        self.sensors = {
+            channels.index(name[len("lag[") : -1]): value
+            for name, value in self.own.items()
+            if name.startswith(("lag[qpos.", "lag[qvel."))
+        }
         self.slow = [
             (names.index(name[len("lag_torque[") : -1]), value)
             for name, value in self.own.items()
@@ -95,21 +123,26 @@ class ServoWorld(World):
         mujoco.mj_resetData(self.real, self.data)
         self.data.qpos[self.positions], self.data.qvel[self.motors] = state[:nq], state[nq:]
         self.filtered, self.torques, self.load = None, {}, np.zeros(self.real.nv)
+        self.true = np.asarray(state, float)
+        self.shown = {column: self.true[column] for column in self.sensors}
+        self.read = []
 
     def advance(self, history, forces=None):
         """Go one row on, and return the state in nominal coordinates; see `World.advance`."""
         real, data = self.real, self.data
         h = float(real.opt.timestep)
-        command = history[-1]
-        if self.filtered is None:
-            self.filtered = command.copy()
         for k in range(self.substeps * self.finer):
+            command = self.scales * self._arrived(history, k * h, h) + self.shifts
+            if self.filtered is None:
+                self.filtered = command.copy()
             late = self.lags > 0
             x = np.divide(h, self.lags, out=np.zeros_like(self.lags), where=late)
             gone = np.exp(-x)
             mean = np.where(late, (1 - gone) / np.maximum(x, 1e-300), 0.0)
             data.ctrl[:] = command + (self.filtered - command) * mean
             self.filtered = command + (self.filtered - command) * np.where(late, gone, 0.0)
+            if self.zones.any() or self.tiring.any():
+                self._weaken()
             pushed = np.zeros(real.nv)
             if forces is not None:
                 pushed[self.motors] = forces[k // self.finer]
@@ -121,11 +154,53 @@ class ServoWorld(World):
             mujoco.mj_step(real, data)
             if self.loaded:
                 self._weigh()
-        state = np.concatenate([data.qpos[self.positions], data.qvel[self.motors]])
+            self._show(h)
+        self.read.append(list(self.shown.values()))
+        return self.true
+
+    def readings(self, sensor, states, sigma, rng, normal):
+        """Return what sensors say; those with a filter of their own read what it shows."""
+        states = states.copy()
+        states[1:, list(self.sensors)] = np.reshape(self.read, (len(states) - 1, len(self.sensors)))
+        return super().readings(sensor, states, sigma, rng, normal)
+
+    def _arrived(self, history, since, h):
+        """Return the mean command of the time step that begins so long after the row's begin."""
+        found = history[-1].copy()
+        for one in np.flatnonzero(self.delays > 0):
+            # From `sent` to `sent` + h after the row's begin it was sent; an edge of rows may lie within.
+            sent = since - self.delays[one]
+            row = int(np.floor(sent / self.dt + 1e-9))
+            after = np.clip((sent + h - (row + 1) * self.dt) / h, 0.0, 1.0)
+            older, newer = (history[max(len(history) - 1 + min(at, 0), 0), one] for at in (row, row + 1))
+            found[one] = (1 - after) * older + after * newer
+        return found
+
+    def _weaken(self):
+        """Leave out what lies in dead zones, and lower the limits of what turns fast."""
+        real, data = self.real, self.data
+        for one in np.flatnonzero((self.zones > 0) | (self.tiring > 0)):
+            joint = real.actuator_trnid[one, 0]
+            lacks = data.ctrl[one] - data.qpos[real.jnt_qposadr[joint]]
+            data.ctrl[one] -= np.clip(lacks, -self.zones[one], self.zones[one])
+            low, high = self.limits[one]
+            fall = self.tiring[one] * data.qvel[real.jnt_dofadr[joint]]
+            real.actuator_forcerange[one] = np.clip([low - fall, high - fall], low, high)
+
+    def _show(self, h):
+        """Move the filters of sensors on by a time step, over which what they read goes in a line."""
+        before = self.true
+        state = np.concatenate([self.data.qpos[self.positions], self.data.qvel[self.motors]])
         for at, speed, loose, turning in self.play:
-            state[at] += data.qpos[loose]
-            state[self.model.nq + speed] += data.qvel[turning]
-        return state
+            state[at] += self.data.qpos[loose]
+            state[self.model.nq + speed] += self.data.qvel[turning]
+        for column, lag in self.sensors.items():
+            behind = lag * (state[column] - before[column]) / h
+            left = np.exp(-h / lag)
+            self.shown[column] = (
+                state[column] - behind + (self.shown[column] - before[column] + behind) * left
+            )
+        self.true = state
 
     def _dof(self, actuator):
         return self.real.jnt_dofadr[self.real.actuator_trnid[actuator, 0]]
@@ -157,6 +232,15 @@ class ServoWorld(World):
         mujoco.mj_mulM(real, data, asked, data.qacc)
         asked += data.qfrc_bias - data.qfrc_spring - real.dof_armature * data.qacc
         self.load = asked + motor
+
+
+def _is_own(name):
+    """Whether `World` knows nothing of a cause."""
+    return (
+        name.partition("[")[0] in OWN
+        or "[ctrl." in name
+        or (name.startswith("delay[") and name != "delay[action]")
+    )
 
 
 def _written(text, own):

@@ -512,38 +512,42 @@ def derivatives(
     if known is not None and simulator.state_names:
         chains, places = linear.chains, space.places
         bent = is_bent(chains.transitions[places], chains.bends[places], known)
-        for column, name in enumerate(names if bent.any() else ()):
-            columns[bent, :, column] = _mean_derivative(
-                space, rows, values, name, (wide or steps)[name], known, bent
-            )
+        for start in range(0, len(names) if bent.any() else 0, together):
+            ends = {name: (wide or steps)[name] for name in names[start : start + together]}
+            found = _mean_derivatives(space, rows, values, ends, known, bent)
+            columns[bent, :, start : start + together] = found
     columns[~linear.valid] = 0.0
     return columns
 
 
-def _mean_derivative(
+def _mean_derivatives(
     space: StateSpace,
     rows: Array,
     values: Mapping[str, float],
-    name: str,
-    ends: tuple[float, float],
+    ends: Mapping[str, tuple[float, float]],
     known: Array,
     bent: Mask,
 ) -> Array:
-    """Return the derivative by a parameter in bent rows, the mean over what is not known of where they start."""
+    """Return derivatives by k parameters in bent rows, means over what is not known of where they start."""
     simulator, units = space.simulator, space.spread
-    candidates = [{**values, name: end} for end in ends]
+    candidates = [{**values, name: end} for name, both in ends.items() for end in both]
     past = simulator.past(rows, candidates, groups=space.groups).of(np.flatnonzero(bent))
     roots = _roots(known[bent], units)
-    sums, numbers = np.zeros((int(bent.sum()), space.d)), np.zeros(int(bent.sum()))
-    # Of one turn of the axes so many points are as good as any.
-    for point in normal_points(space.d, SLOPE_PAIRS)[:, :SLOPE_PAIRS].T:
-        for offset in (roots @ point, -roots @ point):
-            low, high = simulator.predict_many(simulator.displace(rows[bent], offset), candidates, past=past)
-            fine = np.isfinite(low).all(axis=1) & np.isfinite(high).all(axis=1)
-            sums[fine] += simulator.residual(high[fine], low[fine])
-            numbers += fine
-    slopes: Array = sums / np.maximum(numbers[:, None], 1) / (ends[1] - ends[0])
-    return slopes
+    columns = np.empty((int(bent.sum()), space.d, len(ends)))
+    for column, (first, last) in enumerate(ends.values()):
+        sums, numbers = np.zeros(columns.shape[:2]), np.zeros(len(columns))
+        pair = 2 * column, 2 * column + 1
+        own, before = [candidates[one] for one in pair], past.under(pair)
+        # Of one turn of the axes so many points are as good as any.
+        for point in normal_points(space.d, SLOPE_PAIRS)[:, :SLOPE_PAIRS].T:
+            for offset in (roots @ point, -roots @ point):
+                displaced = simulator.displace(rows[bent], offset)
+                low, high = simulator.predict_many(displaced, own, past=before)
+                fine = np.isfinite(low).all(axis=1) & np.isfinite(high).all(axis=1)
+                sums[fine] += simulator.residual(high[fine], low[fine])
+                numbers += fine
+        columns[:, :, column] = sums / np.maximum(numbers[:, None], 1) / (last - first)
+    return columns
 
 
 def _roots(covariances: Array, units: Array) -> Array:

@@ -187,11 +187,15 @@ class Simulator(BaseEstimator, ABC):
         outputs = np.empty((len(totals), len(inputs), len(self.output_names)))
         if not totals or not len(inputs):
             return outputs
-        past = self._past(inputs, totals, groups) if past is None else past
+        times = None
+        if past is None:
+            past, times = self._begun(inputs, totals, groups)
         for kind, which in self._by_memory(totals):
             some, before = [totals[index] for index in which], past.under(which)
             true = self._true(inputs, some)
-            if kind:
+            if kind and times is not None:
+                found = self._carry_along(true, some, before, times)
+            elif kind:
                 found = _Carried(self, some, before).step(true, before.acting, np.arange(len(inputs)))
             else:
                 found = self._outputs(true, [self._physical(one) for one in some], before.acting, None)[0]
@@ -212,15 +216,20 @@ class Simulator(BaseEstimator, ABC):
         return self._past(inputs, [self._total(values) for values in candidates], groups)
 
     def _past(self, inputs: Array, totals: Sequence[Mapping[str, float]], groups: ArrayLike | None) -> "Past":
-        starts = episode_starts(groups, len(inputs))
-        acting = self._acting(self._actions(inputs), starts, [self._physical(one) for one in totals])
-        found = self._steady(totals, len(inputs), acting)
-        times = np.arange(len(inputs)) - starts
+        found, times = self._begun(inputs, totals, groups)
         for kind, which in self._by_memory(totals):
             if kind:
                 some = [totals[index] for index in which]
                 self._carry_along(self._true(inputs, some), some, found.under(which), times)
         return found
+
+    def _begun(
+        self, inputs: Array, totals: Sequence[Mapping[str, float]], groups: ArrayLike | None
+    ) -> tuple["Past", NDArray[np.intp]]:
+        """Return the past of rows as if each were an episode's first but for commands, and the time of each."""
+        starts = episode_starts(groups, len(inputs))
+        acting = self._acting(self._actions(inputs), starts, [self._physical(one) for one in totals])
+        return self._steady(totals, len(inputs), acting), np.arange(len(inputs)) - starts
 
     def _steady(
         self, totals: Sequence[Mapping[str, float]], n_rows: int, acting: Sequence[Acting] = ()
@@ -245,17 +254,19 @@ class Simulator(BaseEstimator, ABC):
 
     def _carry_along(
         self, inputs: Array, totals: Sequence[Mapping[str, float]], past: "Past", times: NDArray[np.intp]
-    ) -> None:
-        """Simulate rows in the order of time, and write what each leaves into the past of the next one."""
+    ) -> Array:
+        """Simulate rows in the order of time, write what each leaves into the past of the next; return the outputs."""
+        outputs = np.empty((*inputs.shape[:2], len(self.output_names)))
         order, has_next = np.argsort(times, kind="stable"), np.r_[np.diff(times) == 1, False]
         for rows in np.split(order, np.flatnonzero(np.diff(times[order])) + 1):
             now = past.of(rows)
             carried = _Carried(self, totals, now)
-            carried.step(inputs[:, rows], now.acting, np.arange(len(rows)))
+            outputs[:, rows] = carried.step(inputs[:, rows], now.acting, np.arange(len(rows)))
             followed = np.flatnonzero(has_next[rows])
             for mine, left in ((past.hidden, carried.hidden), (past.ahead, carried.ahead)):
                 for one, other in zip(mine, left):
                     one[rows[followed] + 1] = other[followed]
+        return outputs
 
     def rollout(
         self,

@@ -6,7 +6,7 @@ changes the spec in place; a list of indices means the edit of each.
 
 import copy
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import mujoco
@@ -18,6 +18,11 @@ AUTOMATIC = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
 # What is put behind the name of a joint for that of its play.
 PLAY = ".play"
 SHELL = mujoco.mjtGeomInertia.mjINERTIA_SHELL
+EULERDAMP = int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
+IMPLICIT = mujoco.mjtIntegrator.mjINT_IMPLICIT, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+ONE_AXIS = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
+PLAIN_GAINS = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtGain.mjGAIN_AFFINE
+PLAIN_BIASES = mujoco.mjtBias.mjBIAS_NONE, mujoco.mjtBias.mjBIAS_AFFINE
 # All that the compiler reads of a joint, but for its frame.
 JOINT_PARTS = (
     *("name", "type", "pos", "axis", "ref", "align", "stiffness", "springref", "springdamper", "springyield"),
@@ -285,8 +290,8 @@ def prepare_lag(actuator: int, spec: mujoco.MjSpec, lag: float) -> None:
 def add_play(joint: str, rotor: float, spec: mujoco.MjSpec, width: float) -> None:
     """Put a joint with play between a joint's motor, which keeps its armature and friction, and the link.
 
-    A motor without inertia gets `rotor`. Its flanks are as hard as the time step allows. Keyframes, which do not know
-    of this joint, go.
+    A motor without inertia gets `rotor`. Keyframes, which do not know of this joint, go. `finish_plays` does what waits
+    for all other edits.
     """
     motor = next(one for one in spec.joints if one.name == joint)
     if motor.armature <= 0:
@@ -298,7 +303,6 @@ def add_play(joint: str, rotor: float, spec: mujoco.MjSpec, width: float) -> Non
         axis=motor.axis,
         limited=mujoco.mjtLimited.mjLIMITED_TRUE,
         range=_in_units(spec, motor, [-width / 2, width / 2]),
-        solref_limit=[2 * spec.option.timestep, 1.0],
         solimp_limit=[0.95, 0.99, 1e-4, 0.5, 2.0],
         armature=0.0,
         damping=np.zeros_like(motor.damping),
@@ -315,6 +319,43 @@ def add_play(joint: str, rotor: float, spec: mujoco.MjSpec, width: float) -> Non
     _follow(motor, play)
     for key in list(spec.keys):
         spec.delete(key)
+
+
+def finish_plays(joints: Collection[str], spec: mujoco.MjSpec, shares: Mapping[int, float]) -> bool:
+    """Make the flanks of joints' plays hard, and have them stop motors with their dampers, once the time step h is set.
+
+    Flanks are as hard as the time step allows. An implicit integrator solves (M + h D) a = f, but its constraints know
+    M alone: to a flank a small rotor with a strong servo, h D >> M, is as good as nothing, and the link goes on
+    through it. Here h D is written into the armatures, and D is explicit: without constraints the same equation, and
+    with them one that they know. That needs a D of joints alone (dampers, speed feedback of actuators on hinges and
+    slides); otherwise it stays as it is. Returned is whether it does not. `shares` says of actuators, by index, how
+    much of the force acts within a time step, where it is late.
+    """
+    step, plays = spec.option.timestep, {name + PLAY for name in joints}
+    for joint in spec.joints:
+        if joint.name in plays:
+            joint.solref_limit = [2 * step, 1.0]
+    euler = spec.option.integrator == mujoco.mjtIntegrator.mjINT_EULER
+    if (euler and spec.option.disableflags & EULERDAMP) or not (euler or spec.option.integrator in IMPLICIT):
+        return False
+    rates = {joint.name: float(joint.damping[0]) for joint in spec.joints}
+    hinges = {joint.name for joint in spec.joints if joint.type in ONE_AXIS}
+    among = spec.option.viscosity or spec.option.density or any(np.any(one.damping) for one in spec.tendons)
+    for index, actuator in enumerate(() if euler else spec.actuators):
+        affine = actuator.gaintype in PLAIN_GAINS and actuator.biastype in PLAIN_BIASES
+        rate = -float(actuator.biasprm[2]) if actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE else 0.0
+        of_joint = actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT and actuator.target in hinges
+        if not affine or actuator.gainprm[2] or (rate and not of_joint):
+            among = True
+        elif rate:
+            rates[actuator.target] += float(actuator.gear[0]) ** 2 * rate * shares.get(index, 1.0)
+    if among:
+        return False
+    for joint in spec.joints:
+        joint.armature += step * rates[joint.name]
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    spec.option.disableflags |= EULERDAMP
+    return True
 
 
 def _follow(first: mujoco.MjsJoint, last: mujoco.MjsJoint) -> None:

@@ -24,7 +24,7 @@ from skat.simulators.channels import HINGE, StateLayout, joint_name, state_layou
 from skat.simulators.commands import CommandPath
 from skat.simulators.compiling import checked_model, compile_spec, lean_spec
 from skat.simulators.derived import write_down
-from skat.simulators.edits import PLAY, add_payload
+from skat.simulators.edits import PLAY, add_payload, finish_plays
 from skat.simulators.friction import NEUTRAL, braking_share, creep
 from skat.simulators.furnishing import with_base, with_motors
 from skat.simulators.source import (
@@ -277,10 +277,15 @@ class MujocoSimulator(Simulator):
                 beside |= {} if of_payload else {effect.name: value}
             else:
                 edits[effect.name](spec, value)
+        through_armatures = self._finish_plays(spec, values)
         beside |= {name: value for name, value in values.items() if name not in self._own_by_name}
         said = [f"One transition is {substeps} time steps."]
         said += [self._all_by_name[name].describe(value) + "." for name, value in values.items()]
         said += [f"{name} is written as {value:g}, in whole time steps." for name, value in rounded.items()]
+        if through_armatures:
+            said.append(
+                "Armatures hold the time step times the damping of joints, which flanks of play must know."
+            )
         spec.comment = " ".join(said)
         spec.compile()
         files = {target: write_xml(spec).encode()}
@@ -784,6 +789,7 @@ class MujocoSimulator(Simulator):
                 edit(spec, values[effect.name])
             if n_substeps != self.frame_skip:
                 spec.option.timestep = spec.option.timestep * self.frame_skip / n_substeps
+            self._finish_plays(spec, values)
             try:
                 cache[key] = compile_spec(spec)
             except ValueError as error:
@@ -792,6 +798,18 @@ class MujocoSimulator(Simulator):
                 cache.popitem(last=False)
         cache.move_to_end(key)
         return cache[key]
+
+    def _finish_plays(self, spec: mujoco.MjSpec, values: Mapping[str, float]) -> bool:
+        joints, lags = (
+            {name.partition("[")[2][:-1]: values[name] for name in values if name.startswith(family)}
+            for family in ("backlash[", "lag_torque[")
+        )
+        if not joints:
+            return False
+        late = {name: spec.option.timestep / lag for name, lag in lags.items() if lag > 0}
+        # Of a constant input a filter passes so much, in the mean over a time step.
+        shares = {self._actuator_names.index(name): 1 + math.expm1(-x) / x for name, x in late.items()}
+        return finish_plays(joints, spec, shares)
 
     def _is_of_commands(self, effect: Effect) -> bool:
         """Whether an effect's edit is for written models only: here the commands, or the time steps, are changed."""

@@ -54,6 +54,49 @@ def test_a_torque_that_lags_comes_to_the_same_place_later():
     np.testing.assert_allclose(*ends, atol=2e-3)
 
 
+def test_commands_that_are_late_act_in_the_mean_over_a_time_step_and_in_another_unit():
+    from worlds.servos import ServoWorld
+
+    # 1.6 time steps late: nothing of a jump in the first, four tenths in the second, all from the third on.
+    world = ServoWorld("so101", {"delay[lift]": 0.008, "scale[ctrl.lift]": 2.0, "bias[ctrl.lift]": 0.1})
+    history, step = np.zeros((3, 6)), world.timestep
+    history[-1] = 0.5
+    found = [world._arrived(history, k * step, step)[1] for k in range(world.substeps)]
+    np.testing.assert_allclose(found, [0.0, 0.2, 0.5, 0.5], atol=1e-12)
+    world.reset(np.zeros(12))
+    world.advance(history)
+    np.testing.assert_allclose(world.data.ctrl, [0.5, 2 * 0.5 + 0.1, 0.5, 0.5, 0.5, 0.5])
+
+
+def test_a_servo_rests_within_its_dead_zone_and_loses_torque_as_it_turns():
+    from worlds.servos import ServoWorld
+
+    world = ServoWorld("so101", {"dead_zone[lift]": 0.02, "torque_speed[pan]": 0.5, "force_limit[pan]": 0.5})
+    state, kp, limit = np.zeros(12), 17.8, 3.35 / 2
+    state[6] = 2.0
+    for command, expected in ((0.019, 0.0), (0.03, 0.01 * kp), (-0.03, -0.01 * kp)):
+        world.reset(state)
+        world.data.ctrl[:] = command
+        world.data.ctrl[0] = 1.0
+        world._weaken()
+        assert (world.data.ctrl[1] - world.data.qpos[1]) * kp == pytest.approx(expected)
+        np.testing.assert_allclose(world.real.actuator_forcerange[0], [-limit, limit - 0.5 * 2.0])
+
+
+def test_a_sensor_with_a_filter_is_behind_by_its_time_constant():
+    from worlds.servos import ServoWorld
+
+    world = ServoWorld("so101", {"lag[qpos.lift]": 0.03})
+    world.reset(np.zeros(12))
+    true = [world.advance(np.full((1, 6), 0.02 * row))[1] for row in range(100)]
+    states = np.zeros((101, 12))
+    states[1:, 1] = true
+    shown = world.readings("exact", states, None, None, states)[1:, 1]
+    late = np.interp(world.dt * np.arange(50, 99) - 0.03, world.dt * np.arange(100), true)
+    np.testing.assert_allclose(shown[50:99], late, atol=1e-4)
+    assert np.abs(shown - true).max() > 0.01
+
+
 def test_a_link_is_no_further_from_its_motor_than_play_allows():
     from worlds.servos import ServoWorld
 

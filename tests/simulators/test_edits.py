@@ -217,10 +217,45 @@ def test_play_is_a_bare_joint_of_its_width_beyond_the_motors(angle, armature, ro
     np.testing.assert_allclose(found.jnt_stiffness, [5.0, 0.0])
     np.testing.assert_allclose(found.jnt_margin, [0.1, 0.0])
     np.testing.assert_allclose(play.range, [-0.04, 0.04])
-    np.testing.assert_allclose(found.jnt_solref[1], [2 * 0.004, 1.0])
     np.testing.assert_allclose(found.jnt_solimp[1], [0.95, 0.99, 1e-4, 0.5, 2.0])
     for name in ("pos", "axis"):
         np.testing.assert_allclose(getattr(play, name), getattr(plain.joint("hinge"), name))
+
+
+DAMPED = """<mujoco><option timestep=".01" integrator="{}" {}/><worldbody><body><joint name="hinge" armature=".2"
+damping=".5"/><geom size=".1"/><body><joint name="tip" damping="3"/><geom size=".1"/></body></body></worldbody>
+<tendon><fixed name="t" damping="{}"><joint joint="tip" coef="1"/></fixed></tendon><actuator>{}</actuator></mujoco>"""
+GEARED = '<position joint="hinge" kp="7" kv="4" gear="3"/>'
+
+
+@pytest.mark.parametrize(
+    ("integrator", "option", "tendon", "actuator", "armatures"),
+    [
+        ("implicitfast", "", 0, GEARED, [0.2 + 0.01 * (0.5 + 4 * 9), 0, 0.01 * 3]),
+        ("implicit", "", 0, '<motor joint="hinge"/>', [0.2 + 0.01 * 0.5, 0, 0.01 * 3]),
+        ("Euler", "", 0, GEARED, [0.2 + 0.01 * 0.5, 0, 0.01 * 3]),
+        # What the integrator treats explicitly, or what is not of joints, stays as it is.
+        ("RK4", "", 0, GEARED, [0.2, 0, 0]),
+        ("discrete", "", 0, GEARED, [0.2, 0, 0]),
+        ("implicitfast", 'viscosity="1"', 0, GEARED, [0.2, 0, 0]),
+        ("implicitfast", "", 0.1, GEARED, [0.2, 0, 0]),
+        ("implicitfast", "", 0, '<position tendon="t" kp="7" kv="4"/>', [0.2, 0, 0]),
+        ("implicitfast", "", 0, '<muscle joint="hinge" lengthrange="0 1"/>', [0.2, 0, 0]),
+    ],
+)
+def test_flanks_are_as_hard_as_the_time_step_allows_and_know_of_dampers_on_joints(
+    integrator, option, tendon, actuator, armatures
+):
+    spec = mujoco.MjSpec.from_string(DAMPED.format(integrator, option, tendon, actuator))
+    edits.add_play("hinge", 0.02, spec, 0.08)
+    before = spec.copy().compile().opt
+    explicit = edits.finish_plays(["hinge"], spec, {})
+    found = spec.compile()
+    np.testing.assert_allclose(found.dof_armature, armatures)
+    np.testing.assert_allclose(found.jnt_solref[1], [2 * 0.01, 1.0])
+    assert explicit == (armatures != [0.2, 0, 0])
+    assert (found.opt.integrator != before.integrator) == (explicit and integrator != "Euler")
+    assert bool(found.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_EULERDAMP) == explicit
 
 
 JOINTS = {
@@ -229,7 +264,7 @@ JOINTS = {
     'pos="0 .1 0" springref=".1" stiffness="3"/>{}</frame>',
     "push": '<joint name="push" type="slide" axis="0 1 0" frictionloss=".3" armature=".4"/>{}',
 }
-JOINT_PLAY = """<joint name="{name}.play" {same} limited="true" range="-.04 .04" solreflimit=".008 1" ref="0"
+JOINT_PLAY = """<joint name="{name}.play" {same} limited="true" range="-.04 .04" ref="0"
     solimplimit=".95 .99 1e-4 .5 2" springdamper="0 0" actuatorfrclimited="false"/>"""
 SAME = {"turn": 'axis="0 0 1"', "tip": 'axis="1 0 0" pos="0 .1 0"', "push": 'type="slide" axis="0 1 0"'}
 

@@ -254,9 +254,44 @@ def test_play_is_carried_along_a_log_and_written_as_a_joint(tmp_path):
     (path,) = simulator.to_mjcf(tmp_path / "loose.xml")
     model = mujoco.MjModel.from_xml_path(str(path))
     assert model.nq == 3
+    assert "time step times the damping" in path.read_text()
     assert model.joint("elbow.play").range[1] == pytest.approx(0.01)
-    start = simulator.rollout(np.zeros((1, 4)), controls[None, :1], n_steps=1)[0]
-    assert np.isfinite(start).all()
+    far = []
+    for flank in (-0.01, 0.01):
+        plain = stepped(path.read_text(), controls, state=np.array([0, -flank, flank, 0, 0, 0]))
+        plain[:, [1, 4]] += plain[:, [2, 5]]
+        far.append(np.abs(plain[:, [0, 1, 3, 4]] - found).max())
+    assert min(far) < 1e-7
+    assert max(far) > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("integrator", "damping", "feedback"),
+    [("implicitfast", 0, 40), ("implicitfast", 40, 0), ("Euler", 40, 0)],
+)
+def test_a_small_rotor_with_a_strong_damper_is_stopped_by_the_flanks(integrator, damping, feedback):
+    """A time step times its damping is eight times the rotor, which an implicit integrator hides from constraints."""
+    text = """
+    <mujoco><compiler angle="radian"/><option timestep="{}" integrator="{}"/><worldbody><body name="motor">
+    <inertial pos="0 0 0" mass="1e-6" diaginertia="1e-9 1e-9 1e-9"/>
+    <joint name="hinge" axis="0 0 1" armature="0.01" damping="{}"/>
+    {}<geom type="box" size="0.1 0.02 0.02" pos="0.1 0 0" mass="1"/></body>{}</worldbody>
+    <actuator><position name="m" joint="hinge" kp="400" kv="{}"/></actuator></mujoco>
+    """
+    link = """<body><joint name="play" axis="0 0 1" limited="true" range="-0.01 0.01" solreflimit="1e-4 1"
+    solimplimit="0.95 0.99 1e-4"/>"""
+    times = 0.01 * np.arange(300)
+    controls = 0.1 * np.sin(3 * np.pi * times)[:, None]
+    fine = stepped(
+        text.format(5e-5, integrator, damping, link, "</body>", feedback), controls, n_substeps=200
+    )
+    simulator = MujocoSimulator(text.format(0.002, integrator, damping, "", "", feedback), frame_skip=5)
+    rigid, loose = (
+        simulator.rollout(np.zeros((1, 2)), controls[None], n_steps=300, effects=effects)[0, :, 0]
+        for effects in ({}, {"backlash[hinge]": 0.02})
+    )
+    truth = fine[:, 0] + fine[:, 1]
+    assert np.std(loose - truth) < 0.1 * np.std(rigid - truth)
 
 
 def test_a_function_gets_delays_and_lags_of_its_inputs():
