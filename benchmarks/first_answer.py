@@ -18,7 +18,8 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from worlds.robots import channel_names, make_log, nominal_model
+from worlds.hidden import channel_names, nominal_model
+from worlds.robots import make_log
 
 HIDDEN = {"a friction": {"dry_friction[elbow]": 4.0}, "nothing": {}}
 ROWS = 3000

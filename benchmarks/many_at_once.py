@@ -13,7 +13,8 @@ Of each hidden cause a line says what it is worth in the true model, in nats (`w
 import numpy as np
 import tables
 from tables import Case, Table
-from worlds.robots import World, actuator_names, channel_names, machine, make_log, nominal_model
+from worlds.hidden import actuator_names, channel_names, nominal_model
+from worlds.robots import World, machine, make_log
 from worlds.worth import worth
 
 ROBOTS = ("torque_arm", "quadruped_hung")

@@ -17,7 +17,8 @@ import sys
 import numpy as np
 import tables
 from tables import Case, Table
-from worlds.robots import ROBOTS, edited_model, make_log
+from worlds.hidden import edited_model
+from worlds.robots import ROBOTS, make_log
 
 N_LOGS = 2000
 WORLDS = {"puck": (100, 2), "cart_pole": (100, 1), "two_link": (200, 1)}  # rows, episodes: at most 2 s

@@ -13,7 +13,8 @@ import mujoco
 import numpy as np
 import tables
 from tables import Case, Table
-from worlds.robots import actuator_names, make_log, nominal_model
+from worlds.hidden import actuator_names, nominal_model
+from worlds.robots import make_log
 
 SENSORS = ("ideal", "encoder")
 N_DELAYS, N_WEAK, N_CLEAN = 8, 5, 8

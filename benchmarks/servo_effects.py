@@ -15,7 +15,8 @@ import re
 import numpy as np
 import tables
 from tables import Case, Table
-from worlds.robots import make_log, nominal_model
+from worlds.hidden import nominal_model
+from worlds.robots import make_log
 from worlds.servos import ServoWorld
 
 ALSO = (

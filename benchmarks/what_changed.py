@@ -12,7 +12,8 @@ by a hundredth, two degrees::
 import numpy as np
 import tables
 from tables import Case, Table
-from worlds.robots import make_log, nominal_model
+from worlds.hidden import nominal_model
+from worlds.robots import make_log
 
 N_CHANGED = N_SAME = 50
 FINE, COARSE = 0.001, 0.01

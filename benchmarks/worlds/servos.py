@@ -24,7 +24,8 @@ import xml.etree.ElementTree as ElementTree
 import mujoco
 import numpy as np
 
-from worlds.robots import World, actuator_names, channel_names, edited_model
+from worlds.hidden import actuator_names, channel_names, edited_model
+from worlds.robots import World
 
 OWN = ("lag", "lag_torque", "dead_zone", "torque_speed", "force_limit", "backlash", "payload", "mx106")
 FINER = {"lag_torque": 10, "backlash": 5}

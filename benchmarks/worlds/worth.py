@@ -9,7 +9,8 @@ NumPy.
 import mujoco
 import numpy as np
 
-from worlds.robots import World, _family, _target, channel_names, predict, scales, tangent_error
+from worlds.hidden import channel_names, family_of, target_of
+from worlds.robots import World, predict, scales, tangent_error
 from worlds.sensing import COMPUTED, ENCODER_STEPS, FINE_NOISE, NOISE, TRAVEL
 
 _DRIFT = 1e-9  # of a channel's spread, so that no covariance is singular
@@ -51,9 +52,9 @@ def effects_of(log):
     moves = {}
     for name, value in log.truth.items():
         state, reading = np.zeros((len(whole), 2 * model.nv)), np.zeros((len(whole), 2 * model.nv))
-        if _family(name) in ("bias", "scale"):
-            column = channel_names(model).index(_target(name))
-            reading[:, column] = value if _family(name) == "bias" else (value - 1) * log.exact[:, column]
+        if family_of(name) in ("bias", "scale"):
+            column = channel_names(model).index(target_of(name))
+            reading[:, column] = value if family_of(name) == "bias" else (value - 1) * log.exact[:, column]
         else:
             rest = {other: number for other, number in log.truth.items() if other != name}
             state = tangent_error(model, whole, predict(log, rest))
