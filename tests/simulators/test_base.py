@@ -203,6 +203,13 @@ def test_missing_value_is_located(pendulum, rows):
         pendulum.predict(rows)
 
 
+def test_a_number_written_as_a_text_is_located(pendulum, rows):
+    texts = rows.astype(object)
+    texts[3, 2] = "0.5"
+    with pytest.raises(ValueError, match=r"X holds the text '0.5' in row 3, column 2; .* by table\.astype"):
+        pendulum.predict(texts)
+
+
 def test_diverged_rows_are_named(pendulum):
     broken = FunctionSimulator(
         lambda X: np.where(X > 2, np.inf, X), input_names=("a",), output_names=("b",), effects=()

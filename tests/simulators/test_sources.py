@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from sklearn.base import clone
 
-from skat.simulators import MujocoSimulator
+from skat.simulators import MujocoSimulator, make_simulator
+from skat.simulators.adapting import without_root
 from skat.simulators.source import differing_fields
 
 ARM = """<?xml version="1.0"?>
@@ -87,6 +88,13 @@ def test_a_urdf_without_a_joint_to_the_world_asks_whether_its_root_is_free():
         "qpos.root.y",
         "qpos.root.z",
     )
+
+
+def test_the_root_of_a_model_is_welded_and_there_is_none_elsewhere():
+    welded = without_root(MujocoSimulator(WALKER, frame_skip=3))
+    assert (welded.base, welded.frame_skip, welded.state_names) == ("fixed", 3, ("qpos.hip", "qvel.hip"))
+    with pytest.raises(ValueError, match=r'base="fixed" is of MuJoCo models; this is a PuckSimulator'):
+        without_root(make_simulator("puck"))
 
 
 def test_a_free_root_is_welded_where_it_is_and_keyframes_keep_the_rest():
