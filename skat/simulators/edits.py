@@ -338,7 +338,7 @@ def finish_plays(joints: Collection[str], spec: mujoco.MjSpec, shares: Mapping[i
     euler = spec.option.integrator == mujoco.mjtIntegrator.mjINT_EULER
     if (euler and spec.option.disableflags & EULERDAMP) or not (euler or spec.option.integrator in IMPLICIT):
         return False
-    rates = {joint.name: float(joint.damping[0]) for joint in spec.joints}
+    feedback: dict[str, float] = {}  # a joint that is driven has a name, others may share none
     hinges = {joint.name for joint in spec.joints if joint.type in ONE_AXIS}
     among = spec.option.viscosity or spec.option.density or any(np.any(one.damping) for one in spec.tendons)
     for index, actuator in enumerate(() if euler else spec.actuators):
@@ -348,11 +348,12 @@ def finish_plays(joints: Collection[str], spec: mujoco.MjSpec, shares: Mapping[i
         if not affine or actuator.gainprm[2] or (rate and not of_joint):
             among = True
         elif rate:
-            rates[actuator.target] += float(actuator.gear[0]) ** 2 * rate * shares.get(index, 1.0)
+            own = float(actuator.gear[0]) ** 2 * rate * shares.get(index, 1.0)
+            feedback[actuator.target] = feedback.get(actuator.target, 0.0) + own
     if among:
         return False
     for joint in spec.joints:
-        joint.armature += step * rates[joint.name]
+        joint.armature += step * (float(joint.damping[0]) + feedback.get(joint.name, 0.0))
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     spec.option.disableflags |= EULERDAMP
     return True

@@ -258,6 +258,14 @@ def test_flanks_are_as_hard_as_the_time_step_allows_and_know_of_dampers_on_joint
     assert bool(found.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_EULERDAMP) == explicit
 
 
+def test_each_of_several_joints_without_a_name_has_its_own_damper():
+    bodies = "".join(f'<body><joint damping="{one}"/><geom size=".1"/></body>' for one in (2, 5))
+    text = DAMPED.format("implicitfast", "", 0, GEARED).replace("</worldbody>", f"{bodies}</worldbody>")
+    spec = mujoco.MjSpec.from_string(text)
+    assert edits.finish_plays([], spec, {})
+    np.testing.assert_allclose(spec.compile().dof_armature[-2:], [0.01 * 2, 0.01 * 5])
+
+
 JOINTS = {
     "turn": '<joint name="turn" axis="0 0 1" damping=".1" armature=".01"/>{}',
     "tip": '<frame euler="0 .3 0" pos=".1 0 0"><joint name="tip" axis="1 0 0" range="-2 2" armature=".2" '
