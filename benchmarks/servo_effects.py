@@ -57,6 +57,7 @@ FAMILIES = {
     "weight": ("payload", "mass"),
     "zone": ("dead_zone", "backlash"),
     **{kind: (name.partition("[")[0],) for kind, (name, _) in REST.items() if kind != "zone"},
+    "zero": ("bias", "offset"),
 }
 # What is part of the same thing: M4 sticks and is viscous, a weight moves the centre of mass, and worlds of torque that
 # lags and of play go in finer steps than the model.
@@ -130,11 +131,11 @@ def run(case, parameters):
 def said(line):
     """Return the causes that say what is hidden, by name or by an alias: their sizes in its unit."""
     (name, value), *_ = line["truth"].items()
-    target = re.search(r"\[(.*)\]$", name).group(1)
+    target = re.search(r"\[(?:ctrl\.)?(.*)\]$", name).group(1)
     found = {}
     for cause in line["causes"]:
         for one in (cause["name"], *(alias for alias, _ in cause["aliases"])):
-            family, _, element = one.rstrip("]").partition("[")
+            family, _, element = one.replace("[ctrl.", "[").rstrip("]").partition("[")
             if family in FAMILIES[line["kind"]] and element == target:
                 found[cause["name"]] = _size(line, cause, target)
                 break

@@ -53,8 +53,8 @@ COARSE_ROWS = 10_000
 LIVE = 24
 # The weakest causes, so many, must be missed by a fit of their own of the others, and their rivals' too.
 REFITTED = 3
-# Chords of an effect that has no slope where it is neutral, to each of its bounds.
-CHORDS = 10
+# What acts only beyond some place has no slope, or one that says little of what it does further off.
+THRESHOLDS = ("backlash", "dead_zone", "torque_speed", "current_limit")
 # Effects whose responses make a smaller angle than this cosine may be the same: so many are fitted in a cause's place.
 ALIKE, RIVALS = 0.8, 3
 # A bound that an estimate comes this near to, as a share of the range, holds it.
@@ -682,12 +682,19 @@ def _ends_of_chords(simulator: Simulator, effect: Effect, typical: float, dead: 
         step = simulator.dt / int(getattr(simulator, "frame_skip", 1))
         return np.asarray(step * np.arange(1.0, int(effect.bounds[1] / step + 1e-9) + 1), dtype=np.float64)
     places = np.array([-typical, typical])
-    if dead:
-        shares = np.arange(1, CHORDS + 1) / CHORDS
-        places = np.concatenate([shares * coordinate(effect, bound) for bound in effect.bounds])
+    if dead or effect.family in THRESHOLDS:
+        bounds = [coordinate(effect, bound) for bound in effect.bounds]
+        places = np.concatenate([_doubled(typical / 2, bound) for bound in bounds])
     ends = np.unique([value_at(effect, place) for place in places])
     far: Array = ends[ends != effect.neutral]
     return far
+
+
+def _doubled(first: float, bound: float) -> Array:
+    """Return places from `first` to a bound, each twice as far off as the one before."""
+    times = np.ceil(np.log2(max(abs(bound) / first, 1.0)))
+    places: Array = np.sign(bound) * np.minimum(first * 2 ** np.arange(times + 1), abs(bound))
+    return places
 
 
 def is_held(effect: Effect, value: float) -> bool:

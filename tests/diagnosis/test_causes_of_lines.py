@@ -227,13 +227,13 @@ def test_slopes_are_tangents_where_these_explain_most_and_of_a_cause_over_what_i
 
 
 def test_what_has_no_slope_has_a_chord_to_where_it_explains_most():
-    """A limit that is never reached, as a factor: of ten chords to its bound, counted on the logarithm."""
+    """A limit that is never reached, as a factor: of chords that double until its bound, on the logarithm."""
     effect = Effect("limit", unit="1", neutral=1.0, bounds=(0.2, 1.0), typical=0.1)
     rng = np.random.default_rng(0)
     x = rng.uniform(-2, 2, size=80)
     y = np.clip(x, -1.2, 1.2) + 0.1 * rng.normal(size=80)
     fits, nothing = fits_of(lambda X, limit: np.clip(X, -3 * limit, 3 * limit), effect, x, y)
-    places = np.log(0.2) * np.arange(1, 11) / 10
+    places = np.r_[-0.05 * 2.0 ** np.arange(6), np.log(0.2)]
     chords = [(np.clip(x, -3 * np.exp(place), 3 * np.exp(place)) - x) / place for place in places]
     gains = []
     for place, chord in zip(places, chords):
