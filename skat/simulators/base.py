@@ -19,6 +19,8 @@ UNBOUNDED = 1e12
 # Of a sensor's filter, in transitions.
 LONGEST_LAG = 20
 Acting = tuple[Array, ...] | None
+# States (n_parts, n_rows, n_states) within rows, of one simulation or of two with the share of the second.
+Courses = list[tuple[float, Array]]
 Made = TypeVar("Made")
 
 
@@ -457,6 +459,21 @@ class Simulator(BaseEstimator, ABC):
             For each candidate the hidden states as the rows begin, NaN for steady states. None: all are steady.
         """
 
+    def _courses(
+        self,
+        inputs: Array,
+        candidates: Sequence[Mapping[str, float]],
+        acting: Sequence[Acting],
+        hidden: Sequence[Array] | None,
+    ) -> tuple[Array, list[Array], list[Courses]]:
+        """Return what `_outputs` does, and how each candidate's state changes within the rows.
+
+        A course, (n_parts, n_rows, n_states), holds the states at the ends of equal parts of the rows' time. Where the
+        outputs are between those of two simulations, both are there, the second with its share.
+        """
+        outputs, after = self._outputs(inputs, candidates, acting, hidden)
+        return outputs, after, [[(1.0, one[None].copy())] for one in outputs]
+
     def _acting(
         self, actions: Array, starts: NDArray[np.intp], candidates: Sequence[Mapping[str, float]]
     ) -> list[Acting]:
@@ -681,18 +698,34 @@ class _Carried:
                         ahead[index][:, place] = np.where(np.isnan(known), steady, known)
             for index, lags in enumerate(self._lagging):
                 true[index][:, list(lags)] += ahead[index]
-            outputs, after = simulator._outputs(true, self._physical, acting, before)
+            outputs, after, courses = simulator._courses(true, self._physical, acting, before)
             for index, lags in enumerate(self._lagging):
-                for place, (column, lag) in enumerate(lags.items()):
-                    # Of a filter of first order, whose input goes straight from one row's truth to the next.
-                    left = math.exp(-dt / lag)
-                    speed = (outputs[index, :, column] - true[index, :, column]) / dt
-                    now = lag * speed * (1 - left) + ahead[index][:, place] * left
-                    self.ahead[index][episodes, place] = np.nan_to_num(now)
-                    outputs[index, :, column] -= now
+                if lags:
+                    columns, times = list(lags), np.array(list(lags.values()))
+                    now = _behind(true[index][:, columns], courses[index], columns, ahead[index], times, dt)
+                    self.ahead[index][episodes] = np.nan_to_num(now)
+                    outputs[index][:, columns] -= now
         for kept, one in zip(self.hidden, after):
             kept[episodes] = one
         return outputs
+
+
+def _behind(
+    start: Array, courses: Courses, columns: list[int], ahead: Array, lags: Array, dt: float
+) -> Array:
+    """Return by how much the truth is ahead of filters of first order as a row ends; ``ahead`` is as it begins.
+
+    Their input goes straight from the end of one part of a course to that of the next.
+    """
+    mixed = np.zeros_like(ahead)
+    for share, course in courses:
+        behind, before, part = ahead, start, dt / len(course)
+        left = np.exp(-part / lags)
+        for state in course:
+            behind = lags * (state[:, columns] - before) / part * (1 - left) + behind * left
+            before = state[:, columns]
+        mixed += share * (behind - mixed)
+    return mixed
 
 
 def _sensors(total: Mapping[str, float]) -> dict[str, tuple[float, float]]:

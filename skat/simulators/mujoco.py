@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from skat.effects import FAMILIES, Effect
 from skat.files import whole, writable
 from skat.simulators.anatomy import EXPLICIT_INTEGRATOR, NO_DYNAMICS, Anatomy, actuator_name
-from skat.simulators.base import Acting, Simulator, sensor_lags
+from skat.simulators.base import Acting, Courses, Simulator, sensor_lags
 from skat.simulators.catalogue import Listing, effect_listing
 from skat.simulators.channels import HINGE, StateLayout, joint_name, state_layout
 from skat.simulators.commands import CommandPath
@@ -630,7 +630,33 @@ class MujocoSimulator(Simulator):
         hidden: Sequence[Array] | None,
     ) -> tuple[Array, list[Array]]:
         inputs = self._layout.normalised(inputs, "X")
-        n_states = len(self.state_names)
+        jobs, shares = self._jobs(candidates, acting, hidden)
+        states, left = self._cached("stepper", Stepper).run(jobs, inputs)
+        return self._mixed(jobs, shares, states, left, inputs)
+
+    def _courses(
+        self,
+        inputs: Array,
+        candidates: Sequence[Mapping[str, float]],
+        acting: Sequence[Acting],
+        hidden: Sequence[Array] | None,
+    ) -> tuple[Array, list[Array], list[Courses]]:
+        inputs = self._layout.normalised(inputs, "X")
+        jobs, shares = self._jobs(candidates, acting, hidden)
+        found, left = self._cached("stepper", Stepper).courses(jobs, inputs)
+        outputs, after = self._mixed(jobs, shares, np.stack([one[-1] for one in found]), left, inputs)
+        courses: list[Courses] = [[] for _ in candidates]
+        for job, share, course in zip(jobs, shares, found):
+            courses[job.candidate].append((share, course))
+        return outputs, after, courses
+
+    def _jobs(
+        self,
+        candidates: Sequence[Mapping[str, float]],
+        acting: Sequence[Acting],
+        hidden: Sequence[Array] | None,
+    ) -> tuple[list[Job], list[float]]:
+        """Return what is to be run for each candidate, and the share of each in its result; see `_substeps`."""
         jobs: list[Job] = []
         shares: list[float] = []
         for index, values in enumerate(candidates):
@@ -649,9 +675,19 @@ class MujocoSimulator(Simulator):
                 )
                 jobs.append(job)
                 shares.append(share)
-        states, left = self._cached("stepper", Stepper).run(jobs, inputs)
-        outputs = np.empty((len(candidates), *states.shape[1:]))
-        after: list[Array] = [np.empty(0)] * len(candidates)
+        return jobs, shares
+
+    def _mixed(
+        self,
+        jobs: Sequence[Job],
+        shares: Sequence[float],
+        states: Array,
+        left: Sequence[Array],
+        inputs: Array,
+    ) -> tuple[Array, list[Array]]:
+        """Return the outputs and hidden states of candidates, of one job or two each."""
+        outputs = np.empty((jobs[-1].candidate + 1, *states.shape[1:]))
+        after: list[Array] = [np.empty(0)] * len(outputs)
         for job, share, result, rest in zip(jobs, shares, states, left):
             if share == 1.0:
                 outputs[job.candidate], after[job.candidate] = result, rest
@@ -659,7 +695,7 @@ class MujocoSimulator(Simulator):
                 step = self._layout.difference(result, outputs[job.candidate])
                 outputs[job.candidate] = self._layout.displaced(outputs[job.candidate], share * step)
                 after[job.candidate] += share * (rest - after[job.candidate])
-        return self._layout.aligned(outputs, inputs[..., :n_states]), after
+        return self._layout.aligned(outputs, inputs[..., : len(self.state_names)]), after
 
     def _plays(self, values: Mapping[str, float], model: mujoco.MjModel) -> tuple[Play, ...]:
         """Return where a model with plays has them."""

@@ -196,9 +196,32 @@ class Stepper:
             self._forget_batches_of_parent()
             for members in _alike(jobs):
                 self._run_together([jobs[index] for index in members], members, inputs, states, hidden, rest)
-        diverged = ~(np.abs(states) < HUGE).all(axis=2)
-        states[diverged] = np.nan
+        _mark_diverged(states)
         return states, hidden
+
+    def courses(self, jobs: Sequence[Job], inputs: Array) -> tuple[list[Array], list[Array]]:
+        """Return the states after each substep of each job, (n_substeps, n_rows, n_states), and the hidden states.
+
+        Parameters, and what diverges, as in `run`.
+        """
+        n_rows, n_states = inputs.shape[1], inputs.shape[2] - jobs[0].model.nu
+        courses = [np.empty((job.n_substeps, n_rows, n_states)) for job in jobs]
+        hidden = [np.empty((n_rows, job.n_hidden)) for job in jobs]
+        with self._lock, _quiet():
+            self._forget_batches_of_parent()
+            for members in _alike(jobs):
+                together = [jobs[index] for index in members]
+                for pool, which, row, controls, laws in self._loaded(together, inputs, n_rows):
+                    seen: list[Array] = []
+                    pool.step(together[0].n_substeps, controls, laws, seen)
+                    after = pool.hidden()
+                    for job in np.unique(which):
+                        mine = which == job
+                        courses[members[job]][:, row[mine]] = np.stack(seen)[:, mine]
+                        hidden[members[job]][row[mine]] = after[mine]
+        for course in courses:
+            _mark_diverged(course)
+        return courses, hidden
 
     def missing_forces(self, jobs: Sequence[Job], inputs: Array, accelerations: Array) -> tuple[Array, Array]:
         """Return what a motion needs beyond what each job's model exerts, and the dry friction that it has.
@@ -457,14 +480,19 @@ class _Pool:
         self.active = None
         return final
 
-    def step(self, n_substeps: int, controls: Array | None, laws: _Laws | None) -> None:
-        """Advance; controls of shape (n_rows, n_substeps, nu) change from substep to substep."""
-        if controls is None:
+    def step(
+        self, n_substeps: int, controls: Array | None, laws: _Laws | None, seen: list[Array] | None = None
+    ) -> None:
+        """Advance; controls (n_rows, n_substeps, nu) change from substep to substep; `seen` gets each one's states."""
+        if controls is None and seen is None:
             self._advance(n_substeps)
             return
         for substep in range(n_substeps):
-            self.ctrl[: self.count] = controls[:, substep]
+            if controls is not None:
+                self.ctrl[: self.count] = controls[:, substep]
             self._advance(1)
+            if seen is not None:
+                seen.append(self.states())
 
     def missing_forces(self, accelerations: Array, laws: _Laws | None) -> tuple[Array, Array]:
         """Return what accelerations (n_rows, nv) need beyond what acts, and the size of the dry friction."""
@@ -546,7 +574,9 @@ class _ForcedPool(_Pool):
         own = np.stack([np.asarray(_value(model, name)) for model in self._models])
         return own[self._which]
 
-    def step(self, n_substeps: int, controls: Array | None, laws: _Laws | None) -> None:
+    def step(
+        self, n_substeps: int, controls: Array | None, laws: _Laws | None, seen: list[Array] | None = None
+    ) -> None:
         """Advance substep by substep, with the forces renewed from the state at each one's start."""
         if laws is None:
             raise AssertionError("unreachable: rows without laws run in another batch")
@@ -554,11 +584,13 @@ class _ForcedPool(_Pool):
         # What depends on velocities is that of a substep's start, the load on gears that of the substep before.
         at_start = bool(laws.kinds - {"friction", "load"})
         stage = int(mujoco.mjtStage.mjSTAGE_VEL if at_start else mujoco.mjtStage.mjSTAGE_NONE)
-        own, seen = self._prepared(laws)
+        own, bound = self._prepared(laws)
         plain = self.ctrl[:count].copy()
         for substep in range(n_substeps):
-            self._renew(laws, plain if controls is None else controls[:, substep], own, seen)
+            self._renew(laws, plain if controls is None else controls[:, substep], own, bound)
             self._advance(1, stage)
+            if seen is not None:
+                seen.append(self.states())
         for name in own:
             self._field(name)[:count] = own[name]
 
@@ -664,6 +696,11 @@ class _ForcedPool(_Pool):
         bias[:, :, 0] += np.where(saturated[..., 0], now[..., 0] * wanted, 0) + self.torques * way / step
         self._field("actuator_gainprm")[:count, at], self._field("actuator_biasprm")[:count, at] = gain, bias
         self.torques = self.torques + way * (wanted - self.torques)
+
+
+def _mark_diverged(states: Array) -> None:
+    """Have states (..., n_states) that are no longer finite be NaN throughout."""
+    states[~(np.abs(states) < HUGE).all(axis=-1)] = np.nan
 
 
 def _alike(jobs: Sequence[Job]) -> list[list[int]]:

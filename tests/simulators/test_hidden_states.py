@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.signal import lsim
 
 from skat.effects import Effect
 from skat.simulators import FunctionSimulator, MujocoSimulator
@@ -204,6 +205,35 @@ def test_a_sensors_lag_is_the_law_of_a_filter_and_rows_know_how_far_it_is_behind
     assert np.abs(simulator.predict(rows_of(seen, controls)) - seen[1:]).max() > 20 * 1e-4
     assert simulator.extended(values).hidden_state_names == ("ahead.qpos.hinge",)
     assert times[-1] > 20 * lag
+
+
+@pytest.mark.parametrize("channel", ["qpos.hinge", "qvel.hinge"])
+@pytest.mark.parametrize("timestep", [1.0, 0.8])
+def test_a_sensors_filter_follows_what_moves_within_a_row(channel, timestep):
+    """A stiff servo has gone most of its way before a row ends: against SciPy's filter of plain MuJoCo's time steps."""
+    lag, n_substeps = 0.015, 40
+    text = LINK.format('<position name="m" joint="hinge" kp="800" kv="8"/>')
+    simulator = MujocoSimulator(text, frame_skip=n_substeps)
+    controls = commands(60, 1)
+    h = 0.0005 * timestep
+    fine = stepped(
+        text.replace('timestep="0.0005"', f'timestep="{h}"'),
+        np.repeat(controls, round(n_substeps / timestep), axis=0),
+        n_substeps=1,
+        state=np.r_[controls[0], 0.0],
+    )
+    column = ["qpos.hinge", "qvel.hinge"].index(channel)
+    times = h * np.arange(len(fine))
+    _, shown, _ = lsim(([1.0], [lag, 1.0]), fine[:, column], times, X0=lag * fine[0, column])
+    every = slice(None, None, round(n_substeps / timestep))
+    true = fine[every].copy()
+    read = true.copy()
+    read[:, column] = shown[every]
+    values = {f"lag[{channel}]": lag, "timestep": timestep}
+    found = simulator.predict(rows_of(read, controls), effects=values)
+    np.testing.assert_allclose(found, read[1:], atol=2e-3 * np.ptp(true[:, column]))
+    rolled = simulator.rollout(true[:1], controls[None], n_steps=60, effects=values)[0]
+    np.testing.assert_allclose(rolled[:, column], read[:, column], atol=2e-3 * np.ptp(true[:, column]))
 
 
 def test_a_link_with_play_is_left_to_itself_until_its_motor_has_crossed_the_gap():
