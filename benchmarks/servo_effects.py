@@ -144,8 +144,9 @@ def said(line):
 
 def _size(line, cause, target):
     family, value = cause["name"].partition("[")[0], cause["value"]
-    if family == "dead_zone":
-        return 2 * value
+    if family in ("dead_zone", "backlash"):
+        # A zone goes as far to either side, play as far as both.
+        return value * {"dead_zone": 2, "backlash": 1}[family] / (2 if line["kind"] == "zone" else 1)
     return (value - 1) * line["masses"][target] if family == "mass" else value
 
 
