@@ -522,3 +522,60 @@ def test_nothing_is_set_aside_if_the_user_says_so(here):
     assert result.exit_code == 0, result.output
     assert "damping[rail]" in result.stdout
     assert "on data not used" not in result.stdout
+
+
+# -- a fleet ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def carts(tmp_path):
+    """Logs of two carts, one of which has friction since March."""
+    (tmp_path / "cart.xml").write_text(MODEL)
+    for seed, (name, damping) in enumerate(
+        [("a_2026-01-05", 0.0), ("a_2026-03-09", 0.6), ("b_2026-01-05", 0.0)]
+    ):
+        log = measured_cart(n_episodes=3, damping=damping, seed=seed)
+        log.to_csv(tmp_path / f"{name}.csv", index=False)
+    return tmp_path
+
+
+def fleet_of(folder, *options):
+    logs = sorted(folder.glob("*.csv"))
+    effects = ["--effect", "damping[rail]", "--effect", "mass[cart]"]
+    return skat("diagnose", folder / "cart.xml", *logs, *effects, *options)
+
+
+def test_diagnose_writes_a_table_of_many_logs_and_tells_what_changed(carts):
+    pattern = r"(?P<robot>\w)_(?P<time>[\d-]+)\.csv"
+    result = fleet_of(carts, "--table", carts / "fleet.parquet", "--robots", pattern)
+    assert result.exit_code == 0, result.output
+    table = pd.read_parquet(carts / "fleet.parquet")
+    assert table["robot"].tolist() == ["a", "a", "b"]
+    assert table["verdict"].tolist() == ["nothing detected", "named", "nothing detected"]
+    assert table.loc[1, "cause"] == "damping[rail]"
+    assert table.loc[1, "low"] < 0.6 < table.loc[1, "high"]
+    text = " ".join(result.output.split())
+    assert "1 of 3 logs have a cause that holds" in text
+    assert "a: damping[rail] went from" in text
+    assert "2026-03-09" in text
+    assert sorted(path.name for path in carts.iterdir() if "fleet" in path.name) == ["fleet.parquet"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--table", "fleet.txt"], "a name that ends in .parquet or .csv"),
+        (["--table", "fleet.csv", "--json", "one.json"], "--json is of one diagnosis"),
+        (["--table", "fleet.csv", "--robots", "("], "is no regular expression"),
+        (["--table", "fleet.csv", "--robots", r"\w"], "has no group named robot"),
+        (["--table", "fleet.csv", "--robots", "(?P<robot>x9)"], "finds nothing in"),
+        (["--table", "fleet.csv", "--robots", r"(?P<robot>\w)_(?P<time>\w)"], "finds times that are none"),
+        (["--robots", "(?P<robot>a)"], "give --table as well"),
+    ],
+)
+def test_diagnose_says_what_is_wrong_with_the_options_of_a_table(carts, options, message, monkeypatch):
+    monkeypatch.chdir(carts)
+    result = fleet_of(carts, *options)
+    assert result.exit_code == 2
+    assert message in " ".join(result.output.split())
+    assert not (carts / "fleet.csv").exists()

@@ -37,6 +37,7 @@ ALLOWED = {
         "plotting",
         "replay",
     },
+    "fleet": {"files", "effects", "simulators", "logs", "diagnosis"},
     "replay": {"files"},
     "plotting": {"rounding", "gaussian", "transport", "metrics"},
     "experiments": {
@@ -63,6 +64,7 @@ ALLOWED = {
         "datasets",
         "logs",
         "diagnosis",
+        "fleet",
         "experiments",
         "replay",
         "",

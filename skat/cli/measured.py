@@ -1,6 +1,8 @@
 """The commands that take a model and logs: ``skat diagnose``, ``changed``, ``check`` and ``preflight``."""
 
+import re
 import shlex
+import shutil
 import sys
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
@@ -129,6 +131,19 @@ def diagnose(
         Path | None, typer.Option(help="File to write the extended model to: MJCF, or URDF from a URDF.")
     ] = None,
     json: Annotated[Path | None, typer.Option(help="File to write the findings to, for programs.")] = None,
+    table: Annotated[
+        Path | None,
+        typer.Option(
+            help="Diagnose each LOG by itself and write one table (Parquet or CSV); interrupted, it goes on."
+        ),
+    ] = None,
+    robots: Annotated[
+        str | None,
+        typer.Option(
+            metavar="REGEX",
+            help="With --table: finds 'robot' and 'time' in a log's path, as '(?P<robot>r\\d+)_(?P<time>[\\d-]+)'.",
+        ),
+    ] = None,
     output: Annotated[
         Path | None, typer.Option("--report", "--output", "-o", help="HTML report to write.")
     ] = None,
@@ -144,6 +159,28 @@ def diagnose(
         from skat.diagnosis.report.machine import findings_as_data
         from skat.experiments.studies import study_log
 
+        if robots is not None and table is None:
+            raise ValueError("--robots says whose log each is, of many: give --table as well.")
+        if table is not None:
+            single = {
+                "--test": test,
+                "--save-map": save_map,
+                "--extended": extended,
+                "--json": json,
+                "-o": output,
+            }
+            if given := [name for name, value in single.items() if value]:
+                raise ValueError(f"{', '.join(given)} is of one diagnosis; --table makes one for each log.")
+            simulator = model_simulator(model, base, motors)
+            reading = log_options(simulator, maps, columns, topic, rate, episodes, base, frame_skip)
+            asked: dict[str, Any] = dict(
+                effects=effect or "all", hidden=tuple(hidden or ()), velocities=velocities.value
+            )
+            asked |= dict(quick=quick, alpha=alpha, max_effects=max_effects, test_size=test_size)
+            _diagnose_fleet(
+                log, simulator, table, robots, reading, asked | dict(random_state=seed), jobs, force
+            )
+            return
         path = report_path(output, f"{log[0].name.partition('.')[0]}-report.html", force)
         save_map, json = (None if one is None else output_file(one, force=force) for one in (save_map, json))
         simulator = model_simulator(model, base, motors)
@@ -198,6 +235,83 @@ def diagnose(
             write = better.to_urdf if extended.suffix.lower() == ".urdf" else better.to_mjcf
             for path in write(extended, force=force):
                 print_line(f"Extended model: {path}")
+
+
+def _diagnose_fleet(
+    logs: Sequence[Path],
+    simulator: "MujocoSimulator",
+    table: Path,
+    robots: str | None,
+    reading: Mapping[str, Any],
+    parameters: Mapping[str, Any],
+    jobs: int | None,
+    force: bool,
+) -> None:
+    """Diagnose each log by itself, show and write the table of all; what is done is kept beside it until all is."""
+    from skat.fleet import diagnose_many
+
+    forms = {".parquet": "to_parquet", ".csv": "to_csv"}
+    if table.suffix.lower() not in forms:
+        raise ValueError(f"--table {table}: expected a name that ends in {' or '.join(forms)}.")
+    table = output_file(table, force=force)
+    for path in logs:
+        existing_path(path, "a log")
+    owners, times = _owners(logs, robots)
+    kept = table.with_name(table.name + ".part")
+    with progress_bars() as progress:
+        fleet = diagnose_many(
+            logs,
+            simulator,
+            robots=owners,
+            times=times,
+            store=kept,
+            reading=reading,
+            n_jobs=jobs,
+            progress=progress,
+            **parameters,
+        )
+    with whole(table) as draft:
+        getattr(fleet.table, forms[table.suffix.lower()])(draft, index=False)
+    shutil.rmtree(kept)
+    found = fleet.table[fleet.table["held"]]
+    if len(found):
+        shown = ["log", "cause", "value", "low", "high", "unit", "probability", "aliases"]
+        output_console().print(table_of(found[shown]))
+    failed = fleet.table[fleet.table["error"].notna()]
+    for name, error in zip(failed["log"], failed["error"]):
+        print_line(f"{name}: {error}")
+    print_line(f"{found['log'].nunique()} of {len(logs)} logs have a cause that holds.")
+    for sentence in fleet.sentences:
+        print_line(f"  {sentence}")
+    print_line(f"Table: {table}")
+
+
+def _owners(logs: Sequence[Path], robots: str | None) -> "tuple[list[str] | None, list[Any] | None]":
+    """Return the robot of each log, and when it was measured, as a regular expression finds them in its path."""
+    if robots is None:
+        return None, None
+    import pandas as pd
+
+    try:
+        pattern = re.compile(robots)
+    except re.error as error:
+        raise ValueError(f"--robots {robots!r} is no regular expression: {error}.") from error
+    if "robot" not in pattern.groupindex:
+        raise ValueError(f"--robots {robots!r} has no group named robot, as in '(?P<robot>r\\d+)'.")
+    found = [pattern.search(str(path)) for path in logs]
+    for path, match in zip(logs, found):
+        if match is None:
+            raise ValueError(f"--robots {robots!r} finds nothing in {path}.")
+    owners = [match["robot"] for match in found if match is not None]
+    if "time" not in pattern.groupindex:
+        return owners, None
+    texts = [match["time"] for match in found if match is not None]
+    try:
+        return owners, list(pd.to_datetime(pd.Series(texts)))
+    except ValueError as error:
+        raise ValueError(
+            f"--robots {robots!r} finds times that are none, such as {texts[0]!r}: {error}."
+        ) from error
 
 
 @app.command()

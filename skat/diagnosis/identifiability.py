@@ -124,18 +124,46 @@ def _smallest(information: float, priors: Priors, k: int, needed: float, reach: 
     return side * place
 
 
+def beside_causes(gram: Gram, found: Sequence[int]) -> tuple[Array, Array]:
+    """Return each effect's likeliest coordinate beside the causes found, whose values may give way, and its error.
+
+    Parameters
+    ----------
+    gram : Gram
+        Of all effects.
+    found : sequence of int
+        Places of the causes.
+
+    Returns
+    -------
+    places, errors : ndarray of shape (k,)
+        Without priors and bounds; the error is a standard deviation, inf of what the causes hide.
+    """
+    shares, left = _left_by(gram.products, found, gram.projections)
+    information = np.diag(gram.products) * shares
+    shown = information > 0
+    places = gram.origin + np.where(shown, left, 0.0) / np.where(shown, information, 1.0)
+    return places, np.where(shown, 1 / np.sqrt(np.where(shown, information, 1.0)), np.inf)
+
+
 def _shares_left(information: Array, found: Sequence[int]) -> Array:
     """Return of each effect's information the share that the causes found, but itself, leave."""
+    return _left_by(information, found, np.zeros(len(information)))[0]
+
+
+def _left_by(information: Array, found: Sequence[int], scores: Array) -> tuple[Array, Array]:
+    """Return of each effect's information the share, and of its score what, the causes found, but itself, leave."""
     own = np.maximum(np.diag(information), 1e-300)
     units = 1 / np.sqrt(own)
     scaled = information * units * units[:, None]
-    shares = np.ones(len(own))
+    shares, left = np.ones(len(own)), np.array(scores, dtype=float)
     for k in range(len(own)):
         others = [j for j in found if j != k]
         if others:
             carry = np.linalg.lstsq(scaled[np.ix_(others, others)], scaled[others, k], rcond=1e-12)[0]
             shares[k] = 1 - scaled[k, others] @ carry
-    return np.where(shares > LEAST_SHARE, shares, 0.0)
+            left[k] -= carry @ (scores[others] * units[others]) / units[k]
+    return np.where(shares > LEAST_SHARE, shares, 0.0), left
 
 
 def preflight(

@@ -1,0 +1,351 @@
+"""Diagnoses of many logs, side by side on all processes, kept as they are done."""
+
+import json
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from hashlib import sha256
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from joblib import Parallel, delayed
+from joblib.externals.loky.process_executor import TerminatedWorkerError
+
+from skat.diagnosis import SimulationDiagnosis
+from skat.diagnosis.archive import digest, skat_version
+from skat.diagnosis.identifiability import beside_causes
+from skat.diagnosis.report.machine import findings_as_data, plain
+from skat.effects import Effect
+from skat.files import whole
+from skat.fleet.drifts import Estimate, discoveries, drifts_of
+from skat.logs import Log, load_log
+from skat.simulators import Simulator
+
+COLUMNS = (
+    *("log", "robot", "time", "verdict", "cause", "value", "low", "high", "unit", "probability", "evidence"),
+    *("aliases", "held", "explained", "error"),
+)
+# How often work goes on after a process was killed without that a log was done in between.
+TRIES = 2
+
+
+@dataclass(frozen=True)
+class Fleet:
+    """What many logs say.
+
+    Attributes
+    ----------
+    table : DataFrame
+        A row for each log and cause, in the order of the logs; a log without a cause has one row. With columns log,
+        robot, time, verdict, cause, value, low, high (95 % interval), unit, probability, evidence (nats), aliases,
+        held (whether it, or one of its aliases, is among those of which few are false), explained (share of the excess
+        error on rows that were held out) and error (why a log has no diagnosis).
+    drifts : DataFrame
+        What changed on a robot from one log to the next, likeliest first: robot, effect, since (the time of the first
+        log after it), before, after, change (a ratio of factors, a difference of others), low, high (95 % interval),
+        unit, p.
+    findings : tuple of dict
+        Of each log what `skat diagnose --json` writes, or its error.
+    """
+
+    table: pd.DataFrame
+    drifts: pd.DataFrame
+    findings: tuple[dict[str, Any], ...]
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What changed, a sentence each."""
+        return tuple(_sentence(one) for one in self.drifts.to_dict("records"))
+
+
+def diagnose_many(
+    logs: Sequence[Any],
+    simulator: Simulator,
+    *,
+    names: Sequence[str] | None = None,
+    robots: Sequence[str] | None = None,
+    times: Sequence[Any] | None = None,
+    false_discoveries: float = 0.05,
+    store: str | PathLike[str] | None = None,
+    reading: Mapping[str, Any] | None = None,
+    n_jobs: int | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+    **parameters: Any,
+) -> Fleet:
+    """Diagnose each of many logs by itself, and say what holds of all.
+
+    Parameters
+    ----------
+    logs : sequence of path, log, or tuple of (X, y) or (X, y, groups)
+        A path is read where it is diagnosed, as `skat.logs.load_log` does; a log as that returns, or as in
+        `SimulationDiagnosis.fit`.
+    simulator : Simulator
+    names : sequence of str, optional
+        Of the logs; by default where each was read from, or its number.
+    robots : sequence of str, optional
+        Whose log each is; by default each is of a robot of its own.
+    times : sequence, optional
+        When each was measured, in anything that has an order; by default logs of a robot are in the order of time.
+    false_discoveries : float, default=0.05
+        Share of false ones in the mean among causes that hold in the table, and among changes over time.
+    store : path, optional
+        Folder that holds the findings of each log as soon as it is done. What is there of these logs, with this
+        simulator, these parameters and this version of skat, is not asked again.
+    reading : mapping, optional
+        Keyword arguments of `load_log`.
+    n_jobs : int or None, default=None
+        Logs at a time; ``joblib.parallel_config(backend="dask")`` takes them to a cluster.
+    progress : callable, optional
+        ``progress(stage, done, total)``.
+    **parameters
+        Of `SimulationDiagnosis`; `random_state` is 0 by default, that a log has one answer.
+
+    Returns
+    -------
+    Fleet
+        A log that cannot be read or diagnosed has its error in the table.
+
+    Raises
+    ------
+    ValueError
+        If there is no log, if names, robots or times are not one for each, or if a name is there twice.
+    RuntimeError
+        If processes are killed again and again; what was done until then is in `store`.
+
+    Examples
+    --------
+    >>> from skat.fleet import diagnose_many
+    >>> fleet = diagnose_many(sorted(Path("logs").glob("*.mcap")), simulator, n_jobs=-1)  # doctest: +SKIP
+    >>> fleet.table[fleet.table.held]  # doctest: +SKIP
+    """
+    logs = list(logs)
+    if not logs:
+        raise ValueError("there is no log; expected a sequence of paths, logs, or tuples of (X, y, groups).")
+    names = _checked(
+        "names", [_name(log, at) for at, log in enumerate(logs)] if names is None else names, len(logs)
+    )
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"two logs have the name {twice!r}: give each one of its own (names=).")
+    owners = names if robots is None else _checked("robots", robots, len(logs))
+    moments = [None] * len(logs) if times is None else _checked("times", times, len(logs))
+    if not 0 < false_discoveries < 1:
+        raise ValueError(f"false_discoveries is a share between 0 and 1; it is {false_discoveries!r}.")
+    parameters = {"random_state": 0, **parameters}
+    SimulationDiagnosis(simulator, **parameters)
+    with ExitStack() as stack:
+        if store is None:
+            store = stack.enter_context(tempfile.TemporaryDirectory())
+        findings = _all_findings(
+            logs, simulator, parameters, dict(reading or {}), Path(store), n_jobs, progress
+        )
+    table = _table(names, owners, moments, findings, false_discoveries)
+    return Fleet(
+        table, _drifts(simulator, table, owners, moments, findings, false_discoveries), tuple(findings)
+    )
+
+
+def _checked(what: str, given: Sequence[Any], n: int) -> list[Any]:
+    if len(given) != n:
+        raise ValueError(f"{what} must be one for each log: {n}; got {len(given)}.")
+    return list(given)
+
+
+def _name(log: Any, at: int) -> str:
+    if isinstance(log, str | PathLike):
+        return str(log)
+    return (log.source if isinstance(log, Log) else "") or f"log {at}"
+
+
+# -- asking ----------------------------------------------------------------------------------------------------------
+
+
+def _all_findings(
+    logs: Sequence[Any],
+    simulator: Simulator,
+    parameters: Mapping[str, Any],
+    reading: Mapping[str, Any],
+    store: Path,
+    n_jobs: int | None,
+    progress: Callable[[str, int, int], None] | None,
+) -> list[dict[str, Any]]:
+    """Return the findings of each log: those that the store has, and those that are made now."""
+    store.mkdir(parents=True, exist_ok=True)
+    asked = _digest(simulator), digest(dict(parameters)), digest(dict(reading)), skat_version()
+    files = [
+        store / f"{sha256(repr((*asked, _content(log))).encode()).hexdigest()[:32]}.json" for log in logs
+    ]
+    done = {
+        at: json.loads(file.read_text(encoding="utf-8")) for at, file in enumerate(files) if file.exists()
+    }
+    tell = progress or (lambda *_: None)
+    tell("logs", len(done), len(logs))
+    tries = TRIES
+    while len(done) < len(logs):
+        before = len(done)
+        left = [(at, log) for at, log in enumerate(logs) if at not in done]
+        try:
+            for at, found in _asked(left, simulator, parameters, reading, n_jobs):
+                done[at] = found
+                if "error" not in found:  # which may be gone the next time
+                    with whole(files[at]) as draft:
+                        draft.write_text(json.dumps(found, allow_nan=False), encoding="utf-8")
+                tell("logs", len(done), len(logs))
+        except TerminatedWorkerError as error:
+            tries = TRIES if len(done) > before else tries - 1
+            if not tries:
+                raise RuntimeError(
+                    f"processes were killed again and again, with {len(logs) - len(done)} of {len(logs)} logs left: is "
+                    "there memory for so many at a time (n_jobs)? With store= the others need not be asked again."
+                ) from error
+            warnings.warn("A process was killed; the logs that are not done are asked again.", stacklevel=3)
+    return [done[at] for at in range(len(logs))]
+
+
+def _asked(
+    logs: Sequence[tuple[int, Any]],
+    simulator: Simulator,
+    parameters: Mapping[str, Any],
+    reading: Mapping[str, Any],
+    n_jobs: int | None,
+) -> Iterator[tuple[int, dict[str, Any]]]:
+    """Yield which log is done, and its findings, as they come."""
+    work = Parallel(n_jobs=n_jobs, return_as="generator_unordered", batch_size=1)
+    yield from work(delayed(_findings)(at, log, simulator, parameters, reading) for at, log in logs)
+
+
+def _findings(
+    at: int, log: Any, simulator: Simulator, parameters: Mapping[str, Any], reading: Mapping[str, Any]
+) -> tuple[int, dict[str, Any]]:
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        try:
+            found = _diagnosed(log, simulator, parameters, reading)
+        except (ValueError, OSError, RuntimeError, TypeError, ImportError) as error:
+            found = {"error": f"{type(error).__name__}: {error}"}
+    return at, {**found, "warnings": list(dict.fromkeys(str(one.message) for one in told))}
+
+
+def _diagnosed(
+    log: Any, simulator: Simulator, parameters: Mapping[str, Any], reading: Mapping[str, Any]
+) -> dict[str, Any]:
+    if isinstance(log, str | PathLike):
+        log = load_log(log, simulator, **reading)
+    floor = None
+    if isinstance(log, Log):
+        floor, simulator = log.floor, log.simulator
+        log = log.X, log.y, log.groups
+    diagnosis = SimulationDiagnosis(simulator, **parameters).fit(*log, floor=floor)
+    gram, best, priors = diagnosis._found.gram, diagnosis._found.best, diagnosis._found.priors
+    places, errors = beside_causes(gram, best.members)
+    shown = np.isfinite(errors)
+    estimates = {name: [places[k], errors[k]] for k, name in enumerate(priors.names) if shown[k]}
+    found: dict[str, Any] = plain({**findings_as_data(diagnosis), "estimates": estimates})
+    return found
+
+
+def _digest(simulator: Simulator) -> str:
+    """Return a digest of what a simulator was made of; of one of Python code, of the text that names it."""
+    try:
+        return digest(simulator.get_params(deep=False))
+    except TypeError:
+        return repr(simulator)
+
+
+def _content(log: Any) -> str:
+    """Return a digest of what a log holds."""
+    if isinstance(log, str | PathLike):
+        path = Path(log)
+        found = sha256()
+        for file in sorted(path.rglob("*")) if path.is_dir() else [path] if path.exists() else []:
+            if file.is_file():
+                found.update(str(file.relative_to(path)).encode() + file.read_bytes())
+        return f"{path} {found.hexdigest()}"
+    if isinstance(log, Log):
+        return digest((log.X, log.y, log.groups, log.floor)) + _digest(log.simulator)
+    return digest(tuple(None if part is None else np.asarray(part) for part in log))
+
+
+# -- telling ---------------------------------------------------------------------------------------------------------
+
+
+def _table(
+    names: Sequence[str],
+    robots: Sequence[str],
+    times: Sequence[Any],
+    findings: Sequence[Mapping[str, Any]],
+    rate: float,
+) -> pd.DataFrame:
+    rows, likely = [], []
+    for name, robot, time, found in zip(names, robots, times, findings):
+        shared = {"log": name, "robot": robot, "time": time, "error": found.get("error")}
+        if "error" not in found:
+            gain = found["gain"]
+            shared |= {"verdict": found["verdict"], "explained": None if gain is None else gain["explained"]}
+        causes = [
+            {
+                "cause": cause["name"],
+                "value": cause["value"],
+                "low": cause["interval"][0],
+                "high": cause["interval"][1],
+                **{key: cause[key] for key in ("unit", "probability", "evidence")},
+                "aliases": ", ".join(alias["name"] for alias in cause["aliases"]),
+            }
+            for cause in found.get("causes", ())
+        ]
+        rows += [{**shared, **cause} for cause in causes or [{}]]
+        likely += [_chance(cause) for cause in found.get("causes", ())]
+    table = pd.DataFrame(rows, columns=list(COLUMNS))
+    for name in ("value", "low", "high", "probability", "evidence", "explained"):
+        table[name] = table[name].astype(float)
+    named = table["cause"].notna().to_numpy()
+    held = np.zeros(len(table), dtype=bool)
+    held[named] = discoveries(np.array(likely), rate)
+    table["held"] = held
+    return table
+
+
+def _chance(cause: Mapping[str, Any]) -> float:
+    """Return the probability that a cause acts, or one of the effects that may be behind it."""
+    return min(1.0, cause["probability"] + sum(alias["probability"] for alias in cause["aliases"]))
+
+
+def _drifts(
+    simulator: Simulator,
+    table: pd.DataFrame,
+    robots: Sequence[str],
+    times: Sequence[Any],
+    findings: Sequence[Mapping[str, Any]],
+    rate: float,
+) -> pd.DataFrame:
+    """Return what changed on robots of several logs, of what holds in one of their logs at least."""
+    effects: dict[str, Effect] = {effect.name: effect for effect in simulator.effects(also="all")}
+    held = table[table["held"]]
+    estimates, moments, asked = {}, {}, {}
+    for robot in dict.fromkeys(robots):
+        own = [at for at, one in enumerate(robots) if one == robot and "error" not in findings[at]]
+        if len(own) < 2:
+            continue
+        if all(times[at] is not None for at in own):
+            own.sort(key=lambda at: times[at])
+        causes = held.loc[held["robot"] == robot, "cause"]
+        asked[robot] = [name for name in dict.fromkeys(causes) if name in effects]
+        estimates[robot] = [
+            {name: Estimate(*pair) for name, pair in findings[at]["estimates"].items()} for at in own
+        ]
+        moments[robot] = [times[at] if times[at] is not None else number for number, at in enumerate(own)]
+    return drifts_of(estimates, moments, effects, asked, rate=rate)
+
+
+def _sentence(drift: Mapping[str, Any]) -> str:
+    unit = "" if drift["unit"] in ("", "1") else f" {drift['unit']}"
+    share = f" ({100 * (drift['after'] / drift['before'] - 1):+.0f} %)" if drift["before"] > 0 else ""
+    return (
+        f"{drift['robot']}: {drift['effect']} went from {drift['before']:.3g} to {drift['after']:.3g}{unit}"
+        f"{share}, first seen at {drift['since']}."
+    )

@@ -1,0 +1,153 @@
+"""Many logs at once: each as if by itself, whatever is killed on the way."""
+
+import os
+import signal
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from skat.diagnosis import SimulationDiagnosis
+from skat.effects import Effect
+from skat.fleet import diagnose_many
+from skat.simulators import FunctionSimulator
+
+RATE, DT = 3.0, 0.05
+
+
+def decaying(X, rate=RATE, push=1.0):
+    """A heater: what it has lost and what it was given, in a row's time."""
+    left = np.exp(-rate * DT)
+    return X[:, :1] * left + push * X[:, 1:] * (1 - left)
+
+
+def heater():
+    effects = [
+        Effect("rate", unit="1/s", neutral=RATE, bounds=(0.1, 30.0), typical=1.0),
+        Effect("push", unit="1", neutral=1.0, bounds=(0.1, 10.0)),
+    ]
+    names = {"input_names": ("warmth", "given"), "output_names": ("warmth",), "state_names": ("warmth",)}
+    return FunctionSimulator(decaying, **names, effects=effects)
+
+
+def log_of(seed, rate=RATE, n=60):
+    """Return X, y, groups of a heater, by Euler's steps of a hundredth of a row."""
+    rng = np.random.default_rng(seed)
+    given, warmth = np.repeat(rng.uniform(0, 2, n // 5), 5), [1.0]
+    for row in range(n):
+        now = warmth[-1]
+        for _ in range(100):
+            now += DT / 100 * rate * (given[row] - now)
+        warmth.append(now)
+    read = np.array(warmth) + 0.01 * rng.normal(size=n + 1)
+    return np.column_stack([read[:-1], given]), read[1:, None], np.repeat([0, 1, 2], n // 3)
+
+
+class Deadly(FunctionSimulator):
+    """Kills the process of whoever runs it, the first time."""
+
+    def _outputs(self, *arguments):
+        mark = Path(os.environ["SKAT_TEST_MARK"])
+        if not mark.exists():
+            mark.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return super()._outputs(*arguments)
+
+
+@pytest.fixture(scope="module")
+def logs():
+    return [log_of(seed, rate=RATE if seed % 3 else 1.3 * RATE) for seed in range(6)]
+
+
+@pytest.fixture(scope="module")
+def fleet(logs):
+    return diagnose_many(logs, heater(), names=list("abcdef"))
+
+
+def test_each_log_has_the_answer_that_it_has_by_itself(logs, fleet):
+    for name, log in zip("abcdef", logs):
+        alone = SimulationDiagnosis(heater(), random_state=0).fit(*log)
+        own = fleet.table[fleet.table["log"] == name]
+        assert set(own["verdict"]) == {alone.verdict_}
+        assert own["cause"].dropna().tolist() == [cause.name for cause in alone.causes_]
+        assert own["value"].dropna().tolist() == [cause.value for cause in alone.causes_]
+    assert fleet.table.loc[fleet.table["held"], "log"].tolist() == ["a", "d"]
+    assert fleet.findings[0]["causes"][0]["name"] == "rate"
+
+
+def test_what_is_in_the_store_is_not_asked_again_and_the_table_is_the_same(
+    logs, fleet, tmp_path, monkeypatch
+):
+    diagnose_many(logs[:4], heater(), names=list("abcd"), store=tmp_path)
+    kept = sorted(tmp_path.iterdir())
+    assert len(kept) == 4
+    told = []
+    again = diagnose_many(
+        logs, heater(), names=list("abcdef"), store=tmp_path, progress=lambda *one: told.append(one)
+    )
+    assert told == [("logs", 4, 6), ("logs", 5, 6), ("logs", 6, 6)]
+    pd.testing.assert_frame_equal(again.table, fleet.table)
+    # Other parameters are another question.
+    diagnose_many(logs[:1], heater(), store=tmp_path, alpha=0.05)
+    assert len(list(tmp_path.iterdir())) == 7
+
+
+def test_a_process_that_is_killed_costs_nothing_but_time(logs, fleet, tmp_path, monkeypatch):
+    monkeypatch.setenv("SKAT_TEST_MARK", str(tmp_path / "mark"))
+    simulator = Deadly(**heater().get_params(deep=False))
+    with pytest.warns(UserWarning, match="A process was killed"):
+        found = diagnose_many(logs[:3], simulator, names=list("abc"), n_jobs=2)
+    assert (tmp_path / "mark").exists()
+    pd.testing.assert_frame_equal(found.table, fleet.table[fleet.table["log"] <= "c"].reset_index(drop=True))
+
+
+def test_a_change_over_time_is_told(logs):
+    rates = [RATE, RATE, RATE, 1.4 * RATE, 1.4 * RATE]
+    mine = [log_of(20 + at, rate) for at, rate in enumerate(rates)]
+    times = list(pd.date_range("2026-01-01", periods=5, freq="MS"))
+    # Not in the order of time, and beside another robot in which nothing changes.
+    order = [3, 0, 4, 1, 2]
+    found = diagnose_many(
+        [*(mine[at] for at in order), log_of(40), log_of(41)],
+        heater(),
+        robots=["17"] * 5 + ["18"] * 2,
+        times=[*(times[at] for at in order), *times[:2]],
+    )
+    (row,) = found.drifts.to_dict("records")
+    assert (row["robot"], row["effect"], row["since"]) == ("17", "rate", times[3])
+    assert row["low"] < 0.4 * RATE < row["high"]
+    (sentence,) = found.sentences
+    assert sentence.startswith("17: rate went from 3")
+    assert "(+4" in sentence or "(+3" in sentence
+
+
+def test_a_log_that_cannot_be_diagnosed_has_its_error_in_the_table(logs, tmp_path):
+    X, y, groups = logs[1]
+    found = diagnose_many([(X, y[:-1], groups), logs[1]], heater(), names=["bad", "good"], store=tmp_path)
+    bad, good = found.table.to_dict("records")
+    assert bad["error"].startswith("ValueError")
+    assert good["verdict"] == "nothing detected"
+    # Whoever mends it asks again.
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"names": ["a"]}, "names must be one for each log: 2; got 1"),
+        ({"names": ["a", "a"]}, "two logs have the name 'a'"),
+        ({"robots": ["1"]}, "robots must be one for each log"),
+        ({"times": [1, 2, 3]}, "times must be one for each log"),
+        ({"false_discoveries": 0.0}, "a share between 0 and 1"),
+        ({"alfa": 0.1}, "alfa"),
+    ],
+)
+def test_wrong_arguments_are_told(logs, given, message):
+    with pytest.raises((ValueError, TypeError), match=message):
+        diagnose_many(logs[:2], heater(), **given)
+
+
+def test_no_log_is_told():
+    with pytest.raises(ValueError, match="there is no log"):
+        diagnose_many([], heater())
