@@ -102,7 +102,7 @@ def edited(here, **columns):
 def test_help_names_the_commands():
     result = skat("--help")
     assert result.exit_code == 0
-    for command in ("demo", "diagnose", "effects", "preflight", "transport", "experiment"):
+    for command in ("demo", "diagnose", "compare", "effects", "preflight", "transport", "experiment"):
         assert command in result.stdout
 
 
@@ -176,6 +176,105 @@ def test_a_first_look_says_that_it_is_one(here):
     assert (found["verdict"], found["first_look"], found["rows_fitted"]) == ("named", True, 160)
     assert found["gain"]["extended"] < found["gain"]["nominal"]
     assert "A first look, at 160 of " in Page((here / "long-report.html").read_text()).text
+
+
+def test_logs_of_one_robot_are_shown_side_by_side(here):
+    for month, damping, seed in (("june", 0.6, 0), ("july", 0.6, 1), ("august", 0.8, 2)):
+        measured_cart(damping=damping, seed=seed).to_csv(here / f"{month}.csv", index=False)
+        call = (
+            "diagnose",
+            "model.xml",
+            f"{month}.csv",
+            "--effect",
+            "damping[rail]",
+            "--json",
+            f"{month}.json",
+        )
+        assert skat(*call).exit_code == 0
+    alike = skat("compare", "june.json", "july.json")
+    assert alike.exit_code == 0, alike.output
+    assert re.search(r"damping\[rail\]: the logs agree \(p = [\d.]+\)", alike.stdout)
+
+    result = skat("compare", "june.json", "july.json", "august.json", "-o", "all.csv")
+    assert result.exit_code == 0, result.output
+    assert re.search(r"july +│ july\.csv +│ +112 │ named +│ \d+ %", result.stdout)
+    assert "damping[rail]: the logs differ (p < 1e-09)" in result.stdout
+    (row,) = pd.read_csv(here / "all.csv").to_dict("records")
+    (cause,) = json.loads((here / "august.json").read_text())["causes"]
+    assert (row["unit"], row["agreement"], row["status in august"]) == ("N s/m", "differ", "named")
+    assert [row["low in august"], row["high in august"]] == pytest.approx(cause["interval"], rel=1e-12)
+
+
+def findings(here, path, model="model.xml", gain=None, **causes):
+    """Write findings by hand: of each cause the value, with an interval of .1 to both sides."""
+    content = {
+        "schema": 2,
+        "model": model,
+        "verdict": "ambiguous",
+        "first_look": True,
+        "rows_fitted": 40,
+        "gain": gain,
+        "also_seen": {"wind[x]": 0.5},
+        "causes": [
+            {
+                "name": f"damping[{name}]",
+                "unit": "N s/m",
+                "value": value,
+                "interval": [value - 0.1, value + 0.1],
+                "aliases": [{"name": "mass[cart]", "probability": 0.2}],
+            }
+            for name, value in causes.items()
+        ],
+    }
+    (here / path).parent.mkdir(exist_ok=True)
+    (here / path).write_text(json.dumps(content))
+
+
+def test_files_of_one_name_are_told_apart_by_their_folders_and_other_models_are_warned_of(here):
+    gain = {"nominal": 9.0, "extended": 2.0, "floor": 1.0, "explained": 0.875, "interval": [0.8, 0.95]}
+    findings(here, "june/found.json", gain=gain, rail=0.6)
+    findings(here, "july/found.json", model="then.xml", gain=gain | {"nominal": 1.0}, rail=0.6, hinge=0.2)
+    findings(here, "none.json", gain=gain | {"interval": [None, None]})
+    result = skat("compare", "june/found.json", "july/found.json", "none.json")
+    assert result.exit_code == 0, result.output
+    assert (
+        "Warning: These findings are of models with different paths: june/found.json of model.xml"
+        in result.stderr
+    )
+    assert re.search(
+        r"june/found\.json +│ +│ +40 │ ambiguous \(a first look\) │ 88 % \(80 to 95 %\)", result.stdout
+    )
+    assert re.search(r"july/found\.json .*│ there is none", result.stdout)
+    assert re.search(r"none .*│ 88 % \(no interval\)", result.stdout)
+    assert re.search(
+        r"damping\[rail\] +│ N s/m │ 0\.6 \(0\.5 to 0\.7\) │ 0\.6 \(0\.5 to 0\.7\) +│ - ", result.stdout
+    )
+    agreed = "damping[rail]: june/found.json and july/found.json agree (p = 1); not named in none"
+    assert agreed in result.stdout
+    assert "damping[hinge]: named in july/found.json alone" in result.stdout
+
+
+def test_what_another_log_names_is_shown_as_an_alias_or_as_also_seen(here):
+    findings(here, "june.json", rail=0.6)
+    mass = json.loads((here / "june.json").read_text())
+    for name in ("mass[cart]", "wind[x]"):
+        mass["causes"].append(mass["causes"][0] | {"name": name, "aliases": []})
+    (here / "july.json").write_text(json.dumps(mass | {"gain": {"explained": None}}))
+    result = skat("compare", "june.json", "july.json")
+    assert result.exit_code == 0, result.output
+    assert re.search(r"mass\[cart\] +│ N s/m │ - \(alias of damping\[rail\]\)", result.stdout)
+    assert re.search(r"wind\[x\] +│ N s/m │ 0\.5 \(also seen\)", result.stdout)
+    assert "mass[cart]: named in july alone; alias of damping[rail] in june" in result.stdout
+    assert result.stdout.count("not measured") == 2
+
+
+def test_where_no_log_names_a_cause_it_is_said(here):
+    findings(here, "june.json")
+    findings(here, "july.json")
+    result = skat("compare", "june.json", "july.json", "-o", "all.csv")
+    assert result.exit_code == 0, result.output
+    assert "No log names a cause." in result.stdout
+    assert (here / "all.csv").read_text().startswith("cause,unit,value in june")
 
 
 @pytest.mark.parametrize(("said", "left_out"), [("measured", []), ("computed", ["qvel.rail"])])

@@ -63,6 +63,9 @@ def here(tmp_path, monkeypatch):
         (tmp_path / name).write_text(text)
     (tmp_path / "broken.xml").write_text("<mujoco><worldbody>")
     (tmp_path / "broken.urdf").write_text(URDF.replace('link="world"', 'link="wrold"'))
+    found = {"schema": 2, "verdict": "nothing detected", "causes": [], "also_seen": {}}
+    for name, content in (("nothing", found), ("old", found | {"schema": 1}), ("list", [])):
+        (tmp_path / f"{name}.json").write_text(json.dumps(content))
     (tmp_path / "mine.html").write_text("mine")
     (tmp_path / "mine.json").write_text("mine")
     (tmp_path / "mine.toml").write_text("mine")
@@ -114,6 +117,14 @@ BAD_CALLS = [
     ("diagnose model.xml log.csv --alpha 2", "alpha", "between 0 and 1"),
     ("diagnose model.xml log.csv --effect dumping[rail]", "dumping[rail]", "damping[rail]"),
     ("preflight model.xml named.csv --map qpos.rail=-", "lacks qpos.rail", "simulator.rollout"),
+    ("compare nothing.json", "two logs or more", "got 1"),
+    ("compare nothing.json nothing.json", "'nothing.json' is there 2 times", "must differ"),
+    ("compare nothing.json none.json", "There is no file none.json", "Check the path"),
+    ("compare nothing.json log.csv", "log.csv is no JSON", "skat diagnose --json"),
+    ("compare nothing.json noise.bin", "noise.bin is no JSON", "skat diagnose --json"),
+    ("compare nothing.json list.json", "list.json", "skat diagnose --json"),
+    ("compare nothing.json old.json", "old.json is of schema 1", "diagnose the log again"),
+    ("compare nothing.json old.json -o mine.toml", "mine.toml exists", "--force"),
     ("effects unbolted.urdf", "root link 'track'", "--base"),
 ]
 
