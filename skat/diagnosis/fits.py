@@ -27,6 +27,8 @@ from skat.effects import Effect
 STANDS_STILL = 0.1
 # Steps of Gauss and Newton in the fit of a set; one that leads to where the log is less likely is halved.
 FIT_TURNS = 16
+# A step is taken for one of a geometric series, in which each is at most this share of the one before.
+LEAST_SHRUNK = 0.75
 
 
 @dataclass(frozen=True)
@@ -95,7 +97,7 @@ class Fits:
         origin = np.array([self._place(one, near.values) for one in members])
         # What the set has beside `near` cannot make the log less likely, but for a step too far.
         reached = near.fitted.bound - STILL if set(near.members) <= set(members) else -np.inf
-        start, best = near.fitted, None
+        start, best, before = near.fitted, None, np.zeros(len(members))
         # Values are known to about what they were moved by last.
         widths = np.abs(places - origin)
         for turn in range(FIT_TURNS):
@@ -119,11 +121,18 @@ class Fits:
             still = np.all(np.abs(step) < STANDS_STILL * deviations)
             if gained < STILL or (still and not own_slopes):
                 break
-            origin, places, start, reached = places, moved, fitted, fitted.bound - STILL
-            widths = np.maximum(np.abs(step), deviations)
+            # Steps that hardly shrink are too short, as slopes change on the way: Aitken's sum of all that follow.
+            shrunk = before @ (step / deviations**2) / max(before @ (before / deviations**2), 1e-300)
+            origin, before = np.asarray(places), step
+            places = np.clip(origin + step / (1 - np.clip(shrunk, 0, LEAST_SHRUNK)), *self._bounds(members))
+            start, reached = fitted, fitted.bound - STILL
+            widths = np.maximum(np.abs(places - origin), deviations)
         if best is None:
             raise RuntimeError("no turn was made")
         return best
+
+    def _bounds(self, members: Sequence[int]) -> tuple[Array, Array]:
+        return self.priors.low[list(members)], self.priors.high[list(members)]
 
     def about(self, members: Sequence[int], places: Array, near: Fit) -> Fit:
         """Return a set as it is at given places, about the path of another fit but with slopes of its own."""
