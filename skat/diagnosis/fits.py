@@ -122,17 +122,18 @@ class Fits:
             if gained < STILL or (still and not own_slopes):
                 break
             # Steps that hardly shrink are too short, as slopes change on the way: Aitken's sum of all that follow.
-            shrunk = before @ (step / deviations**2) / max(before @ (before / deviations**2), 1e-300)
+            size = float(before @ (before / deviations**2))
+            shrunk = (
+                min(max(float(before @ (step / deviations**2)) / size, 0.0), LEAST_SHRUNK) if size else 0.0
+            )
             origin, before = np.asarray(places), step
-            places = np.clip(origin + step / (1 - np.clip(shrunk, 0, LEAST_SHRUNK)), *self._bounds(members))
+            low, high = self.priors.low[list(members)], self.priors.high[list(members)]
+            places = np.clip(origin + step / (1 - shrunk), low, high)
             start, reached = fitted, fitted.bound - STILL
             widths = np.maximum(np.abs(places - origin), deviations)
         if best is None:
             raise RuntimeError("no turn was made")
         return best
-
-    def _bounds(self, members: Sequence[int]) -> tuple[Array, Array]:
-        return self.priors.low[list(members)], self.priors.high[list(members)]
 
     def about(self, members: Sequence[int], places: Array, near: Fit) -> Fit:
         """Return a set as it is at given places, about the path of another fit but with slopes of its own."""

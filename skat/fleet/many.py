@@ -312,7 +312,7 @@ def _table(
 
 def _chance(cause: Mapping[str, Any]) -> float:
     """Return the probability that a cause acts, or one of the effects that may be behind it."""
-    return min(1.0, cause["probability"] + sum(alias["probability"] for alias in cause["aliases"]))
+    return min(1.0, float(sum(one["probability"] for one in (cause, *cause["aliases"]))))
 
 
 def _drifts(
