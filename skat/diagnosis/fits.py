@@ -27,8 +27,8 @@ from skat.effects import Effect
 STANDS_STILL = 0.1
 # Steps of Gauss and Newton in the fit of a set; one that leads to where the log is less likely is halved.
 FIT_TURNS = 16
-# A step is taken for one of a geometric series, in which each is at most this share of the one before.
-LEAST_SHRUNK = 0.75
+# A step is taken for at least this share of the way.
+LEAST_WAY = 0.25
 
 
 @dataclass(frozen=True)
@@ -121,14 +121,13 @@ class Fits:
             still = np.all(np.abs(step) < STANDS_STILL * deviations)
             if gained < STILL or (still and not own_slopes):
                 break
-            # Steps that hardly shrink are too short, as slopes change on the way: Aitken's sum of all that follow.
-            size = float(before @ (before / deviations**2))
-            shrunk = (
-                min(max(float(before @ (step / deviations**2)) / size, 0.0), LEAST_SHRUNK) if size else 0.0
-            )
+            # Of a step that went all the way nothing would be left: where some is, slopes change on the way.
+            gone = np.asarray(places) - origin if turn else np.zeros(len(members))
+            size = float(gone @ (gone / deviations**2))
+            share = float(gone @ ((before - step) / deviations**2)) / size if size else 1.0
             origin, before = np.asarray(places), step
             low, high = self.priors.low[list(members)], self.priors.high[list(members)]
-            places = np.clip(origin + step / (1 - shrunk), low, high)
+            places = np.clip(origin + step / min(max(share, LEAST_WAY), 1.0), low, high)
             start, reached = fitted, fitted.bound - STILL
             widths = np.maximum(np.abs(places - origin), deviations)
         if best is None:
