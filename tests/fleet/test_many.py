@@ -11,7 +11,8 @@ import pytest
 from skat.diagnosis import SimulationDiagnosis
 from skat.effects import Effect
 from skat.fleet import diagnose_many
-from skat.simulators import FunctionSimulator
+from skat.fleet.many import _digest
+from skat.simulators import FunctionSimulator, MujocoSimulator
 
 RATE, DT = 3.0, 0.05
 
@@ -91,6 +92,18 @@ def test_what_is_in_the_store_is_not_asked_again_and_the_table_is_the_same(
     # Other parameters are another question.
     diagnose_many(logs[:1], heater(), store=tmp_path, alpha=0.05)
     assert len(list(tmp_path.iterdir())) == 7
+
+
+def test_another_model_by_the_same_path_is_another_question(tmp_path):
+    path = tmp_path / "model.xml"
+    digests = []
+    for mass in (1, 2):
+        path.write_text(
+            f"<mujoco><worldbody><body><freejoint/><geom size='.1' mass='{mass}'/></body></worldbody></mujoco>"
+        )
+        digests.append(_digest(MujocoSimulator(path)))
+    assert digests[0] != digests[1]
+    assert digests[1] == _digest(MujocoSimulator(path))
 
 
 def test_a_process_that_is_killed_costs_nothing_but_time(logs, fleet, tmp_path, monkeypatch):
