@@ -27,8 +27,6 @@ from skat.effects import Effect
 STANDS_STILL = 0.1
 # Steps of Gauss and Newton in the fit of a set; one that leads to where the log is less likely is halved.
 FIT_TURNS = 16
-# A step is taken for at least this share of the way.
-LEAST_WAY = 0.25
 
 
 @dataclass(frozen=True)
@@ -97,7 +95,7 @@ class Fits:
         origin = np.array([self._place(one, near.values) for one in members])
         # What the set has beside `near` cannot make the log less likely, but for a step too far.
         reached = near.fitted.bound - STILL if set(near.members) <= set(members) else -np.inf
-        start, best, before = near.fitted, None, np.zeros(len(members))
+        start, best = near.fitted, None
         # Values are known to about what they were moved by last.
         widths = np.abs(places - origin)
         for turn in range(FIT_TURNS):
@@ -121,15 +119,8 @@ class Fits:
             still = np.all(np.abs(step) < STANDS_STILL * deviations)
             if gained < STILL or (still and not own_slopes):
                 break
-            # Of a step that went all the way nothing would be left: where some is, slopes change on the way.
-            gone = np.asarray(places) - origin if turn else np.zeros(len(members))
-            size = float(gone @ (gone / deviations**2))
-            share = float(gone @ ((before - step) / deviations**2)) / size if size else 1.0
-            origin, before = np.asarray(places), step
-            low, high = self.priors.low[list(members)], self.priors.high[list(members)]
-            places = np.clip(origin + step / min(max(share, LEAST_WAY), 1.0), low, high)
-            start, reached = fitted, fitted.bound - STILL
-            widths = np.maximum(np.abs(places - origin), deviations)
+            origin, places, start, reached = places, moved, fitted, fitted.bound - STILL
+            widths = np.maximum(np.abs(step), deviations)
         if best is None:
             raise RuntimeError("no turn was made")
         return best

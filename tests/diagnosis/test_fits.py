@@ -261,30 +261,6 @@ def test_a_set_is_fitted_to_where_its_slopes_move_it_no_more(fits, nothing):
     assert back.evidence == pytest.approx(nothing.evidence, abs=0.5)
 
 
-@pytest.mark.parametrize(("share", "most"), [(1.0, 3), (0.5, 6), (0.2, 8)])
-def test_steps_that_are_too_short_are_taken_for_a_series(fits, nothing, monkeypatch, share, most):
-    """Slopes that say a share of the way: of a fifth, sixteen turns would leave 3 % of it, 45 standard errors here."""
-    truth, deviation, seen = 0.5, 0.0003, []
-
-    def at_values(self, values, start):
-        seen.append(float(next(iter(values.values()))))
-        return replace(nothing.fitted, values=values, estimate=replace(nothing.fitted.estimate, bound=0.0))
-
-    def weighed(self, members, fitted, widths):
-        at = float(next(iter(fitted.values.values())))
-        evidence = -(((at - truth) / deviation) ** 2) / 2
-        moved = Weighed(members, np.array([at + share * (truth - at)]), 0.0, 0.0, np.array([[deviation**-2]]))
-        return Fit(members, dict(fitted.values), fitted, evidence, widths), moved
-
-    monkeypatch.setattr(Fits, "_next", at_values)
-    monkeypatch.setattr(Fits, "_weighed", weighed)
-    member = next(at for at, one in enumerate(fits.effects) if one.neutral == 0 and one.bounds[1] > 1)
-    found = fits.of((member,), np.zeros(1), nothing)
-    (value,) = found.values.values()
-    assert abs(value - truth) < 3 * deviation
-    assert len(seen) <= most
-
-
 @pytest.mark.parametrize("members", [(0,), ()])
 def test_beside_another_fit_a_row_is_simulated_once(fits, nothing, members, monkeypatch):
     asked = []
