@@ -54,7 +54,7 @@ LIVE = 24
 # The weakest causes, so many, must be missed by a fit of their own of the others, and their rivals' too.
 REFITTED = 3
 # What acts only beyond some place has no slope, or one that says little of what it does further off.
-THRESHOLDS = ("backlash", "dead_zone", "torque_speed", "current_limit")
+THRESHOLDS = ("backlash", "torque_speed")
 # Effects whose responses make a smaller angle than this cosine may be the same: so many are fitted in a cause's place.
 ALIKE, RIVALS = 0.8, 3
 # A bound that an estimate comes this near to, as a share of the range, holds it.

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from scipy.special import stdtr, stdtrit
+from scipy.stats import false_discovery_control
 
 from skat.diagnosis.fitting import on_logarithm, value_at
 from skat.effects import Effect
@@ -111,7 +112,9 @@ def drifts_of(
             rows.append((robot, name, since, *_values(effect, step, half), effect.unit, p))
     names = ["robot", "effect", "since", "before", "after", "change", "low", "high", "unit", "p"]
     table = pd.DataFrame(rows, columns=names)
-    kept = _fewer_false(table["p"].to_numpy(float), rate)
+    if table.empty:
+        return table
+    kept = false_discovery_control(table["p"].to_numpy(float)) <= rate
     return table[kept].sort_values("p", kind="stable").reset_index(drop=True)
 
 
@@ -160,11 +163,3 @@ def _values(effect: Effect, step: _Step, half: float) -> tuple[float, float, flo
     ends = np.array([size, size - half, size + half])
     change, low, high = np.exp(ends) if on_logarithm(effect) else ends
     return first, last, float(change), float(low), float(high)
-
-
-def _fewer_false(p: Array, rate: float) -> NDArray[np.bool_]:
-    order = np.argsort(p, kind="stable")
-    below = np.flatnonzero(p[order] <= rate * np.arange(1, len(p) + 1) / max(len(p), 1))
-    held = np.zeros(len(p), dtype=bool)
-    held[order[: below.max() + 1 if len(below) else 0]] = True
-    return held
