@@ -2,7 +2,6 @@
 
 import os
 import signal
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -23,13 +22,13 @@ def decaying(X, rate=RATE, push=1.0):
     return X[:, :1] * left + push * X[:, 1:] * (1 - left)
 
 
-def heater():
+def heater(function=decaying):
     effects = [
         Effect("rate", unit="1/s", neutral=RATE, bounds=(0.1, 30.0), typical=1.0),
         Effect("push", unit="1", neutral=1.0, bounds=(0.1, 10.0)),
     ]
     names = {"input_names": ("warmth", "given"), "output_names": ("warmth",), "state_names": ("warmth",)}
-    return FunctionSimulator(decaying, **names, effects=effects)
+    return FunctionSimulator(function, **names, effects=effects)
 
 
 def log_of(seed, rate=RATE, n=60):
@@ -43,17 +42,6 @@ def log_of(seed, rate=RATE, n=60):
         warmth.append(now)
     read = np.array(warmth) + 0.01 * rng.normal(size=n + 1)
     return np.column_stack([read[:-1], given]), read[1:, None], np.repeat([0, 1, 2], n // 3)
-
-
-class Deadly(FunctionSimulator):
-    """Kills the process of whoever runs it, the first time."""
-
-    def _outputs(self, *arguments):
-        mark = Path(os.environ["SKAT_TEST_MARK"])
-        if not mark.exists():
-            mark.touch()
-            os.kill(os.getpid(), signal.SIGKILL)
-        return super()._outputs(*arguments)
 
 
 @pytest.fixture(scope="module")
@@ -106,12 +94,18 @@ def test_another_model_by_the_same_path_is_another_question(tmp_path):
     assert digests[1] == _digest(MujocoSimulator(path))
 
 
-def test_a_process_that_is_killed_costs_nothing_but_time(logs, fleet, tmp_path, monkeypatch):
-    monkeypatch.setenv("SKAT_TEST_MARK", str(tmp_path / "mark"))
-    simulator = Deadly(**heater().get_params(deep=False))
+def test_a_process_that_is_killed_costs_nothing_but_time(logs, fleet, tmp_path):
+    mark = tmp_path / "mark"
+
+    def deadly(X, rate=RATE, push=1.0):
+        if not mark.exists():
+            mark.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return decaying(X, rate, push)
+
     with pytest.warns(UserWarning, match="A process was killed"):
-        found = diagnose_many(logs[:3], simulator, names=list("abc"), n_jobs=2)
-    assert (tmp_path / "mark").exists()
+        found = diagnose_many(logs[:3], heater(deadly), names=list("abc"), n_jobs=2)
+    assert mark.exists()
     pd.testing.assert_frame_equal(found.table, fleet.table[fleet.table["log"] <= "c"].reset_index(drop=True))
 
 
