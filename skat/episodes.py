@@ -69,7 +69,8 @@ def split_episodes(
     Parameters
     ----------
     log : Bunch
-        With data, target and, unless its rows are independent, groups.
+        With data, target and, unless its rows are independent, groups; with origins, of which of several logs each row
+        is, where there are several.
 
     test_size : float
         Part of the rows that the second log gets, between 0 and 1, in whole episodes, as far as they leave enough to
@@ -111,7 +112,7 @@ def split_episodes(
                 **log,
                 **{
                     name: log[name][rows]
-                    for name in ("data", "target", "groups")
+                    for name in ("data", "target", "groups", "origins")
                     if log.get(name) is not None
                 },
             }

@@ -178,6 +178,19 @@ def test_a_first_look_says_that_it_is_one(here):
     assert "A first look, at 160 of " in Page((here / "long-report.html").read_text()).text
 
 
+def test_several_logs_have_a_noise_each_and_share_their_causes(here):
+    for month, seed in (("june", 0), ("july", 1)):
+        measured_cart(damping=0.6, seed=seed).to_csv(here / f"{month}.csv", index=False)
+    result = skat(
+        "diagnose", "model.xml", "june.csv", "july.csv", "--effect", "damping[rail]", "--json", "both.json"
+    )
+    assert result.exit_code == 0, result.output
+    assert "On damping[rail] the logs agree (p = " in result.stdout
+    found = json.loads((here / "both.json").read_text())
+    assert [one["name"] for one in found["logs"]] == ["june.csv", "july.csv"]
+    assert [one["cause"] for one in found["agreement"]] == ["damping[rail]"]
+
+
 def test_logs_of_one_robot_are_shown_side_by_side(here):
     for month, damping, seed in (("june", 0.6, 0), ("july", 0.6, 1), ("august", 0.8, 2)):
         measured_cart(damping=damping, seed=seed).to_csv(here / f"{month}.csv", index=False)

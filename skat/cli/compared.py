@@ -103,7 +103,7 @@ def _explained(gain: Mapping[str, Any] | None) -> str:
 def _side_by_side(table: "pd.DataFrame", names: Sequence[str]) -> "pd.DataFrame":
     import pandas as pd
 
-    from skat.diagnosis.agreement import p_text
+    from skat.diagnosis.report.sentences import p_text
 
     rows = table.to_dict("records")
     return pd.DataFrame(

@@ -1,4 +1,4 @@
-"""Whether several logs of one robot agree on what its model gets wrong: their findings side by side."""
+"""Whether several logs of one robot agree on what its model gets wrong: findings side by side, and one of all."""
 
 import math
 import warnings
@@ -10,14 +10,19 @@ import numpy as np
 import pandas as pd
 from scipy.stats import chi2
 
-from skat.diagnosis.evidence import WIDTH_95
+from skat.diagnosis.causes import Found
+from skat.diagnosis.evidence import WIDTH_95, Gram
 from skat.diagnosis.filtering import Array
+from skat.diagnosis.fitting import around, gram_of, slopes_of, value_at
 from skat.diagnosis.report.machine import SCHEMA
+from skat.diagnosis.report.sentences import p_text
+from skat.diagnosis.statespace import StateSpace
+from skat.effects import Effect
 
 # Logs of a robot that stayed the same are said to differ, in any cause, in so many of all comparisons.
 LEVEL = 0.01
-# So far out in its tail a normal law is no longer to be believed.
-LEAST_P = 1e-9
+# Of a typical size: how far off values may be before anything was measured of them.
+FAR = 1e3
 NAMED, AT_BOUND, NO_INTERVAL, ALSO_SEEN, ABSENT = "named", "at a bound", "no interval", "also seen", "-"
 FIELDS = ("schema", "verdict", "causes", "also_seen")
 CAUSE_FIELDS = ("name", "unit", "value", "interval", "aliases")
@@ -92,14 +97,105 @@ def compare_findings(
     for name, one in logs.items():
         check_findings(one, name)
     _warn_of_models(logs)
-    rows = [_row(cause, unit, logs) for cause, unit in _units(logs).items()]
-    each = [f"{what} in {name}" for name in logs for what in ("value", "low", "high", "status")]
+    return _table([_row(cause, unit, logs) for cause, unit in _units(logs).items()], list(logs))
+
+
+def _table(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> pd.DataFrame:
+    each = [f"{what} in {name}" for name in names for what in ("value", "low", "high", "status")]
     table = pd.DataFrame(rows, columns=["cause", "unit", *each, "n_compared", "chi_square", "p_value"])
     table["p_corrected"] = _holm(table["p_value"].to_numpy(dtype=float))
     table["agreement"] = [
         "not compared" if math.isnan(p) else "differ" if p < LEVEL else "agree" for p in table["p_corrected"]
     ]
     return table
+
+
+def shared_causes(space: StateSpace, found: Found, names: Sequence[str]) -> pd.DataFrame:
+    """Return what each of several logs says of each cause that they share, the other causes being shared.
+
+    By the slopes of their fit, each cause is given a value in each log; scores are trusted as far as blocks of time
+    agree on them. Where the logs agree on all causes and not on an effect that is none, this has a row as well: it may
+    act in one log alone, or up in one and down in another.
+
+    Parameters
+    ----------
+    space : StateSpace
+        The logs.
+    found : Found
+        Of all of them.
+    names : sequence of str
+        Of the logs.
+
+    Returns
+    -------
+    DataFrame
+        With the columns of `compare_findings`; a log that tells nothing of a cause has "no interval". `p_corrected` is
+        for all effects that were asked about.
+    """
+    scales, effects = found.priors.scales, found.effects
+    slopes = slopes_of(space, found.fitted, effects, scales, means=True)
+    columns = gram_of(space, found.fitted, slopes, effects)
+    mask = found.fitted.chains.mask
+    origin = np.broadcast_to(space.origin[:, None, None], mask.shape)[mask]
+    excess = columns.excess(columns.whitened, origin)
+    grams = []
+    for log in range(len(names)):
+        own = columns.columns[origin == log]
+        gram = Gram(own.T @ own, own.T @ columns.whitened[origin == log], columns.gram.origin)
+        grams.append(gram.scattered(excess))
+    causes = [place for place, effect in enumerate(effects) if effect.name in found.values]
+    rows = [_shared(place, causes, effects, grams, scales, names) for place in range(len(effects))]
+    table = _table(rows, names)
+    named = table["cause"].isin(list(found.values))
+    if "differ" in set(table["agreement"][named]):
+        return table[named].reset_index(drop=True)
+    apart = table[~named & (table["agreement"] == "differ")].nsmallest(1, "p_value")
+    return pd.concat([table[named], apart], ignore_index=True)
+
+
+def _shared(
+    place: int,
+    causes: Sequence[int],
+    effects: Sequence[Effect],
+    grams: Sequence[Gram],
+    scales: Array,
+    names: Sequence[str],
+) -> dict[str, Any]:
+    """Return the row of an effect that has a value in each log, beside causes that have one in all."""
+    effect, others = effects[place], [one for one in causes if one != place]
+    n, k = len(grams), len(others)
+    A, b = np.zeros((k + n, k + n)), np.zeros(k + n)
+    for log, gram in enumerate(grams):
+        A[:k, :k] += gram.products[np.ix_(others, others)]
+        A[:k, k + log] = A[k + log, :k] = gram.products[others, place]
+        A[k + log, k + log] = gram.products[place, place]
+        b[:k] += gram.projections[others]
+        b[k + log] = gram.projections[place]
+    units = np.r_[scales[others], np.full(n, scales[place])]
+    # What a log says nothing of stays where it is, and is hardly held there.
+    covariance = np.linalg.inv(A * units * units[:, None] + np.eye(k + n) / FAR**2) * units * units[:, None]
+    moves, covariance = (covariance @ b)[k:], covariance[k:, k:]
+    deviations = np.sqrt(np.diag(covariance))
+    told = np.flatnonzero(deviations < FAR / 10 * scales[place])
+    row: dict[str, Any] = {"cause": effect.name, "unit": effect.unit}
+    for log, name in enumerate(names):
+        value = value_at(effect, grams[log].origin[place] + moves[log])
+        low, high = around(effect, value, WIDTH_95 * deviations[log])
+        one = _Said(NAMED, value, low, high) if log in told else _Said(NO_INTERVAL)
+        row |= {f"value in {name}": one.value, f"low in {name}": one.low, f"high in {name}": one.high}
+        row[f"status in {name}"] = one.status
+    row |= {"n_compared": len(told), "chi_square": math.nan, "p_value": math.nan}
+    if len(told) > 1:
+        apart = np.eye(len(told))[1:] - np.eye(len(told))[0]
+        off, spread = apart @ moves[told], apart @ covariance[np.ix_(told, told)] @ apart.T
+        row["chi_square"] = float(off @ np.linalg.solve(spread, off))
+        row["p_value"] = float(chi2.sf(row["chi_square"], len(told) - 1))
+    return row
+
+
+def differing(table: pd.DataFrame) -> list[str]:
+    """Return the causes on which logs do not agree, of a table of `compare_findings` or `shared_causes`."""
+    return list(table.loc[table["agreement"] == "differ", "cause"])
 
 
 def check_findings(content: Any, name: str) -> None:
@@ -145,11 +241,6 @@ def agreement_sentences(table: pd.DataFrame) -> list[str]:
     """
     n_tests = int(table["p_value"].notna().sum())
     return [_sentence(row, n_tests) for row in table.to_dict("records")]
-
-
-def p_text(p: float) -> str:
-    """Return a p-value in words, no smaller than a normal law is to be believed."""
-    return f"p < {LEAST_P:.0e}" if p < LEAST_P else f"p = {p:.2g}"
 
 
 @dataclass(frozen=True)

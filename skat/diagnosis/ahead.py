@@ -98,20 +98,23 @@ def ahead(
         States at the starts, and what is not known of them; as the filter has them by default.
     """
     d, noise = space.d, seen.estimate.noise
-    error = variances_of(noise.error, noise.error_nu)[:d]
+    law = space.origins[starts]
+    error = variances_of(noise.error, noise.error_nu)[law, :d]
     random_state = np.random.RandomState(0)
     points = normal_points(d, PAIRS)
     n_draws = 2 * points.shape[1]
-    variances = np.broadcast_to(error, (len(starts), horizon, d)).copy()
+    variances = np.tile(error[:, None], (1, horizon, 1))
     table = _noise_table(noise, d, FINER * n_draws)
     if not space.simulator.state_names:
-        return Ahead(variances, table[:, None] ** 2 / error)
+        # Starts of one law are alike.
+        own = np.zeros(1, dtype=int) if len(noise.error) == 1 else law
+        return Ahead(variances, table[:, own] ** 2 / variances_of(noise.error, noise.error_nu)[own, :d])
     # Of each part of the law one draw: few of them have its mean square, whatever it is cut at.
     shape = n_draws, len(starts), d
     places = FINER * random_state.random_sample(shape).argsort(axis=0) + random_state.randint(
         FINER, size=shape
     )
-    last = table[places, np.arange(d)]
+    last = table[places, law[:, None], np.arange(d)]
     states, unknown = [one[starts] for one in filtered(space, seen)] if begin is None else begin
     sizes, axes = np.linalg.eigh(unknown[:, :d, :d])
     roots = axes * np.sqrt(np.maximum(sizes, 0.0))[:, None, :]
@@ -140,8 +143,8 @@ def variances_of(scale: Array, nu: Array) -> Array:
 
 
 def steady(noise: Noise, shares: Array) -> Array:
-    """Return the variance of each force with memory, at any time."""
-    force = variances_of(noise.force, noise.force_nu)[-len(shares) :]
+    """Return the variance of each force with memory, at any time, (n_laws, n_forces)."""
+    force = variances_of(noise.force, noise.force_nu)[:, -len(shares) :]
     return force / np.maximum(1 - shares**2, 1e-12)
 
 
@@ -204,11 +207,12 @@ def _line(
     """
     (n_points, n_starts, horizon, d), noise, k = pushes.shape, seen.estimate.noise, len(seen.shares)
     A, F = (one[space.places] for one in (seen.chains.transitions, seen.chains.carrier))
-    force = variances_of(noise.force, noise.force_nu)
+    law = space.origins[starts]
+    force = variances_of(noise.force, noise.force_nu)[law, None]
     M = np.zeros((n_starts, d + k, d + k))
     M[:, :d, :d] = unknown
     if k:
-        M[:, d:, d:] = np.diag(steady(noise, seen.shares))
+        M[:, d:, d:] = steady(noise, seen.shares)[law, :, None] * np.eye(k)
     moved, pushed = np.moveaxis(offsets, -1, 1), np.zeros((n_starts, n_points, d))
     squares, variances = np.empty((n_points, n_starts, horizon, d)), np.empty((n_starts, horizon, d))
     with np.errstate(over="ignore", invalid="ignore"):
@@ -234,9 +238,9 @@ def _mean_beside(drawn: Array, known: Array, mean: Array) -> Array:
 
 
 def _noise_table(noise: Noise, d: int, n: int) -> Array:
-    """Return quantiles of the noise of each sensor, (n, d)."""
-    levels = (np.arange(n)[:, None] + 0.5) / n
-    table: Array = np.sqrt(noise.error[:d]) * stats.t.ppf(levels, noise.error_nu[:d])
+    """Return quantiles of the noise of each sensor, (n, n_laws, d)."""
+    levels = (np.arange(n)[:, None, None] + 0.5) / n
+    table: Array = np.sqrt(noise.error[:, :d]) * stats.t.ppf(levels, noise.error_nu[:, :d])
     return table
 
 
@@ -249,13 +253,13 @@ def _drawn_pushes(
     random_state: np.random.RandomState,
 ) -> Array:
     """Return draws of what random forces add to the state in each row, (n_draws, n_starts, horizon, d)."""
-    noise, k = seen.estimate.noise, len(seen.shares)
-    deviations = np.sqrt(variances_of(noise.force, noise.force_nu))
+    noise, k, law = seen.estimate.noise, len(seen.shares), space.origins[starts]
+    deviations = np.sqrt(variances_of(noise.force, noise.force_nu))[law]
     shape = n_draws, len(starts), horizon
-    forces = random_state.standard_normal((*shape, len(deviations))) * deviations
+    forces = random_state.standard_normal((*shape, deviations.shape[-1])) * deviations[:, None]
     if k:
         # A simulation does not know what is known of these forces: to it, all of their variance is an error.
-        lasting = np.sqrt(steady(noise, seen.shares)) * random_state.standard_normal((*shape[:2], k))
+        lasting = np.sqrt(steady(noise, seen.shares)[law]) * random_state.standard_normal((*shape[:2], k))
         for step in range(horizon):
             forces[:, :, step, :k] += lasting
             lasting = seen.shares * lasting + forces[:, :, step, -k:]

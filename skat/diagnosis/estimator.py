@@ -16,16 +16,17 @@ from sklearn.exceptions import NotFittedError
 from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted
 
+from skat.diagnosis.agreement import differing, shared_causes
 from skat.diagnosis.ahead import variances_of
 from skat.diagnosis.causes import QUICK_TURNS, TURNS, Found, find_causes, is_held
 from skat.diagnosis.changes import find_changes
 from skat.diagnosis.doubts import warn_of_doubts
 from skat.diagnosis.filtering import Array
 from skat.diagnosis.findings import Alias, Cause, Gain
-from skat.diagnosis.fitting import Known, first_fit, hits, value_at
+from skat.diagnosis.fitting import Fitted, Known, coordinate, first_fit, hits, value_at
 from skat.diagnosis.forces.start import start_in_forces
 from skat.diagnosis.identifiability import identifiability, preflight
-from skat.diagnosis.log import Log, check_log, check_matrix, tangent_variances, without_channels
+from skat.diagnosis.log import Log, check_log, check_matrix, put_together, tangent_variances, without_channels
 from skat.diagnosis.posterior import Posterior
 from skat.diagnosis.prediction import Prediction, horizon_rows, open_loop_gain, predicted
 from skat.diagnosis.remainder import find_remainder, is_unexplained
@@ -93,7 +94,13 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         Effects that the log shows but that matter less than what no model gets right, and their values.
     gain_ : Gain or None
     noise_ : ndarray of shape (n_residuals,)
-        Standard deviation of the measurement noise of each channel; NaN where it was not measured.
+        Standard deviation of the measurement noise of each channel; NaN where it was not measured. Of several logs the
+        root mean square of theirs.
+    noise_of_logs_ : DataFrame
+        The same of each log, a row for each.
+    agreement_ : DataFrame or None
+        Of several logs, what each says of each cause by itself, the other causes shared, and whether they agree; with
+        the columns of `compare_findings`.
     remainder_ : Remainder
         What is left beside the causes.
     posterior_ : Posterior
@@ -158,7 +165,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
     def fit(
         self,
         X: Any,
-        y: Any,
+        y: Any = None,
         groups: ArrayLike | None = None,
         *,
         floor: ArrayLike | None = None,
@@ -169,12 +176,14 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
 
         Parameters
         ----------
-        X : array-like of shape (n_rows, n_inputs)
+        X : array-like of shape (n_rows, n_inputs), log, or list of logs
             In the order of ``simulator.input_names``, or a data frame with these columns: for a simulation with a
-            state, state and action. NaN in the state: not measured.
+            state, state and action. NaN in the state: not measured. Or a log, as `skat.logs.load_log` returns, or
+            several of one robot, each such a log or a tuple of (X, y) or (X, y, groups): they share their causes, and
+            each has noise of its own; a warning tells if they do not agree. A mapping gives them names.
         y : array-like of shape (n_rows, n_outputs)
             What followed: for a simulation with a state, the next state, which is the state in the next row of X. NaN:
-            not measured.
+            not measured. None where X is a log, or several.
         groups : array-like of shape (n_rows,), optional
             Episode of each row; an episode's rows are consecutive and in time order. None: independent rows. For a
             simulation without a state, rows of a group may have something in common and count as one.
@@ -204,9 +213,9 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         progress = progress or _silent
         self._check_parameters()
         effects = self._chosen_effects()
-        least = self._checked_floor(floor)
         random_state = check_random_state(self.random_state)
-        log = without_channels(self.simulator, check_log(self.simulator, X, y, groups), self.hidden)
+        log, least = self._checked(X, y, groups, floor)
+        log = without_channels(self.simulator, log, self.hidden)
         warn_of_doubts(self.simulator, log)
         log = self._as_read(self._without_computed(log), effects, least, progress)
         self.n_features_in_ = log.X.shape[1]
@@ -250,9 +259,17 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         self.posterior_ = Posterior.of(found)
         self.settled_ = found.settled
         self.diverged_share_ = float(np.mean(~found.fitted.linear.valid))
-        noise = found.fitted.estimate.noise
-        deviations = np.sqrt(variances_of(noise.error, noise.error_nu)[: space.d]) if given is None else given
-        self.noise_ = np.where(whole.mask.any(axis=(0, 1)), deviations, np.nan)
+        self._tell_noise(whole, found, fitted.sources)
+        self.agreement_: pd.DataFrame | None = None
+        if fitted.sources:
+            self.agreement_ = shared_causes(whole, found, fitted.sources)
+            if names := differing(self.agreement_):
+                warnings.warn(
+                    f"The logs do not agree on {', '.join(names)} (agreement_): they are of a robot that changed, or "
+                    "of motions in which the model is wrong in different ways. Ask fit_change what changed.",
+                    UserWarning,
+                    stacklevel=2,
+                )
         self.extended_simulator_ = self.simulator.extended(self._values)
         self.identifiability_ = identifiability(
             found.gram, found.priors, found.effects, found.values, alpha=self.alpha, value_at=value_at
@@ -449,7 +466,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             )
         return open_loop_gain(
             self._space(log),
-            self._found.fitted,
+            self._fitted_for(log),
             self._values,
             initial_state=initial_state,
             outputs=outputs,
@@ -667,6 +684,47 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             )
         return deviations
 
+    def _checked(
+        self, X: Any, y: Any, groups: ArrayLike | None, floor: ArrayLike | None
+    ) -> tuple[Log, Array]:
+        """Return the log, or the logs put together, and the least variance of each channel's noise, of each log."""
+        if y is not None:
+            return check_log(self.simulator, X, y, groups), self._checked_floor(floor)
+        logs = _named_logs(X)
+        if logs is None:
+            raise ValueError(f"{type(self).__name__} requires y to be passed, but the target y is None.")
+        if groups is not None or floor is not None:
+            raise ValueError(
+                "groups and floor are those of each log: pass tuples of (X, y, groups), or logs."
+            )
+        checked, floors = [], []
+        for name, (X, y, groups, least) in logs.items():
+            try:
+                checked.append(check_log(self.simulator, X, y, groups))
+                floors.append(self._checked_floor(least))
+            except ValueError as error:
+                if len(logs) == 1:
+                    raise
+                raise ValueError(f"{name}: {error}") from error
+        if len(checked) == 1:
+            return checked[0], floors[0]
+        return put_together(checked, tuple(logs)), np.stack(floors)
+
+    def _tell_noise(self, space: StateSpace, found: Found, names: Sequence[str]) -> None:
+        """Set the standard deviation of each channel's noise, of each log and of all."""
+        noise, given = found.fitted.estimate.noise, self._given_deviations()
+        variances = variances_of(noise.error, noise.error_nu)[:, : space.d]
+        if given is not None:
+            variances = np.tile(given**2, (len(variances), 1))
+        read = np.stack([space.mask[space.origin == log].any(axis=(0, 1)) for log in range(len(variances))])
+        logs = np.where(read, np.sqrt(variances), np.nan)
+        self.noise_of_logs_ = pd.DataFrame(
+            logs, index=pd.Index(names or ["log"], name="log"), columns=list(self.simulator.residual_names)
+        )
+        counts = read.sum(axis=0)
+        means = np.sum(variances, axis=0, where=read) / np.maximum(counts, 1)
+        self.noise_ = np.where(counts > 0, np.sqrt(means), np.nan)
+
     def _checked_floor(self, floor: ArrayLike | None) -> Array:
         """Return the least variance of each residual channel's noise."""
         names = self.simulator.output_names
@@ -690,6 +748,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             log.episodes,
             consecutive=log.consecutive,
             chain_length=chain_length,
+            origins=log.source,
             n_jobs=self.n_jobs,
         )
 
@@ -709,21 +768,75 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         rows = self._rows_ahead(horizon) if log.consecutive else 1
         return predicted(
             self._space(log, self._chain_length),
-            self._found.fitted,
+            self._fitted_for(log),
             self._values,
             horizon=rows,
             random_state=random_state,
         )
 
+    def _fitted_for(self, log: Log) -> Fitted:
+        """Return the fit; for a log that is none of several that were fitted, with a noise like theirs."""
+        fitted = self._found.fitted
+        if log.source is not None:
+            return fitted
+        return replace(fitted, estimate=replace(fitted.estimate, noise=fitted.estimate.noise.pooled()))
+
+    def _apart(self) -> list[str]:
+        """Return on what several logs do not agree by more than the tolerance's share of what is wrong with it."""
+        if self.agreement_ is None:
+            return []
+        effects, rows = {one.name: one for one in self._found.effects}, self.agreement_.set_index("cause")
+        found = []
+        for name in differing(self.agreement_):
+            values = rows.loc[name, [one for one in rows.columns if one.startswith("value in ")]].dropna()
+            places = [coordinate(effects[name], value) for value in values]
+            wrong = coordinate(effects[name], self._values.get(name, effects[name].neutral))
+            if max(places) - min(places) > self.tolerance * abs(wrong):
+                found.append(name)
+        return found
+
     def _verdict(self) -> str:
         gain = None if self._prediction is None else self._prediction.gain
-        if not self.settled_ or is_unexplained(
-            self.remainder_, gain, tolerance=self.tolerance, alpha=self.alpha
+        if (
+            not self.settled_
+            or is_unexplained(self.remainder_, gain, tolerance=self.tolerance, alpha=self.alpha)
+            or self._apart()
         ):
             return "unexplained"
         if not self.causes_:
             return "nothing detected" if self.diverged_share_ < MOST_DIVERGED else "unexplained"
         return "ambiguous" if any(cause.aliases for cause in self.causes_) else "named"
+
+
+def _named_logs(given: Any) -> dict[str, tuple[Any, Any, Any, Any]] | None:
+    """Return X, y, groups and floor of a log, or of several by their names; None of anything else."""
+    if _is_log(given):
+        given = [given]
+    if isinstance(given, Mapping):
+        logs = {str(name): one for name, one in given.items()}
+    elif isinstance(given, list | tuple) and all(_is_log(one) or isinstance(one, tuple) for one in given):
+        names = [getattr(one, "source", "") or f"log {number}" for number, one in enumerate(given, 1)]
+        logs = {
+            name if names.count(name) == 1 else f"{name} ({number})": one
+            for number, (name, one) in enumerate(zip(names, given), 1)
+        }
+    else:
+        return None
+    if not logs:
+        raise ValueError("there is no log; expected at least one.")
+    return {name: _parts(name, one) for name, one in logs.items()}
+
+
+def _is_log(one: Any) -> bool:
+    return all(hasattr(one, name) for name in ("X", "y", "groups"))
+
+
+def _parts(name: str, one: Any) -> tuple[Any, Any, Any, Any]:
+    if _is_log(one):
+        return one.X, one.y, one.groups, getattr(one, "floor", None)
+    if not isinstance(one, tuple) or len(one) not in (2, 3):
+        raise ValueError(f"{name}: expected a log, or a tuple of (X, y) or (X, y, groups); got {one!r:.80}.")
+    return one[0], one[1], one[2] if len(one) == 3 else None, None
 
 
 def _causes(found: Found) -> list[Cause]:

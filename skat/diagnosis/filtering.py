@@ -54,8 +54,8 @@ class Chains:
     mask: Mask
     prior: Array
 
-    def of(self, chosen: Mask) -> "Chains":
-        """Return some of the chains; `chosen` is of shape (n_chains,)."""
+    def of(self, chosen: Mask | NDArray[np.intp]) -> "Chains":
+        """Return some of the chains, by a mask of shape (n_chains,) or by their places."""
         return Chains(
             self.transitions[chosen],
             self.drive[chosen],

@@ -47,7 +47,7 @@ class Known:
 
     Attributes
     ----------
-    floor : ndarray of shape (d,) or None
+    floor : ndarray of shape (d,) or (n_logs, d), or None
         Least variance of each channel's noise; by default 0.
     given : ndarray of shape (d,) or None
         Standard deviation of each channel's noise, where it is known.
@@ -67,10 +67,10 @@ class Known:
 
     def least(self, chains: Chains) -> Array:
         """Return the least variance of each channel, hidden states with them."""
-        least = np.zeros(chains.drive.shape[-1])
-        if self.floor is not None:
-            least[: len(self.floor)] = self.floor
-        return least
+        if self.floor is None:
+            return np.zeros(chains.drive.shape[-1])
+        hidden = chains.drive.shape[-1] - self.floor.shape[-1]
+        return np.pad(self.floor, [(0, 0)] * (self.floor.ndim - 1) + [(0, hidden)])
 
     def held(self, chains: Chains) -> Mask | None:
         """Return which channels have a noise that was given."""
@@ -170,10 +170,11 @@ def first_fit(
     linear = linearise(space, space.measured, values)
     if not linear.valid.any():
         raise RuntimeError("The simulation diverges in every row: check the units of the states and actions.")
-    residuals = np.where(linear.valid[:, None], linear.chains.drive[space.places], np.nan)
-    typical = (1.4826 * np.nanmedian(np.abs(residuals), axis=0)) ** 2 / 2 + 1e-12 * space.spread**2
-    typical = np.minimum(typical, _rough(space)) if known.given is None else known.given**2
-    noise = normal_noise(linear.chains, _force_guess(linear, typical), typical)
+    typical = np.minimum(_typical(space, linear), _rough(space))
+    if known.given is not None:
+        typical = np.tile(known.given**2, (space.n_logs, 1))
+    force = np.stack([_force_guess(linear, one) for one in typical])
+    noise = normal_noise(linear.chains, force, typical, space.origin)
     estimate = known.estimated(linear.chains, noise, space.real)
     fitted = Fitted(dict(values), linear, linear.chains, estimate, np.zeros(0))
     for turn in range(turns):
@@ -274,15 +275,33 @@ def _estimated(
     return Fitted(dict(values), linear, chains, known.estimated(chains, noise, space.real), shares)
 
 
+def _typical(space: StateSpace, linear: Linear) -> Array:
+    """Return half of the typical square of what a row's end is off, of each log, (n_logs, d)."""
+    found = []
+    for log in range(space.n_logs):
+        own = linear.valid & (space.origins == log)
+        residuals = linear.chains.drive[space.places][own if own.any() else linear.valid]
+        found.append((1.4826 * np.median(np.abs(residuals), axis=0)) ** 2 / 2 + 1e-12 * space.spread**2)
+    return np.stack(found)
+
+
 def _rough(space: StateSpace) -> Array:
-    """Return the variance that neighbouring rows show of each channel's noise: motion can only add to it.
+    """Return the variance that neighbouring rows show of each channel's noise in each log, (n_logs, d).
+
+    Motion can only add to it.
 
     A start from larger noise may never find a force that passes for it.
     """
     episodes = np.repeat(np.arange(len(space.measured)), space.measured.shape[1])
     flat = space.measured.reshape(len(episodes), -1)
     read = np.where(space.mask.reshape(len(episodes), -1), tangents(space.simulator, flat), np.nan)
-    variances = np.array([noise_variance(series, episodes) for series in read.T])
+    origins = np.repeat(space.origin, space.measured.shape[1])
+    variances = np.array(
+        [
+            [noise_variance(series[origins == log], episodes[origins == log]) for series in read.T]
+            for log in range(space.n_logs)
+        ]
+    )
     return np.where(variances > 0, variances, np.inf)
 
 
@@ -294,7 +313,8 @@ def hits(space: StateSpace) -> bool:
     noise = _rough(space)
     if not space.simulator.state_names or not np.isfinite(noise).all():
         return False
-    known = np.tile(np.diag(np.minimum(noise, space.spread**2)), (*space.mask.shape[:2], 1, 1))
+    least = np.minimum(noise, space.spread**2)[space.origin][:, None, :, None] * np.eye(space.d)
+    known = np.tile(least, (1, space.mask.shape[1], 1, 1))
     chains, places = linearise(space, space.measured, {}, known).chains, space.places
     bent = is_bent(chains.transitions[places], chains.bends[places], known[:, :-1][places], HIT)
     return bool(bent.any())
@@ -307,19 +327,19 @@ def _with_best_memory(
     n_forces = linear.chains.carrier.shape[-1]
     plain = _without_memory(noise, space.d, n_forces)
     without = known.estimated(linear.chains, plain, space.real)
-    if len(shares) and known.given is None:
+    if known.given is None:
         rough = _rough(space)
         read = np.where(np.isfinite(rough), np.maximum(plain.error, rough), plain.error)
         if (read > plain.error).any():
             # Where forces passed for all that a set of causes explains, sensors were left no noise to begin with.
-            other = normal_noise(linear.chains, plain.force, read)
+            other = normal_noise(linear.chains, plain.force, read, plain.law)
             without = max(
                 without,
                 known.estimated(linear.chains, other, space.real),
                 key=lambda one: one.bound,
             )
-    # A variance more for each force, and the memory itself.
-    needed = MEMORY_WORTH * (n_forces + 1)
+    # A variance more for each force in each log, and the memory itself.
+    needed = MEMORY_WORTH * (noise.force.shape[0] * n_forces + 1)
     longest = SHARE_OF_EPISODE * np.unique(space.groups, return_counts=True)[1].max()
     memories = [np.full(n_forces, np.exp(-1 / rows)) for rows in MEMORIES if rows <= longest]
     worth = _worth_of_memories(linear.chains, without)[: len(memories)]
@@ -376,26 +396,28 @@ def _remembering(space: StateSpace, linear: Linear, shares: Array) -> Chains:
 
 
 def _with_memory(noise: Noise, shares: Array) -> Noise:
-    n_chains, steps, _ = noise.force_weights.shape
     k = len(shares)
+    wide, chains = [(0, 0), (0, k)], [(0, 0), (0, 0), (0, k)]
     return Noise(
-        np.r_[noise.force, noise.force * (1 - shares**2)],
-        np.r_[noise.error, np.ones(k)],
-        np.r_[noise.force_nu, np.full(k, np.inf)],
-        np.r_[noise.error_nu, np.full(k, np.inf)],
-        np.concatenate([noise.force_weights, np.ones((n_chains, steps, k))], axis=-1),
-        np.concatenate([noise.error_weights, np.ones((n_chains, steps + 1, k))], axis=-1),
+        np.concatenate([noise.force, noise.force * (1 - shares**2)], axis=1),
+        np.pad(noise.error, wide, constant_values=1.0),
+        np.pad(noise.force_nu, wide, constant_values=np.inf),
+        np.pad(noise.error_nu, wide, constant_values=np.inf),
+        noise.law,
+        np.pad(noise.force_weights, chains, constant_values=1.0),
+        np.pad(noise.error_weights, chains, constant_values=1.0),
     )
 
 
 def _without_memory(noise: Noise, d: int, n_forces: int) -> Noise:
-    if len(noise.error) == d:
+    if noise.error.shape[1] == d:
         return noise
     return Noise(
-        noise.force[:n_forces],
-        noise.error[:d],
-        noise.force_nu[:n_forces],
-        noise.error_nu[:d],
+        noise.force[:, :n_forces],
+        noise.error[:, :d],
+        noise.force_nu[:, :n_forces],
+        noise.error_nu[:, :d],
+        noise.law,
         noise.force_weights[..., :n_forces],
         noise.error_weights[..., :d],
     )
@@ -494,7 +516,7 @@ class Columns:
         right = self.gram.projections - self.gram.origin / scales**2
         return np.linalg.solve(scaled, right / sizes) / sizes
 
-    def excess(self, left: Array) -> Array:
+    def excess(self, left: Array, origin: NDArray[np.intp] | None = None) -> Array:
         """Return by how much the score of each effect scatters between blocks of time more than the model says.
 
         The effect's own best value is taken out of each score.
@@ -503,18 +525,27 @@ class Columns:
         ----------
         left : ndarray of shape (n_measured,)
             Innovations with what is known to act taken out.
+        origin : ndarray of int of shape (n_measured,), optional
+            Which log each is of, where an effect has a best value in each.
         """
-        n_blocks = int(self.blocks.max()) + 1 if len(self.blocks) else 0
-        if n_blocks < FEWEST_BLOCKS:
+        origin = np.zeros(len(self.blocks), dtype=int) if origin is None else origin
+        n_logs = int(origin.max(initial=0)) + 1
+        pairs, blocks = np.unique(self.blocks * n_logs + origin, return_inverse=True)
+        n_blocks = len(pairs)
+        if n_blocks - n_logs < FEWEST_BLOCKS - 1:
             return np.zeros(self.columns.shape[1])
-        order = np.argsort(self.blocks, kind="stable")
-        starts = np.searchsorted(self.blocks[order], np.arange(n_blocks))
+        order = np.argsort(blocks, kind="stable")
+        starts = np.searchsorted(blocks[order], np.arange(n_blocks))
         columns = self.columns[order]
         scores = np.add.reduceat(columns * left[order, None], starts)
         information = np.add.reduceat(columns**2, starts)
         model = np.maximum(information.sum(axis=0), 1e-300)
-        scores -= information * (scores.sum(axis=0) / model)
-        variances = np.sum(scores**2, axis=0) * n_blocks / (n_blocks - 1)
+        for log in range(n_logs):
+            own = pairs % n_logs == log
+            scores[own] -= information[own] * (
+                scores[own].sum(axis=0) / np.maximum(information[own].sum(axis=0), 1e-300)
+            )
+        variances = np.sum(scores**2, axis=0) * n_blocks / (n_blocks - n_logs)
         excess: Array = np.maximum(variances / model - 1, 0.0)
         return excess
 

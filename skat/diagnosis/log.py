@@ -52,6 +52,10 @@ class Log:
         What the user calls each episode.
     simulator : Simulator or None
         Whose columns these are; needed where something was not measured.
+    sources : tuple of str
+        Names of the logs that were put together; empty of one.
+    source : ndarray of int of shape (n_rows,) or None
+        Which of them each row is of.
     """
 
     X: Array
@@ -60,6 +64,8 @@ class Log:
     consecutive: bool
     labels: tuple[Any, ...] | None = None
     simulator: Simulator | None = None
+    sources: tuple[str, ...] = ()
+    source: Places | None = None
 
     def __len__(self) -> int:
         return len(self.X)
@@ -133,10 +139,25 @@ class Log:
         if self.labels is not None:
             first = np.unique(episodes, return_index=True)[1]
             labels = tuple(self.labels[episode] for episode in self.episodes[chosen][first])
-        return replace(self, X=self.X[chosen], y=self.y[chosen], episodes=episodes, labels=labels)
+        source = None if self.source is None else self.source[chosen]
+        return replace(
+            self, X=self.X[chosen], y=self.y[chosen], episodes=episodes, labels=labels, source=source
+        )
+
+    @property
+    def parts(self) -> list["Log"]:
+        """Each of the logs that were put together, by itself; this one if it is one."""
+        if self.source is None:
+            return [self]
+        return [replace(self.rows(self.source == one), source=None) for one in range(len(self.sources))]
 
     def few(self) -> "Log":
-        """Return the few rows that a first look takes: stretches of time, or rows from all over where there is none."""
+        """Return the few rows that a first look takes of each log.
+
+        Stretches of time, or rows from all over where there is none.
+        """
+        if self.source is not None:
+            return self._of([one.few() for one in self.parts])
         dt = None if self.simulator is None else self.simulator.dt
         length = int(np.clip(STRETCH_S / dt if dt else 0.0, *STRETCH_ROWS))
         return self.stretches(*((STRETCHES, length) if self.consecutive else (STRETCHES * length, 1)))
@@ -164,6 +185,10 @@ class Log:
         """
         if not test_size:
             return self, None
+        if self.source is not None:
+            pairs = [one.split(test_size, random_state) for one in self.parts]
+            tests = [self.rows(np.zeros(0, dtype=int)) if test is None else test for _, test in pairs]
+            return self._of([left for left, _ in pairs]), self._of(tests) if any(map(len, tests)) else None
         held_out = self._held_out(test_size, random_state)
         left = self.rows(~held_out)
         by_rows = self.consecutive or self.n_episodes == len(self)
@@ -187,6 +212,19 @@ class Log:
                 stacklevel=3,
             )
         return left, self.rows(held_out)
+
+    def _of(self, parts: Sequence["Log"]) -> "Log":
+        """Return some rows of each of the logs that were put together as these are."""
+        offsets = np.cumsum([0, *(one.n_episodes for one in parts)])
+        labels = tuple(one.label(episode) for one in parts for episode in range(one.n_episodes))
+        return replace(
+            self,
+            X=np.concatenate([one.X for one in parts]),
+            y=np.concatenate([one.y for one in parts]),
+            episodes=np.concatenate([one.episodes + offset for one, offset in zip(parts, offsets)]),
+            labels=labels,
+            source=np.repeat(np.arange(len(parts)), [len(one) for one in parts]),
+        )
 
     def _held_out(self, test_size: float, random_state: np.random.RandomState) -> Mask:
         n = len(self)
@@ -286,6 +324,28 @@ def check_log(
             stacklevel=3,
         )
     return log
+
+
+def put_together(logs: Sequence[Log], names: Sequence[str]) -> Log:
+    """Return several checked logs of one simulator as one that knows which rows are of which.
+
+    Raises
+    ------
+    ValueError
+        If the rows of some are in time order, and of others not.
+    """
+    first = logs[0]
+    for name, one in zip(names[1:], logs[1:]):
+        if one.consecutive != first.consecutive:
+            raise ValueError(
+                f"{names[0]} and {name}: the rows of one are in time order, of the other they are not. Give groups, "
+                "the episode of each row, with all of them or with none."
+            )
+    called = [
+        replace(one, labels=tuple(f"{name}: {one.label(episode)}" for episode in range(one.n_episodes)))
+        for name, one in zip(names, logs)
+    ]
+    return replace(first, sources=tuple(names))._of(called)
 
 
 def without_channels(simulator: Simulator, log: Log, names: Iterable[str]) -> Log:

@@ -11,9 +11,12 @@ References
 .. [1] Zhou, Hu, Zhou, Lange (2019). MM algorithms for variance components models. J. Comp. Graph. Stat. 28(2).
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import gammaln, psi
 
 from skat.diagnosis.filtering import (
@@ -33,18 +36,22 @@ SMALLEST = 1e-300
 # A fit that gains less than so many nats gains nothing.
 TOLERANCE = 0.1
 DEGREES_OF_FREEDOM = (np.inf, 10.0, 5.0, 3.0)
+Places = NDArray[np.intp]
+Part = TypeVar("Part")
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Laws of the random forces and of the sensors' noise.
+    """Laws of the random forces and of the sensors' noise: each log has its own.
 
     Attributes
     ----------
-    force, error : ndarray of shape (n_forces,), (d,)
+    force, error : ndarray of shape (n_laws, n_forces), (n_laws, d)
         Squared scales q and r; variances where nu is infinite.
-    force_nu, error_nu : ndarray of shape (n_forces,), (d,)
+    force_nu, error_nu : ndarray of shape (n_laws, n_forces), (n_laws, d)
         Degrees of freedom.
+    law : ndarray of int of shape (n_chains,)
+        Of each chain.
     force_weights : ndarray of shape (n_chains, n_steps, n_forces)
         Expected precision of each sample, in units of 1 / q.
     error_weights : ndarray of shape (n_chains, n_steps + 1, d)
@@ -54,18 +61,48 @@ class Noise:
     error: Array
     force_nu: Array
     error_nu: Array
+    law: Places
     force_weights: Array
     error_weights: Array
 
     @property
     def force_variances(self) -> Array:
         """Variance of each sample of w."""
-        return self.force / self.force_weights
+        return self.force[self.law][:, None] / self.force_weights
 
     @property
     def error_variances(self) -> Array:
         """Variance of each sample of e."""
-        return self.error / self.error_weights
+        return self.error[self.law][:, None] / self.error_weights
+
+    def alone(self, law: int) -> "Noise":
+        """Return one law, of the chains that have it."""
+        own, one = self.law == law, slice(law, law + 1)
+        return Noise(
+            self.force[one],
+            self.error[one],
+            self.force_nu[one],
+            self.error_nu[one],
+            np.zeros(int(own.sum()), dtype=int),
+            self.force_weights[own],
+            self.error_weights[own],
+        )
+
+    def unseen(self) -> "Noise":
+        """Return the laws of no chain."""
+        force, error = self.force_weights[:0], self.error_weights[:0]
+        return replace(self, law=self.law[:0], force_weights=force, error_weights=error)
+
+    def pooled(self) -> "Noise":
+        """Return one law for all chains: mean variances, the heaviest tails."""
+        return replace(
+            self,
+            force=self.force.mean(axis=0, keepdims=True),
+            error=self.error.mean(axis=0, keepdims=True),
+            force_nu=self.force_nu.min(axis=0, keepdims=True),
+            error_nu=self.error_nu.min(axis=0, keepdims=True),
+            law=np.zeros_like(self.law),
+        )
 
 
 @dataclass(frozen=True)
@@ -78,15 +115,17 @@ class Estimate:
     smoothed: Smoothed
 
 
-def normal_noise(chains: Chains, force: Array, error: Array) -> Noise:
-    """Return normal noise of given variances."""
+def normal_noise(chains: Chains, force: Array, error: Array, law: Places | None = None) -> Noise:
+    """Return normal noise of given variances, (n_forces,) and (d,), or of each law where chains have several."""
     n, steps, d = chains.drive.shape
     n_forces = chains.carrier.shape[-1]
+    force, error = np.atleast_2d(np.asarray(force, float)), np.atleast_2d(np.asarray(error, float))
     return Noise(
-        np.asarray(force, float),
-        np.asarray(error, float),
-        np.full(n_forces, np.inf),
-        np.full(d, np.inf),
+        force,
+        error,
+        np.full(force.shape, np.inf),
+        np.full(error.shape, np.inf),
+        np.zeros(n, dtype=int) if law is None else law,
         np.ones((n, steps, n_forces)),
         np.ones((n, steps + 1, d)),
     )
@@ -108,8 +147,8 @@ def passed(chains: Chains, noise: Noise, real: Mask, *, covariances: bool = Fals
     filtered = kalman_filter(chains, force, error)
     smoothed = smooth(chains, filtered, force, error, covariances=covariances)
     bound = filtered.log_likelihood
-    bound += _cost_of_scales(noise.force_weights, noise.force_nu, real[..., None])
-    bound += _cost_of_scales(noise.error_weights, noise.error_nu, chains.mask)
+    bound += _cost_of_scales(noise.force_weights, noise.force_nu, noise.law, real[..., None])
+    bound += _cost_of_scales(noise.error_weights, noise.error_nu, noise.law, chains.mask)
     return Estimate(noise, bound, filtered, smoothed)
 
 
@@ -124,7 +163,7 @@ def estimate_noise(
     tolerance: float = TOLERANCE,
     held: Mask | None = None,
 ) -> Estimate:
-    """Raise the bound until a pass adds less than a tolerance.
+    """Raise the bound until a pass adds less than a tolerance, each law by itself.
 
     Parameters
     ----------
@@ -132,7 +171,7 @@ def estimate_noise(
     noise : Noise
         Where to start.
     real : ndarray of bool of shape (n_chains, n_steps)
-    floor : ndarray of shape (d,)
+    floor : ndarray of shape (d,) or (n_laws, d)
         Least variance of each channel's noise, such as that of rounding.
     heavy : bool, default=True
         Whether degrees of freedom are chosen.
@@ -147,6 +186,53 @@ def estimate_noise(
     Estimate
         The last pass has the states' covariances.
     """
+    n_laws = len(noise.error)
+    floors = np.broadcast_to(np.atleast_2d(floor), noise.error.shape)
+
+    def estimated(chains: Chains, noise: Noise, real: Mask, floor: Array) -> Estimate:
+        return _estimated(chains, noise, real, floor, heavy, n_passes, tolerance, held)
+
+    if n_laws == 1:
+        return estimated(chains, noise, real, floors[0])
+    members = [np.flatnonzero(noise.law == law) for law in range(n_laws)]
+    parts = {
+        law: estimated(chains.of(own), noise.alone(law), real[own], floors[law])
+        for law, own in enumerate(members)
+        if len(own)
+    }
+    order = np.argsort(np.concatenate(members))
+    laws = [parts[law].noise if law in parts else noise.alone(law) for law in range(n_laws)]
+    force, error, force_nu, error_nu, force_weights, error_weights = (
+        np.concatenate([getattr(one, name) for one in laws])
+        for name in ("force", "error", "force_nu", "error_nu", "force_weights", "error_weights")
+    )
+    return Estimate(
+        Noise(force, error, force_nu, error_nu, noise.law, force_weights[order], error_weights[order]),
+        sum(part.bound for part in parts.values()),
+        _joined([part.filtered for part in parts.values()], order),
+        _joined([part.smoothed for part in parts.values()], order),
+    )
+
+
+def _joined(parts: Sequence[Part], order: Places) -> Part:
+    """Return what a pass leaves of some chains and of others as one, in the order of all."""
+    names = [one.name for one in fields(parts[0])]  # type: ignore[arg-type]
+    return type(parts[0])(
+        **{name: np.concatenate([getattr(one, name) for one in parts])[order] for name in names}
+    )
+
+
+def _estimated(
+    chains: Chains,
+    noise: Noise,
+    real: Mask,
+    floor: Array,
+    heavy: bool,
+    n_passes: int,
+    tolerance: float,
+    held: Mask | None,
+) -> Estimate:
+    """Raise the bound of chains that have one law."""
     floor = np.maximum(floor, FINEST * chains.prior)
     # Behind a start below the floor no step would be a gain.
     begun = np.maximum(noise.error, floor)
@@ -198,12 +284,12 @@ def _improved(
     if not heavy:
         return replace(noise, force=force, error=error)
     force_nu, force_weights = _scales(
-        force_squares, force, np.broadcast_to(real[..., None], force_squares.shape)
+        force_squares, force[0], np.broadcast_to(real[..., None], force_squares.shape)
     )
-    error_nu, error_weights = _scales(error_squares, error, chains.mask)
+    error_nu, error_weights = _scales(error_squares, error[0], chains.mask)
     if held is not None:  # A noise that is known has no outliers: what lies beyond it is the model's.
         error_nu, error_weights = np.where(held, np.inf, error_nu), np.where(held, 1.0, error_weights)
-    return Noise(force, error, force_nu, error_nu, force_weights, error_weights)
+    return Noise(force, error, force_nu[None], error_nu[None], noise.law, force_weights, error_weights)
 
 
 def _step(
@@ -239,10 +325,9 @@ def _scales(squares: Array, variance: Array, present: Mask) -> tuple[Array, Arra
 
 def precisions(squares: Array, scale: Array, nu: Array, present: Mask) -> Array:
     """Return the expected precision of each sample, in units of 1 / scale; 1 where there is none."""
-    weights, heavy = np.ones(squares.shape), np.isfinite(nu)
-    expected = (nu[heavy] + 1) / (nu[heavy] + squares[..., heavy] / scale[heavy])
-    weights[..., heavy] = np.where(np.broadcast_to(present, squares.shape)[..., heavy], expected, 1.0)
-    return weights
+    heavy = np.isfinite(nu)
+    nu, scale = np.where(heavy, nu, 1.0), np.where(heavy, scale, 1.0)
+    return np.where(heavy & present, (nu + 1) / (nu + squares / scale), 1.0)
 
 
 def _best_scales(squares: Array, seen: Mask, start: Array, nu: float) -> Array:
@@ -259,14 +344,13 @@ def _best_scales(squares: Array, seen: Mask, start: Array, nu: float) -> Array:
     return scale
 
 
-def _cost_of_scales(weights: Array, nus: Array, present: Mask) -> float:
+def _cost_of_scales(weights: Array, nus: Array, law: Places, present: Mask) -> float:
     """Return what the bound has beside the normal likelihood at the expected precisions."""
     cost = 0.0
     present = np.broadcast_to(present, weights.shape)
-    for column, nu in enumerate(nus):
-        if np.isinf(nu):
-            continue
-        mean = weights[..., column][present[..., column]]
+    for one, column in np.argwhere(np.isfinite(nus)):
+        nu, own = nus[one, column], law == one
+        mean = weights[own][..., column][present[own][..., column]]
         a, half = (nu + 1) / 2, nu / 2
         b = a / mean
         divergence = (

@@ -205,13 +205,13 @@ def look(space: StateSpace, fitted: Fitted, values: Mapping[str, float]) -> Seen
     """
     noise, shares = _with_even_weights(fitted.estimate.noise, space), fitted.shares
     path, covariances = space.measured, None
-    heavy = bool(np.isfinite(np.r_[noise.force_nu, noise.error_nu]).any())
+    heavy = bool(np.isfinite(np.c_[noise.force_nu, noise.error_nu]).any())
     turns = TURNS if space.simulator.state_names or heavy else 1
     for turn in range(turns):
         linear = linearise(space, path, values, covariances)
         chains = linear.chains
         if len(shares):
-            chains = chains.with_memory(shares, steady(noise, shares))
+            chains = chains.with_memory(shares, steady(noise, shares).max(axis=0))
         for _ in range(TURNS if heavy else 0):
             estimate = passed(chains, noise, space.real)
             noise = _weighted(estimate, space.real, chains.mask)
@@ -312,14 +312,15 @@ def open_loop_gain(
             f"{', '.join(missing)} were not measured in the first row of every episode: pass initial_state='fitted'."
         )
     noise = fitted.estimate.noise
-    deviations = np.sqrt(variances_of(noise.error, noise.error_nu)[: space.d])
+    variances = variances_of(noise.error, noise.error_nu)[:, : space.d]
+    deviations = np.sqrt(variances)[space.origins]
     counted = mask & chosen
     paths = []
     models: tuple[Mapping[str, float], ...] = ({}, values)
     for name, model in zip(("nominal", "extended"), models):
         starts = [space.measured[:, 0]]
         if initial_state == "fitted":
-            starts += _fitted_starts(space, model, deviations**2)
+            starts += _fitted_starts(space, model, variances)
         path, lost = _best_runs(space, model, starts, measured, mask, deviations)
         if lost.any():
             episode = int(np.flatnonzero(lost)[0])
@@ -351,8 +352,9 @@ def _with_even_weights(noise: Noise, space: StateSpace) -> Noise:
     n, steps = space.real.shape
     return replace(
         noise,
-        force_weights=np.ones((n, steps, len(noise.force))),
-        error_weights=np.ones((n, steps + 1, len(noise.error))),
+        law=space.origin,
+        force_weights=np.ones((n, steps, noise.force.shape[1])),
+        error_weights=np.ones((n, steps + 1, noise.error.shape[1])),
     )
 
 
@@ -361,10 +363,13 @@ def _weighted(last: Estimate, real: Mask, mask: Mask) -> Noise:
     noise, smoothed = last.noise, last.smoothed
     force_squares = smoothed.forces**2 + smoothed.force_variances
     error_squares = smoothed.errors**2 + smoothed.error_variances
+    force, force_nu, error, error_nu = (
+        one[noise.law][:, None] for one in (noise.force, noise.force_nu, noise.error, noise.error_nu)
+    )
     return replace(
         noise,
-        force_weights=precisions(force_squares, noise.force, noise.force_nu, real[..., None]),
-        error_weights=precisions(error_squares, noise.error, noise.error_nu, mask),
+        force_weights=precisions(force_squares, force, force_nu, real[..., None]),
+        error_weights=precisions(error_squares, error, error_nu, mask),
     )
 
 
@@ -526,6 +531,7 @@ def _whole_episodes(space: StateSpace) -> StateSpace:
         real,
         space.carrier,
         space.spread,
+        space.origins[first],
     )
 
 
@@ -534,7 +540,8 @@ def _fitted_starts(space: StateSpace, values: Mapping[str, float], error: Array)
     path, starts = space.measured, []
     for _ in range(START_TURNS):
         linear = linearise(space, path, values)
-        noise = normal_noise(linear.chains, np.zeros(linear.chains.carrier.shape[-1]), error)
+        force = np.zeros((len(error), linear.chains.carrier.shape[-1]))
+        noise = normal_noise(linear.chains, force, error, space.origin)
         variances = noise.force_variances, noise.error_variances
         smoothed = smooth(
             linear.chains, kalman_filter(linear.chains, *variances), *variances, covariances=False
@@ -582,14 +589,14 @@ def _open_loop_variances(
     linear, shares = linearise(space, space.measured, values), fitted.shares
     chains = linear.chains
     if len(shares):
-        chains = chains.with_memory(shares, steady(fitted.estimate.noise, shares))
+        chains = chains.with_memory(shares, steady(fitted.estimate.noise, shares).max(axis=0))
     seen = Seen(linear, chains, fitted.estimate, shares)
     d = space.d
-    error = variances_of(fitted.estimate.noise.error, fitted.estimate.noise.error_nu)[:d]
-    unknown = np.diag(error) if initial_state == "measured" else np.zeros((d, d))
+    errors = variances_of(fitted.estimate.noise.error, fitted.estimate.noise.error_nu)[:, :d]
     out = np.empty((len(space.X), d))
     for episode in range(len(space.real)):
-        rows = np.flatnonzero(space.places[0] == episode)
+        rows, error = np.flatnonzero(space.places[0] == episode), errors[space.origin[episode]]
+        unknown = np.diag(error) if initial_state == "measured" else np.zeros((d, d))
         begin = begun[episode : episode + 1], unknown[None]
         out[rows] = ahead(space, seen, values, rows[:1], len(rows), begin).variances[0]
         if initial_state == "fitted":

@@ -385,7 +385,7 @@ def _past(seen: Seen, index: int) -> float:
     k = len(seen.shares)
     if not k:
         return 0.0
-    force, share = seen.estimate.noise.force, float(seen.shares[index])
+    force, share = seen.estimate.noise.force.mean(axis=0), float(seen.shares[index])
     lasting = force[k + index] / max(1 - share**2, 1e-12)
     total = lasting + force[index]
     return float(share**2 * lasting / total) if total > 0 else 0.0
@@ -394,10 +394,10 @@ def _past(seen: Seen, index: int) -> float:
 def _with_normal_noise(space: StateSpace, seen: Seen) -> list[Seen]:
     """Return the log as normal noise has it, if the noise has heavy tails."""
     noise = seen.estimate.noise
-    if not np.isfinite(np.r_[noise.force_nu, noise.error_nu]).any():
+    if not np.isfinite(np.c_[noise.force_nu, noise.error_nu]).any():
         return []
-    normal = normal_noise(seen.chains, noise.force, noise.error)
-    estimate = estimate_noise(seen.chains, normal, space.real, floor=np.zeros(len(noise.error)), heavy=False)
+    normal = normal_noise(seen.chains, noise.force, noise.error, noise.law)
+    estimate = estimate_noise(seen.chains, normal, space.real, floor=np.zeros(noise.error.shape), heavy=False)
     return [replace(seen, estimate=estimate)]
 
 
@@ -575,14 +575,16 @@ def _white_spectra(
         return np.zeros(0), [np.zeros(0)] * n
     plain, chains, noise = fitted.linear.chains, fitted.chains, fitted.estimate.noise
     d, k = space.d, plain.carrier.shape[-1]
-    forces = noise.force[:k].copy()
+    forces = noise.force[:, :k].copy()
     if len(fitted.shares):
-        forces += noise.force[k:] / np.maximum(1 - fitted.shares**2, 1e-12)
+        forces += noise.force[:, k:] / np.maximum(1 - fitted.shares**2, 1e-12)
+    mean = forces.mean(axis=0)
     variances = noise.force_variances, noise.error_variances
     spectra = [np.zeros(0)] * n
     frequencies = np.zeros(0)
     for draw in range(DRAWS):
-        pushes = np.sqrt(forces) * random_state.normal(size=(*space.real.shape, k)) * space.real[..., None]
+        pushes = np.sqrt(forces)[noise.law][:, None] * random_state.normal(size=(*space.real.shape, k))
+        pushes *= space.real[..., None]
         readings = np.sqrt(variances[1]) * random_state.normal(size=variances[1].shape)
         state = np.zeros((len(pushes), d))
         for step in range(pushes.shape[1] + 1):
@@ -596,7 +598,7 @@ def _white_spectra(
         smoothed = smooth(drawn, kalman_filter(drawn, *variances), *variances, covariances=False)
         shown, _ = _total_forces(space, fitted.shares, smoothed.forces, smoothed.means)
         for index in range(n):
-            frequencies, power = _welch(space, shown[:, index] / np.sqrt(max(forces[index], 1e-300)))
+            frequencies, power = _welch(space, shown[:, index] / np.sqrt(max(mean[index], 1e-300)))
             spectra[index] = power / DRAWS if draw == 0 else spectra[index] + power / DRAWS
     return frequencies, spectra
 

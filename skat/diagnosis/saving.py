@@ -80,7 +80,7 @@ def _of_no_rows(fitted: Fitted) -> Fitted:
         chains=_without_rows(fitted.chains),
         estimate=replace(
             estimate,
-            noise=_without_rows(estimate.noise),
+            noise=estimate.noise.unseen(),
             filtered=_without_rows(estimate.filtered),
             smoothed=_without_rows(estimate.smoothed),
         ),

@@ -60,6 +60,8 @@ class StateSpace:
         How a random force enters the state where the simulator has no forces on joints.
     spread : ndarray of shape (d,)
         Standard deviation of a chain's first state about the path, before measurements.
+    origin : ndarray of int of shape (n_chains,)
+        Of several logs, which one each chain is of.
     n_jobs : int or None
         Processes of joblib that share the simulations of candidates.
     """
@@ -73,7 +75,18 @@ class StateSpace:
     real: Mask
     carrier: Array
     spread: Array
+    origin: Places
     n_jobs: int | None = None
+
+    @property
+    def n_logs(self) -> int:
+        """Number of logs."""
+        return int(self.origin.max()) + 1
+
+    @property
+    def origins(self) -> Places:
+        """Which log each row is of, (n_rows,)."""
+        return self.origin[self.places[0]]
 
     @property
     def d(self) -> int:
@@ -145,6 +158,7 @@ def state_space(
     *,
     consecutive: bool,
     chain_length: int = CHAIN_LENGTH,
+    origins: Places | None = None,
     n_jobs: int | None = None,
 ) -> StateSpace:
     """Lay out a checked log.
@@ -159,6 +173,8 @@ def state_space(
         Whether the rows of an episode follow each other in time.
     chain_length : int, optional
         Most transitions that are filtered one after the other.
+    origins : ndarray of int of shape (n_rows,), optional
+        Which log each row is of, where there are several.
     n_jobs : int, optional
         Processes of joblib that share the simulations of candidates.
     """
@@ -189,8 +205,9 @@ def state_space(
     spread = tangents(simulator, flat).std(axis=0)
     spread = np.maximum(spread, 1e-6 * max(float(spread.max(initial=0.0)), 1e-6))
     carrier = _carrier(simulator, spread) if n_states else np.zeros((d, 0))
+    origin = np.zeros(shape[0], dtype=int) if origins is None else origins[starts_rows]
     return StateSpace(
-        simulator, rows, episodes, (chain, step), guesses, mask, real, carrier, 3 * spread, n_jobs
+        simulator, rows, episodes, (chain, step), guesses, mask, real, carrier, 3 * spread, origin, n_jobs
     )
 
 

@@ -4,6 +4,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -288,6 +289,7 @@ def study_log(
     ----------
     log : Log
         As `load_log` returns it. Channels that were not measured are hidden; where a frame is lost, an episode ends.
+        Of several files each has noise of its own.
 
     test : Log, default=None
         Another log, of the same simulator, that measures the gain; all of `log` is fitted then.
@@ -343,9 +345,21 @@ def _complete(log: Any, parameters: Any) -> Any:
             (*parameters.get("hidden", ()), *(log.simulator.state_names[column] for column in lacking))
         )
     )
-    return Bunch(data=log.X, target=log.y, groups=log.groups, simulator=log.simulator), (
+    rows = {"data": log.X, "target": log.y, "groups": log.groups}
+    return Bunch(**rows, origins=log.origins, origin_names=log.origin_names, simulator=log.simulator), (
         parameters | {"hidden": hidden} if hidden else parameters
     )
+
+
+def _each(fit: Bunch, floor: Any) -> list[Any]:
+    """Return the logs that were joined, each by itself; those of which no row is left are left out."""
+    logs = []
+    for number, name in enumerate(fit.origin_names):
+        own = fit.origins == number
+        if own.any():
+            X, y, groups = (fit[one][own] for one in ("data", "target", "groups"))
+            logs.append(SimpleNamespace(X=X, y=y, groups=groups, floor=floor, source=name))
+    return logs
 
 
 def _study(
@@ -364,7 +378,10 @@ def _study(
 ) -> Study:
     parameters = {"hidden": fit.get("hidden", ()), **parameters}
     diagnosis = SimulationDiagnosis(simulator, test_size=0, random_state=random_state, **parameters)
-    diagnosis.fit(fit.data, fit.target, groups=fit.get("groups"), floor=floor, progress=progress)
+    if fit.get("origins") is None:
+        diagnosis.fit(fit.data, fit.target, groups=fit.get("groups"), floor=floor, progress=progress)
+    else:
+        diagnosis.fit(_each(fit, floor), progress=progress)
     if test is None:
         return Study(title, diagnosis, None, error_name, None, truth)
     if diagnosis.quick:

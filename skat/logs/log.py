@@ -65,6 +65,10 @@ class Log:
         Empty where no channel was.
     source : str
         Where it was read from.
+    origins : ndarray of int of shape (n_rows,) or None
+        Of several logs that were joined, which one each row is of.
+    origin_names : tuple of str
+        Where these were read from.
     """
 
     X: Array
@@ -77,6 +81,8 @@ class Log:
     notes: tuple[str, ...] = ()
     interpolation: Mapping[str, float] = field(default_factory=dict)
     source: str = ""
+    origins: NDArray[np.intp] | None = None
+    origin_names: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.X)
@@ -133,7 +139,13 @@ class Log:
         groups = np.cumsum(apart) - 1
         names = tuple(self.group_names[group] for group in self.groups[places][apart])
         return _replaced(
-            self, X=self.X[places], y=self.y[places], groups=groups, group_names=names, time=self.time[places]
+            self,
+            X=self.X[places],
+            y=self.y[places],
+            groups=groups,
+            group_names=names,
+            time=self.time[places],
+            origins=None if self.origins is None else self.origins[places],
         )
 
 
@@ -180,6 +192,8 @@ def joined(logs: Sequence[Log]) -> Log:
             for name in log.interpolation
         },
         source=", ".join(several),
+        origins=np.repeat(np.arange(len(logs)), [len(log) for log in logs]),
+        origin_names=tuple(several),
     )
 
 

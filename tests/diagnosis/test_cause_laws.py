@@ -197,16 +197,16 @@ def test_forces_are_first_guessed_as_large_as_what_one_step_leaves():
 
 def test_a_noise_with_memory_is_as_large_as_without_and_comes_back_as_it_was():
     noise = Noise(
-        np.array([4.0]), np.array([1.0, 2.0]), np.array([5.0]), np.array([np.inf, 3.0]), np.full((2, 3, 1), 0.5),
-        np.full((2, 4, 2), 0.7),
+        np.array([[4.0]]), np.array([[1.0, 2.0]]), np.array([[5.0]]), np.array([[np.inf, 3.0]]), np.zeros(2, dtype=int),
+        np.full((2, 3, 1), 0.5), np.full((2, 4, 2), 0.7),
     )  # fmt: skip
     share = np.array([0.8])
     both = _with_memory(noise, share)
     # In steady state the lasting force has the variance of the white one.
-    assert both.force[1] / (1 - share[0] ** 2) == pytest.approx(4.0)
-    assert both.error.tolist() == [1.0, 2.0, 1.0]
+    assert both.force[0, 1] / (1 - share[0] ** 2) == pytest.approx(4.0)
+    assert both.error.tolist() == [[1.0, 2.0, 1.0]]
     assert (both.force_weights.shape, both.error_weights.shape) == ((2, 3, 2), (2, 4, 3))
-    assert np.isinf(both.force_nu[1])
+    assert np.isinf(both.force_nu[0, 1])
     back = _without_memory(both, 2, 1)
     for name in ("force", "error", "force_nu", "error_nu", "force_weights", "error_weights"):
         np.testing.assert_array_equal(getattr(back, name), getattr(noise, name))

@@ -167,7 +167,10 @@ def test_the_bound_is_near_the_likelihood_by_quadrature():
     weights = np.ones((12, 2, 1))
     weights[:, 1, 0] = (nu + 1) / (nu + measured**2 / scale)
     noise = Noise(
-        np.ones(1), np.array([scale]), np.array([np.inf]), np.array([nu]), np.ones((12, 1, 1)), weights
+        *(np.array([[one]]) for one in (1.0, scale, np.inf, nu)),
+        np.zeros(12, dtype=int),
+        np.ones((12, 1, 1)),
+        weights,
     )
     bound = passed(chains, noise, np.ones((12, 1), dtype=bool)).bound
     exact = 0.0

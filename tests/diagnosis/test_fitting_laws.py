@@ -152,14 +152,14 @@ def walks():
 
 def test_noise_begins_at_what_neighbouring_rows_show_of_each_channel():
     space = walks()
-    rough = _rough(space)
+    (rough,) = _rough(space)
     episodes = np.repeat(np.arange(len(space.measured)), space.measured.shape[1])
     for channel, error in enumerate((0.5, 0.01)):
         series = np.where(space.mask[..., channel], space.measured[..., channel], np.nan).ravel()
         assert rough[channel] == noise_variance(series, episodes)
         assert 0.2 * error**2 < rough[channel] < 1.2 * error**2
     space.mask[..., 0] = False
-    assert np.isinf(_rough(space)[0])
+    assert np.isinf(_rough(space)[0, 0])
 
 
 def test_turns_show_no_noise_of_their_own():
@@ -169,7 +169,7 @@ def test_turns_show_no_noise_of_their_own():
     states = np.tile(np.r_[np.zeros(3), 1.0, np.zeros(9)], (20, 1))
     states[:, :3] += 0.01 * np.random.default_rng(0).normal(size=(20, 3))
     space = state_space(ball, states[:-1], states[1:], np.zeros(19, dtype=int), consecutive=True)
-    rough = _rough(space)
+    (rough,) = _rough(space)
     assert np.isfinite(rough[:3]).all()
     assert np.isinf(rough[3:6]).all()
 
@@ -182,7 +182,7 @@ def test_of_forces_with_memory_nothing_is_known():
     assert Known().held(chains) is None
     real = np.ones(chains.drive.shape[:2], dtype=bool)
     start = normal_noise(chains, np.full(4, 0.01), np.array([0.09, 0.16, 1.0, 1.0]))
-    assert known.estimated(chains, start, real).noise.error[:2].tolist() == [0.09, 0.16]
+    assert known.estimated(chains, start, real).noise.error[0, :2].tolist() == [0.09, 0.16]
 
 
 @pytest.mark.parametrize("last", [0, 2])

@@ -299,7 +299,7 @@ def test_what_bounces_is_as_far_apart_as_it_is_drawn_not_as_slopes_have_it():
 def test_the_squares_of_a_right_model_are_drawn_from_the_law_of_its_sensors(nu):
     space = read([300, 300])
     fitted = known(space, 0.1)
-    noise = replace(fitted.estimate.noise, error_nu=np.array([nu]))
+    noise = replace(fitted.estimate.noise, error_nu=np.array([[nu]]))
     drawn = ahead(
         space,
         look(space, replace(fitted, estimate=replace(fitted.estimate, noise=noise)), {}),
@@ -321,7 +321,7 @@ def test_without_a_state_the_squares_of_a_right_model_are_alike_for_all_rows():
     X = rng.normal(size=(20, 1))
     space = state_space(simulator, X, X, np.arange(20), consecutive=False)
     linear = linearise(space, space.measured, {})
-    noise = replace(normal_noise(linear.chains, np.zeros(0), np.array([0.04])), error_nu=np.array([5.0]))
+    noise = replace(normal_noise(linear.chains, np.zeros(0), np.array([0.04])), error_nu=np.array([[5.0]]))
     fitted = Fitted({}, linear, linear.chains, passed(linear.chains, noise, space.real), np.zeros(0))
     found = ahead(space, look(space, fitted, {}), {}, np.arange(3), 1)
     assert found.last.shape[1:] == (1, 1)
@@ -387,10 +387,11 @@ def test_weights_of_samples_are_the_expected_precisions_of_student_s_law():
     errors = np.array([[[0.0, 0.3], [2.0, 0.4], [-1.0, 9.0]]])
     nothing = np.zeros((1, 2, 0))
     noise = Noise(
-        force=np.zeros(0),
-        force_nu=np.zeros(0),
-        error=np.array([scale, 1.0]),
-        error_nu=np.array([nu, np.inf]),
+        force=np.zeros((1, 0)),
+        force_nu=np.zeros((1, 0)),
+        error=np.array([[scale, 1.0]]),
+        error_nu=np.array([[nu, np.inf]]),
+        law=np.zeros(1, dtype=int),
         force_weights=nothing,
         error_weights=np.ones_like(errors),
     )

@@ -356,12 +356,12 @@ def test_a_joint_s_force_is_that_of_its_motor_and_without_one_that_of_gravity():
 
 def test_the_past_predicts_of_a_force_with_memory_what_is_left_of_it_a_row_later():
     """A lasting force of variance 1, of which half is left a row later, beside a white one of variance 1."""
-    noise = SimpleNamespace(force=np.array([9.0, 1.0, 5.0, 0.75]))
+    noise = SimpleNamespace(force=np.array([[9.0, 1.0, 5.0, 0.75]]))
     seen = SimpleNamespace(shares=np.array([0.9, 0.5]), estimate=SimpleNamespace(noise=noise))
     assert _past(seen, 1) == pytest.approx(0.25 / 2)
     white = SimpleNamespace(shares=np.zeros(0), estimate=SimpleNamespace(noise=noise))
     assert _past(white, 0) == 0.0
-    none = SimpleNamespace(force=np.zeros(2))
+    none = SimpleNamespace(force=np.zeros((1, 2)))
     assert _past(SimpleNamespace(shares=np.array([0.5]), estimate=SimpleNamespace(noise=none)), 0) == 0.0
 
 
@@ -370,7 +370,7 @@ def test_a_log_with_heavy_tails_is_looked_at_with_normal_noise_too():
     noise = fitted.estimate.noise
     seen = Seen(fitted.linear, fitted.chains, fitted.estimate, fitted.shares)
     assert _with_normal_noise(space, seen) == []
-    heavy = replace(fitted.estimate, noise=replace(noise, error_nu=np.array([3.0])))
+    heavy = replace(fitted.estimate, noise=replace(noise, error_nu=np.array([[3.0]])))
     (normal,) = _with_normal_noise(space, replace(seen, estimate=heavy))
     assert np.isinf(normal.estimate.noise.error_nu).all()
     y = space.measured[:, 1, 0]

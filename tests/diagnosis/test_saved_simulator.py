@@ -169,12 +169,13 @@ def test_of_a_fit_the_laws_of_its_noise_are_kept_and_no_row():
         kept.linear,
         kept.linear.chains,
         kept.chains,
-        noise,
         kept.estimate.filtered,
         kept.estimate.smoothed,
     ):
         arrays = [one for one in vars(part).values() if isinstance(one, np.ndarray) and one.ndim > 1]
         assert arrays
         assert all(len(one) == 0 for one in arrays)
-    assert len(kept.linear.valid) == 0
+    assert all(
+        len(one) == 0 for one in (noise.law, noise.force_weights, noise.error_weights, kept.linear.valid)
+    )
     np.testing.assert_array_equal(kept.chains.prior, fitted.chains.prior)

@@ -63,7 +63,7 @@ def test_a_right_model_is_not_accused_and_its_noise_is_found(simulator, force):
     found = asked(simulator, *measured(NOMINAL, 0, rows=300, episodes=2, force=force))
     assert not found.values
     assert found.settled
-    np.testing.assert_allclose(np.sqrt(found.fitted.estimate.noise.error), SIGMA, rtol=0.15)
+    np.testing.assert_allclose(np.sqrt(found.fitted.estimate.noise.error[0]), SIGMA, rtol=0.15)
     np.testing.assert_allclose(np.sqrt(found.fitted.estimate.noise.force), force, rtol=0.15, atol=0.03)
 
 

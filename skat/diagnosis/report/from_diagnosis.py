@@ -384,11 +384,15 @@ def _left_sentences(diagnosis: Any) -> tuple[str, ...]:
 
 def _noise(diagnosis: Any) -> tuple[ChannelNoise, ...]:
     simulator = diagnosis.simulator
-    tails = diagnosis._found.fitted.estimate.noise.error_nu
+    tails, deviations = diagnosis._found.fitted.estimate.noise.error_nu, diagnosis.noise_of_logs_.to_numpy()
+    endings = [f" in {name}" for name in diagnosis.noise_of_logs_.index] if len(deviations) > 1 else [""]
     return tuple(
-        ChannelNoise(name, simulator.units.get(name, ""), float(deviation), None, float(tail))
-        for name, deviation, tail in zip(simulator.residual_names, diagnosis.noise_, tails)
-        if np.isfinite(deviation)
+        ChannelNoise(
+            f"{name}{ending}", simulator.units.get(name, ""), float(row[channel]), None, float(tail[channel])
+        )
+        for channel, name in enumerate(simulator.residual_names)
+        for ending, row, tail in zip(endings, deviations, tails)
+        if np.isfinite(row[channel])
     )
 
 

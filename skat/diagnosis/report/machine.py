@@ -62,6 +62,14 @@ def findings_as_data(
             for name, one in zip(diagnosis.simulator.residual_names, diagnosis.noise_)
             if not math.isnan(one)
         },
+        "logs": [
+            {
+                "name": str(name),
+                "noise": {channel: one for channel, one in row.items() if not math.isnan(one)},
+            }
+            for name, row in diagnosis.noise_of_logs_.iterrows()
+        ],
+        "agreement": None if diagnosis.agreement_ is None else diagnosis.agreement_.to_dict("records"),
         "computed_velocities": diagnosis.computed_velocities_,
         "smoothing": None if diagnosis.smoothing_ is None else _fields(diagnosis.smoothing_),
         "remainder": [_left(part) for part in diagnosis.remainder_.parts],

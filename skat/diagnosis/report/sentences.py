@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence, Sized
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence, Sized
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 # An error of less than so many times the floor says little of a share of its excess.
 NEAR_FLOOR = 2.0
 MANY_CAUSES = 4
+# So far out in its tail a normal law is no longer to be believed.
+LEAST_P = 1e-9
 # Beyond rounding, no cause explains more than all of an excess.
 MOST_EXPLAINED = 1.05
 
@@ -49,6 +51,8 @@ def verdict_sentences(diagnosis: SimulationDiagnosis, comparisons: Sequence[pd.D
                 "log nearly as well."
             )
     sentences += cautions(diagnosis.causes_)
+    if diagnosis.agreement_ is not None:
+        sentences += [_agreement(row) for row in diagnosis.agreement_.to_dict("records")]
     if diagnosis.verdict_ == "nothing detected":
         looked_at = "What was looked at" if is_first_look(diagnosis) else "The log"
         sentences.append(
@@ -71,6 +75,25 @@ def verdict_sentences(diagnosis: SimulationDiagnosis, comparisons: Sequence[pd.D
     return sentences + [
         ceiling_sentence(errors) for errors in comparisons if unexplained or is_beaten(errors)
     ]
+
+
+def _agreement(row: Mapping[Any, Any]) -> str:
+    """Return what several logs say of a cause by themselves, and whether they agree."""
+    start, unit = "value in ", "" if row["unit"] in ("", "1") else f" {row['unit']}"
+    told = [
+        f"{value:.3g}{unit} in {name.removeprefix(start)}"
+        for name, value in row.items()
+        if name.startswith(start) and not np.isnan(value)
+    ]
+    if row["agreement"] == "not compared":
+        return f"Of {row['cause']} not more than one log tells a value by itself."
+    agree = "agree" if row["agreement"] == "agree" else "do not agree"
+    return f"On {row['cause']} the logs {agree} ({p_text(row['p_corrected'])}): {', '.join(told)}."
+
+
+def p_text(p: float) -> str:
+    """Return a p-value in words, no smaller than a normal law is to be believed."""
+    return f"p < {LEAST_P:.0e}" if p < LEAST_P else f"p = {p:.2g}"
 
 
 def cautions(causes: Sequence[Cause]) -> list[str]:
@@ -138,6 +161,8 @@ def share_sentence(diagnosis: SimulationDiagnosis, gain: Gain) -> str:
 def remainder_sentence(diagnosis: SimulationDiagnosis) -> str:
     """Return in words why a verdict is "unexplained"."""
     if not is_law_left(diagnosis):
+        if apart := diagnosis._apart():
+            return f"the logs do not agree on {_listed(apart)}"
         if not diagnosis.settled_:
             return "the search for causes was still finding better ones when its turns were over"
         return f"the simulation diverges in {100 * diagnosis.diverged_share_:.0f} % of the rows, which tell nothing"
