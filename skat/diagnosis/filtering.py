@@ -200,28 +200,34 @@ def kalman_filter(chains: Chains, force_variances: Array, error_variances: Array
     Filtered
     """
     n, steps, d = chains.drive.shape
-    F, A, mask = chains.carrier, chains.transitions, chains.mask
+    F, A = chains.carrier, chains.transitions
     spread = (F * force_variances[:, :, None]) @ F.swapaxes(2, 3) + chains.bends
-    means, innovations = np.zeros((n, steps + 1, d)), np.zeros((n, steps + 1, d))
-    covariances, gains, factors, scales = (np.zeros((n, steps + 1, d, d)) for _ in range(4))
+    # What was never measured, such as a force with memory, is in no innovation.
+    read = _measured(chains)
+    m = len(read)
+    mask, variances, measured = chains.mask[..., read], error_variances[..., read], chains.measured[..., read]
+    means, covariances = np.zeros((n, steps + 1, d)), np.zeros((n, steps + 1, d, d))
+    innovations, gains = np.zeros((n, steps + 1, m)), np.zeros((n, steps + 1, d, m))
+    factors, scales = (np.zeros((n, steps + 1, m, m)) for _ in range(2))
     both = mask[..., :, None] & mask[..., None, :]
-    own = np.where(mask, error_variances, 0.0)
-    padded = np.where(mask, error_variances, 1.0)[..., None] * np.eye(d)
+    own = np.where(mask, variances, 0.0)
+    padded = np.where(mask, variances, 1.0)[..., None] * np.eye(m)
     seen = mask.astype(np.float64)
     mean, P = np.zeros((n, d)), np.tile(np.diag(chains.prior), (n, 1, 1))
-    diagonal = np.arange(d)
+    diagonal = np.arange(m)
     for t in range(steps + 1):
         means[:, t], covariances[:, t] = mean, P
-        L = np.linalg.cholesky(np.where(both[:, t], P, 0.0) + padded[:, t])
+        across = P if m == d else P[:, :, read]
+        L = np.linalg.cholesky(np.where(both[:, t], across[:, read], 0.0) + padded[:, t])
         W = np.linalg.inv(L) * seen[:, t, None, :]
-        K = P @ (W.swapaxes(1, 2) @ W)
-        innovation = (chains.measured[:, t] - mean) * seen[:, t]
+        K = across @ (W.swapaxes(1, 2) @ W)
+        innovation = (measured[:, t] - mean[:, read]) * seen[:, t]
         innovations[:, t], gains[:, t], factors[:, t], scales[:, t] = innovation, K, W, L
         if t == steps:
             break
         # The form that keeps a covariance positive where the noise is small against what was not known before.
-        AK = A[:, t] @ K
-        M = A[:, t] - AK
+        AK, M = A[:, t] @ K, A[:, t].copy()
+        M[:, :, read] -= AK
         P = M @ P @ M.swapaxes(1, 2) + (AK * own[:, t, None]) @ AK.swapaxes(1, 2) + spread[:, t]
         P = (P + P.swapaxes(1, 2)) / 2
         mean = (A[:, t] @ mean[..., None] + AK @ innovation[..., None])[..., 0] + chains.drive[:, t]
@@ -229,8 +235,25 @@ def kalman_filter(chains: Chains, force_variances: Array, error_variances: Array
     log_determinants = 2 * np.log(scales[..., diagonal, diagonal]).sum(axis=(1, 2))
     constants = mask.sum(axis=(1, 2)) * np.log(2 * np.pi)
     log_likelihoods = -0.5 * (np.sum(whitened**2, axis=(1, 2)) + log_determinants + constants)
+    if m < d:
+        innovations = _spread_out(innovations, read, (n, steps + 1, d))
+        gains = _spread_out(gains, read, (n, steps + 1, d, d))
+        rows = _spread_out(factors.swapaxes(2, 3), read, (n, steps + 1, m, d))
+        factors = _spread_out(rows.swapaxes(2, 3), read, (n, steps + 1, d, d))
     precisions = factors.swapaxes(2, 3) @ factors
     return Filtered(log_likelihoods, means, covariances, innovations, precisions, gains, factors)
+
+
+def _measured(chains: Chains) -> NDArray[np.intp]:
+    """Return the channels of which anything was measured."""
+    return np.flatnonzero(chains.mask.any(axis=(0, 1)))
+
+
+def _spread_out(values: Array, places: NDArray[np.intp], shape: tuple[int, ...]) -> Array:
+    """Return values at some places of the last axis, and zeros at the others."""
+    out = np.zeros(shape)
+    out[..., places] = values
+    return out
 
 
 def filter_columns(chains: Chains, filtered: Filtered, columns: Array) -> Array:
@@ -252,10 +275,12 @@ def filter_columns(chains: Chains, filtered: Filtered, columns: Array) -> Array:
     n, steps, d, k = columns.shape
     out = np.zeros((n, steps + 1, d, k))
     mean = np.zeros((n, d, k))
+    read = _measured(chains)
+    factors, gains = filtered.factors[:, :, read[:, None], read], filtered.gains[..., read]
     for t in range(1, steps + 1):
         mean = chains.transitions[:, t - 1] @ mean + columns[:, t - 1]
-        out[:, t] = filtered.factors[:, t] @ mean
-        mean = mean - filtered.gains[:, t] @ mean
+        out[:, t, read] = factors[:, t] @ mean[:, read]
+        mean = mean - gains[:, t] @ mean[:, read]
     return out
 
 
@@ -278,8 +303,8 @@ def smooth(
         Whether the states' covariances are wanted; zeros otherwise.
     """
     n, steps, d = chains.drive.shape
-    F, P = chains.carrier, filtered.covariances
-    kept = np.eye(d) - filtered.gains
+    F, P, read = chains.carrier, filtered.covariances, _measured(chains)
+    G = filtered.gains[..., read]
     back = np.zeros((n, steps + 1, d, d))
     back[:, :-1] = chains.transitions.swapaxes(2, 3)
     weighed = (filtered.precisions @ filtered.innovations[..., None])[..., 0]
@@ -289,20 +314,23 @@ def smooth(
     after, later = np.empty((n, steps + 1, d)), np.empty((n, steps + 1, d, d))
     for t in range(steps, -1, -1):
         after[:, t], later[:, t] = r, N
-        turned = (back[:, t] @ r[..., None])[..., 0]
-        r = weighed[:, t] + (kept[:, t].swapaxes(1, 2) @ turned[..., None])[..., 0]
-        B = kept[:, t].swapaxes(1, 2) @ back[:, t]
+        B, gained = back[:, t].copy(), G[:, t].swapaxes(1, 2)
+        B[:, read] -= gained @ back[:, t]
+        r = weighed[:, t] + (B @ r[..., None])[..., 0]
         N = filtered.precisions[:, t] + B @ N @ B.swapaxes(1, 2)
         before[:, t], information[:, t] = r, N
     q = force_variances
     forces = q * (F.swapaxes(2, 3) @ after[:, :-1, :, None])[..., 0]
     force_spreads = q - q**2 * np.sum(F * (later[:, :-1] @ F), axis=2)
-    turned = (back @ after[..., None])[..., 0]
-    G = filtered.gains
-    errors = error_variances * (weighed - (G.swapaxes(2, 3) @ turned[..., None])[..., 0])
-    turned_information = back @ later @ back.swapaxes(2, 3)
-    D = np.diagonal(filtered.precisions, axis1=2, axis2=3) + np.sum(G * (turned_information @ G), axis=2)
-    error_spreads = error_variances - error_variances**2 * D
+    r_of_noise = error_variances[..., read]
+    ahead = np.zeros(G.shape)
+    ahead[:, :-1] = chains.transitions @ G[:, :-1]
+    errors, error_spreads = np.zeros(error_variances.shape), error_variances.copy()
+    errors[..., read] = r_of_noise * (weighed[..., read] - (ahead.swapaxes(2, 3) @ after[..., None])[..., 0])
+    D = np.diagonal(filtered.precisions, axis1=2, axis2=3)[..., read] + np.sum(
+        ahead * (later @ ahead), axis=2
+    )
+    error_spreads[..., read] -= r_of_noise**2 * D
     means = filtered.means + (P @ before[..., None])[..., 0]
     spreads = P - P @ information @ P if covariances else np.zeros((n, steps + 1, d, d))
     return Smoothed(means, spreads, forces, force_spreads, errors, error_spreads)

@@ -35,6 +35,8 @@ FINEST = 1e-13
 SMALLEST = 1e-300
 # A fit that gains less than so many nats gains nothing.
 TOLERANCE = 0.1
+# In a pass no variance is moved by more than so many times what it is off by, nor by more on its logarithm.
+LONGEST, FURTHEST = 8.0, float(np.log(1e3))
 DEGREES_OF_FREEDOM = (np.inf, 10.0, 5.0, 3.0)
 Places = NDArray[np.intp]
 Part = TypeVar("Part")
@@ -238,49 +240,68 @@ def _estimated(
     begun = np.maximum(noise.error, floor)
     noise = replace(noise, error=begun if held is None else np.where(held, noise.error, begun))
     best = passed(chains, noise, real)
-    exponent, gain = 1.0, np.inf
+    ratios = _ratios(chains, best, real)
+    exponents = np.ones(len(ratios))
     for _ in range(n_passes):
-        proposed = _improved(chains, best, real, exponent, floor, heavy, held)
+        steps = np.clip(exponents * ratios, -FURTHEST, FURTHEST)
+        proposed = _moved(chains, best, real, steps, floor, heavy, held)
         tried = passed(chains, proposed, real)
         if not tried.bound > best.bound:
-            if exponent < 0.4:
+            if exponents.max() < 0.4:
                 break
-            exponent /= 2
+            exponents = np.minimum(exponents, 1.0) / 2
             continue
         gain, best = tried.bound - best.bound, tried
-        exponent = min(1.0, 1.5 * exponent)
         if gain < tolerance:
             break
+        after = _ratios(chains, best, real)
+        # Where a ratio falls by a share of a step only, the next one may be longer by as much.
+        fallen = (ratios - after) / np.where(steps != 0, steps, 1.0)
+        longer = np.where(fallen > 1 / LONGEST, 1 / np.maximum(fallen, 1 / LONGEST), 2 * exponents)
+        exponents, ratios = np.clip(longer, 0.5, np.minimum(2 * exponents, LONGEST)), after
     force, error = best.noise.force_variances, best.noise.error_variances
     return replace(best, smoothed=smooth(chains, best.filtered, force, error))
 
 
-def _improved(
-    chains: Chains, last: Estimate, real: Mask, exponent: float, floor: Array, heavy: bool, held: Mask | None
+def _ratios(chains: Chains, last: Estimate, real: Mask) -> Array:
+    """Return the logarithms of what each variance is off by, of forces and then of errors: ln(sum u^2 / sum D) in [1].
+
+    Half of it is the step that never lowers the bound.
+    """
+    noise, smoothed = last.noise, last.smoothed
+    force = _off(
+        smoothed.forces, smoothed.force_variances, noise.force_variances, noise.force_weights, real[..., None]
+    )
+    error = _off(
+        smoothed.errors, smoothed.error_variances, noise.error_variances, noise.error_weights, chains.mask
+    )
+    return np.concatenate([force, error])
+
+
+def _off(means: Array, variances: Array, prior: Array, weights: Array, present: Mask) -> Array:
+    scaled = prior * weights  # q or r, as all weights of a column belong to one
+    u_squares = (means / prior) ** 2 * scaled / weights
+    D = (1 - variances / prior) / prior * scaled / weights
+    axes = (0, 1)
+    top = np.sum(np.where(present, u_squares, 0.0), axis=axes)
+    bottom = np.sum(np.where(present, D, 0.0), axis=axes)
+    known = (bottom > 0) & (top > 0)
+    off: Array = np.log(np.where(known, top, 1.0) / np.where(known, bottom, 1.0))
+    return off
+
+
+def _moved(
+    chains: Chains, last: Estimate, real: Mask, steps: Array, floor: Array, heavy: bool, held: Mask | None
 ) -> Noise:
+    """Return the noise whose variances are moved by steps on their logarithm, with the best scales of samples there."""
     noise, smoothed = last.noise, last.smoothed
     force_squares = smoothed.forces**2 + smoothed.force_variances
     error_squares = smoothed.errors**2 + smoothed.error_variances
-    force = noise.force * _step(
-        smoothed.forces,
-        smoothed.force_variances,
-        noise.force_variances,
-        noise.force_weights,
-        real[..., None],
-        exponent,
-    )
-    error = noise.error * _step(
-        smoothed.errors,
-        smoothed.error_variances,
-        noise.error_variances,
-        noise.error_weights,
-        chains.mask,
-        exponent,
-    )
-    error = np.maximum(error, floor)
+    k = noise.force.shape[1]
+    force = np.maximum(noise.force * np.exp(steps[:k]), 1e-30)
+    error = np.maximum(noise.error * np.exp(steps[k:]), floor)
     if held is not None:
         error = np.where(held, noise.error, error)
-    force = np.maximum(force, 1e-30)
     if not heavy:
         return replace(noise, force=force, error=error)
     force_nu, force_weights = _scales(
@@ -290,21 +311,6 @@ def _improved(
     if held is not None:  # A noise that is known has no outliers: what lies beyond it is the model's.
         error_nu, error_weights = np.where(held, np.inf, error_nu), np.where(held, 1.0, error_weights)
     return Noise(force, error, force_nu[None], error_nu[None], noise.law, force_weights, error_weights)
-
-
-def _step(
-    means: Array, variances: Array, prior: Array, weights: Array, present: Mask, exponent: float
-) -> Array:
-    """Return by what each variance is multiplied: (sum u^2 / sum D) to a power; 1/2 is the monotone step of [1]."""
-    scaled = prior * weights  # q or r, as all weights of a column belong to one
-    u_squares = (means / prior) ** 2 * scaled / weights
-    D = (1 - variances / prior) / prior * scaled / weights
-    axes = (0, 1)
-    top = np.sum(np.where(present, u_squares, 0.0), axis=axes)
-    bottom = np.sum(np.where(present, D, 0.0), axis=axes)
-    known = (bottom > 0) & (top > 0)
-    ratio = np.where(known, top / np.where(known, bottom, 1.0), 1.0)
-    return np.clip(ratio, 1e-3, 1e3) ** exponent
 
 
 def _scales(squares: Array, variance: Array, present: Mask) -> tuple[Array, Array]:
