@@ -65,7 +65,7 @@ def known(space, values, force, *, share=None, nu=np.inf):
         chains = chains.with_memory(shares, np.array([force**2]))
         variance, error = [1e-12, force**2 * (1 - share**2)], np.r_[error, 1.0]
     noise = normal_noise(chains, np.array(variance), error)
-    noise = replace(noise, error_nu=np.full(len(error), nu))
+    noise = replace(noise, error_nu=np.full((1, len(error)), nu))
     return Fitted(
         values,
         linear,

@@ -307,8 +307,9 @@ def test_gain_on_another_log_one_step_and_open_loop(diagnosed):
     fresh = measure(7, pole=1.6)
     one_step = diagnosis.evaluate(*fresh[:3])
     assert (one_step.horizon, one_step.floor) == (10.0, pytest.approx(1.0))
-    assert one_step.nominal > 2
-    assert 0.6 < one_step.extended < 1.5
+    # What the pole's own interval leaves is an error of the extended model, too, ten rows ahead.
+    assert one_step.explained > 0.99
+    assert 0.6 < one_step.extended < 3
     assert one_step.interval[0] <= one_step.explained <= one_step.interval[1]
     measured = diagnosis.evaluate(*fresh[:3], horizon="episode")
     refined = diagnosis.evaluate(*fresh[:3], horizon="episode", initial_state="fitted")

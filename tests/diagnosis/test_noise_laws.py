@@ -11,8 +11,8 @@ from skat.diagnosis.noise import (
     Noise,
     _best_scales,
     _cost_of_scales,
+    _off,
     _scales,
-    _step,
     estimate_noise,
     normal_noise,
     passed,
@@ -77,7 +77,7 @@ def test_variances_are_those_of_the_largest_likelihood_wherever_they_begin(start
         lambda logs: -likelihood(chains, *np.exp(logs)), np.log([0.04, 0.09]), method="Nelder-Mead", tol=1e-2
     )
     assert found.bound == pytest.approx(-best.fun, abs=0.02)
-    np.testing.assert_allclose([found.noise.force[0], found.noise.error[0]], np.exp(best.x), rtol=0.1)
+    np.testing.assert_allclose([found.noise.force[0, 0], found.noise.error[0, 0]], np.exp(best.x), rtol=0.1)
     assert found.smoothed.covariances.shape == (6, 16, 1, 1)
 
 
@@ -122,10 +122,11 @@ def test_scales_cost_their_divergence_from_their_law_and_gain_the_mean_of_their_
     weights[..., 1] = mean
     present = np.ones((2, 3, 1), dtype=bool)
     present[0, 0] = False
-    told = _cost_of_scales(weights, np.array([np.inf, nu]), present)
+    law = np.zeros(2, dtype=int)
+    told = _cost_of_scales(weights, np.array([[np.inf, nu]]), law, present)
     # The normal likelihood at the expected precision has half of its logarithm already.
     assert told == pytest.approx(5 * (expected - 0.5 * np.log(mean)), rel=1e-5)
-    assert _cost_of_scales(weights, np.full(2, np.inf), present) == 0.0
+    assert _cost_of_scales(weights, np.full((1, 2), np.inf), law, present) == 0.0
 
 
 def test_precisions_are_expected_ones_where_something_is():
@@ -166,27 +167,59 @@ def test_a_variance_is_multiplied_by_what_is_left_of_it_over_what_was_told():
     means, prior = rng.normal(size=(2, 30, 1)), np.full((2, 30, 1), 0.5)
     present = np.ones((2, 30, 1), dtype=bool)
     present[1, 10:] = False
-    known = _step(means, np.zeros((2, 30, 1)), prior, np.ones((2, 30, 1)), present, 1.0)
+    known = np.exp(_off(means, np.zeros((2, 30, 1)), prior, np.ones((2, 30, 1)), present))
     assert known[0] == pytest.approx(np.mean(means[present] ** 2) / 0.5)
-    half = _step(means, np.zeros((2, 30, 1)), prior, np.ones((2, 30, 1)), present, 0.5)
-    assert half[0] == pytest.approx(np.sqrt(known[0]))
     # Of what was told half, squares count for as much less.
-    told = _step(means, prior / 2, prior, np.ones((2, 30, 1)), present, 1.0)
+    told = np.exp(_off(means, prior / 2, prior, np.ones((2, 30, 1)), present))
     assert told[0] == pytest.approx(2 * known[0])
-    # What nothing tells of stays, and no step is longer than a thousandfold.
-    assert _step(means, prior, prior, np.ones((2, 30, 1)), present, 1.0)[0] == 1.0
-    assert _step(1e3 * means, 0 * prior, prior, np.ones((2, 30, 1)), present, 1.0)[0] == 1e3
-    assert _step(1e-3 * means, 0 * prior, prior, np.ones((2, 30, 1)), present, 1.0)[0] == 1e-3
+    # What nothing tells of stays.
+    assert _off(means, prior, prior, np.ones((2, 30, 1)), present)[0] == 0.0
     # A sample of twice the precision has half of the variance.
     weights = np.where(np.arange(30) % 2, 2.0, 1.0)[None, :, None] * np.ones((2, 1, 1))
-    even = _step(means / np.sqrt(weights), 0 * prior, prior / weights, weights, present, 1.0)
+    even = np.exp(_off(means / np.sqrt(weights), 0 * prior, prior / weights, weights, present))
     assert even[0] == pytest.approx(known[0])
+
+
+@pytest.mark.parametrize("start", [1e-6, 1e6])
+def test_a_start_far_off_comes_to_the_same_variances(start):
+    chains = walks(n=6, steps=60)
+    real = np.ones((6, 60), dtype=bool)
+    begun = (normal_noise(chains, np.array([one]), np.array([0.09])) for one in (0.04, 0.04 * start))
+    near, far = (estimate_noise(chains, one, real, floor=np.zeros(1), tolerance=1e-6) for one in begun)
+    assert far.bound == pytest.approx(near.bound, abs=0.01)
+    np.testing.assert_allclose(far.noise.force, near.noise.force, rtol=0.02)
+
+
+def test_passes_are_few_where_a_variance_is_hardly_told_from_another():
+    """Of a walk whose steps are a tenth of what it is read with, by either law alone, each pass told little more."""
+    chains, passes = walks(n=6, steps=60, force=0.0009, error=0.09), []
+
+    def counted(*arguments, **options):
+        passes.append(1)
+        return passed(*arguments, **options)
+
+    real = np.ones((6, 60), dtype=bool)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("skat.diagnosis.noise.passed", counted)
+        found = estimate_noise(
+            chains, normal_noise(chains, [0.09], [0.01]), real, floor=np.zeros(1), tolerance=0.01
+        )
+    assert len(passes) < 20
+    best = optimize.minimize(
+        lambda logs: -passed(chains, normal_noise(chains, *np.exp(logs)[:, None]), real).bound,
+        np.log([0.0009, 0.09]),
+        method="Nelder-Mead",
+    )
+    assert found.bound == pytest.approx(-best.fun, abs=0.1)
 
 
 def test_a_noise_of_samples_with_weights_has_their_variances():
     one = np.ones((1, 2, 1))
     noise = Noise(
-        np.array([4.0]), np.array([9.0]), np.array([3.0]), np.array([5.0]), 2 * one, np.ones((1, 3, 1)) / 3
+        *(np.array([[value]]) for value in (4.0, 9.0, 3.0, 5.0)),
+        np.zeros(1, dtype=int),
+        2 * one,
+        np.ones((1, 3, 1)) / 3,
     )
     assert noise.force_variances.ravel().tolist() == [2.0, 2.0]
     np.testing.assert_allclose(noise.error_variances.ravel(), 27.0)

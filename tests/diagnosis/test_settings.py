@@ -96,6 +96,7 @@ def verdict(causes=(), *, evidence=-1.0, settled=True, diverged=0.0, gain=None):
         alpha=0.01,
         causes_=[SimpleNamespace(aliases=aliases) for aliases in causes],
         diverged_share_=diverged,
+        _apart=list,
     )
     return SimulationDiagnosis._verdict(told)
 
