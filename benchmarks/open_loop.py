@@ -301,11 +301,21 @@ def gain(actuator):
     return write
 
 
-def body_mass(body):
-    """Return how the factor of a body's mass and inertia is written."""
+def body_mass(mjcf, body):
+    """Return how the factor of a body's mass and inertia in a model is written."""
+    mine = mujoco.MjSpec.from_string(mjcf).body(body)
+    mass, inertia = float(mine.mass), np.array(mine.inertia)
 
     def write(spec, value):
-        mine = spec.body(body)
-        mine.mass, mine.inertia = value * mine.mass, value * np.array(mine.inertia)
+        spec.body(body).mass, spec.body(body).inertia = value * mass, value * inertia
+
+    return write
+
+
+def kv(actuator):
+    """Return how a servo's own damping is written, N m s/rad."""
+
+    def write(spec, value):
+        spec.actuator(actuator).biasprm[2] = -value
 
     return write

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from skat.plotting.style import AFTER, BEFORE, MEASURED, trim
+
 PAGES = Path(__file__).parents[1] / "docs" / "studies"
 LABELS = {
     "nominal": "model as given",
@@ -17,8 +19,12 @@ LABELS = {
     "least squares": "least squares, list given",
     "mujoco.sysid": "mujoco.sysid, list given",
 }
-# Of a curve: its colour and width.
-CURVES = {"nominal": ("#E69F00", 1.2), "extended": ("#0072B2", 1.2), "least squares": ("#009E73", 0.9)}
+# Of a curve: its colour, width and name in the legend.
+CURVES = {
+    "nominal": (BEFORE, 1.2, "as given"),
+    "extended": (AFTER, 1.2, "extended"),
+    "least squares": ("#009E73", 0.9, "least squares"),
+}
 TITLES = {
     "so101": "SO-101, five motions",
     "go2_air": "Go2 in the air",
@@ -80,7 +86,7 @@ def numbers_of(found):
         "rows": f"{found['rows']:,}",
         "rows_tested": f"{found['rows_tested']:,}",
         "verdict": f"“{found['verdict']}”",
-        "n_causes": str(len(found["causes"])),
+        "causes": "one cause" if len(found["causes"]) == 1 else f"{len(found['causes'])} causes",
         "nominal": shown(unit * errors["nominal"]),
         "extended": shown(unit * errors["extended"]),
         "share_of_nominal": shown(errors["extended"] / errors["nominal"]),
@@ -109,18 +115,14 @@ def causes_table(causes):
     """Return header and rows of causes with intervals, most telling first."""
     from skat.rounding import interval_text, size_text
 
-    rows = [
-        [
-            f"``{one['name']}``",
-            size_text(one["value"], tuple(one["interval"])),
-            interval_text(tuple(one["interval"])),
-            "" if one["unit"] == "1" else one["unit"],
-            probability(one["probability"]),
-            ", ".join(f"``{alias}``" for alias in one["aliases"]) or "none",
-        ]
-        for one in causes
-    ]
-    return ["cause", "size", "95 %", "unit", "probability", "aliases"], rows or [["none", "", "", "", "", ""]]
+    rows = []
+    for one in causes:
+        low_high = tuple(one["interval"])
+        unit = "" if one["unit"] == "1" else f" {one['unit']}"
+        size = f"{size_text(one['value'], low_high)}{unit} ({interval_text(low_high)})"
+        aliases = ", ".join(f"``{alias}``" for alias in one["aliases"]) or "none"
+        rows.append([f"``{one['name']}``", size, probability(one["probability"]), aliases])
+    return ["cause", "size (95 %)", "probability", "aliases"], rows or [["none", "", "", ""]]
 
 
 def probability(value):
@@ -143,7 +145,7 @@ def joints_table(said):
 
 def not_named_table(rows):
     """Return header and rows: of families of effects that are not named how small a one would have been."""
-    return ["not named", "least that would have been", "nearest alias"], [
+    return ["not named", "smallest", "nearest alias"], [
         [f"``{one['effect']}``", f"{shown(one['smallest'])} {'' if one['unit'] == '1' else one['unit']}".strip(),
          f"``{one['alias']}``"]
         for one in rows
@@ -159,8 +161,8 @@ def more_tables(found):
         rows = []
         for asked, one in found["changes"].items():
             _, causes = causes_table(one["causes"])
-            rows += [[asked, one["verdict"], *cause[:3], cause[5]] for cause in causes]
-        tables["changes"] = ["asked", "verdict", "change", "size", "95 %", "aliases"], rows
+            rows += [[asked, one["verdict"], *cause[:2], cause[3]] for cause in causes]
+        tables["changes"] = ["asked", "verdict", "change", "size (95 %)", "aliases"], rows
     for again in ("heavier", "again"):
         if again in found:
             tables[again] = causes_table(found[again]["causes"])
@@ -245,17 +247,17 @@ def draw_paths(paths, what, file):
         ax.plot(
             paths["time"],
             paths["measured"][:, place],
-            color="#555555",
+            color=MEASURED,
             linewidth=2.6,
             alpha=0.55,
             label="measured",
         )
-        for name, (colour, width) in CURVES.items():
+        for name, (colour, width, label) in CURVES.items():
             if name in paths["models"]:
                 time, angles = paths["models"][name]
-                ax.plot(time, angles[:, place], color=colour, linewidth=width, label=LABELS[name])
+                ax.plot(time, angles[:, place], color=colour, linewidth=width, label=label)
         ax.set_ylabel(f"{joint.removesuffix('_joint')}\n(rad)")
-        ax.spines[["top", "right"]].set_visible(False)
+        trim(ax)
     figure.align_ylabels()
     axes[-1, 0].set_xlabel("time (s)")
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False)

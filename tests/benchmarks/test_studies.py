@@ -134,9 +134,7 @@ def test_tables_and_numbers_hold_what_was_found(tmp_path):
         "probability": 0.9999, "aliases": ["damping[elbow]"], "at_bound": False,
     }  # fmt: skip
     header, rows = study_pages.causes_table([cause])
-    assert rows == [
-        ["``dry_friction[elbow]``", "0.1912", "0.18 to 0.2", "N m", "> .999", "``damping[elbow]``"]
-    ]
+    assert rows == [["``dry_friction[elbow]``", "0.1912 N m (0.18 to 0.2)", "> .999", "``damping[elbow]``"]]
     study_pages.write_table(tmp_path / "t.csv", header, rows)
     assert list(csv.reader((tmp_path / "t.csv").read_text().splitlines())) == [header, *rows]
     assert study_pages.substitutions({"nominal": "18.7"}) == ".. |nominal| replace:: 18.7\n"
