@@ -31,7 +31,10 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number that least squares may choose: how it is written into a spec, or None for a delay of all commands, s."""
+    """A number that least squares may choose: how it is written into a spec, or None for a delay of all commands, s.
+
+    ``reach`` holds the places of the joints that it can move, where these are not all.
+    """
 
     name: str
     start: float
@@ -39,6 +42,7 @@ class Parameter:
     high: float
     scale: float
     write: Callable[[mujoco.MjSpec, float], None] | None
+    reach: tuple[int, ...] = ()
 
 
 def stretches_of(X, y, groups, n_joints, n_rows=None, dt=None):
@@ -121,6 +125,21 @@ def compiled(mjcf, parameters, values):
     return spec.compile(), delay
 
 
+def apart(parameters, n_joints):
+    """Return sets of places of parameters, no two in a set moving the same joint, so that one simulation serves all."""
+    sets, taken = [], []
+    for place, parameter in enumerate(parameters):
+        reach = set(parameter.reach or range(n_joints))
+        free = next((k for k, joints in enumerate(taken) if not joints & reach), None)
+        if free is None:
+            sets.append([place])
+            taken.append(reach)
+        else:
+            sets[free].append(place)
+            taken[free] |= reach
+    return sets
+
+
 def least_squares(mjcf, parameters, stretches, frame_skip, *, most=30, seconds=float("inf")):
     """Return values of the parameters with the least squared misses over the stretches, and the seconds it took.
 
@@ -136,10 +155,19 @@ def least_squares(mjcf, parameters, stretches, frame_skip, *, most=30, seconds=f
         found = misses(models, delays, stretches, frame_skip)
         return np.clip(np.where(np.isfinite(found), found, 10.0), -10.0, 10.0)
 
+    n_joints = len(stretches[0].qpos)
+    sets = apart(parameters, n_joints)
+
     def slopes(values):
         steps = np.where(values + 0.01 * scales > high, -0.01, 0.01) * scales
-        found = residuals([values, *(values + np.diag(steps))])
-        return ((found[1:] - found[0]) / steps[:, None]).T
+        moved = [values + np.where(np.isin(np.arange(len(values)), mine), steps, 0.0) for mine in sets]
+        found = residuals([values, *moved])
+        columns = np.zeros((len(values), found.shape[1]))
+        for difference, mine in zip(found[1:] - found[0], sets, strict=True):
+            for place in mine:
+                reached = np.isin(np.arange(n_joints), parameters[place].reach or np.arange(n_joints))
+                columns[place] = np.where(np.tile(reached, len(difference) // n_joints), difference, 0.0)
+        return (columns / steps[:, None]).T
 
     best = [np.inf, None]
 

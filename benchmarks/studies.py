@@ -16,6 +16,7 @@ import subprocess
 import tempfile
 import time
 import warnings
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -127,10 +128,11 @@ def plain_path(model, stretch, frame_skip):
 def fitted_angles(mjcf, parameters, values, stretches, frame_skip):
     """Return angles in open loop of a model with values written into it, as `open_loop_angles`."""
     model, delay = open_loop.compiled(mjcf, parameters, values)
-    return [
-        path for some in open_loop.by_length(stretches)
-        for path in open_loop.paths([model], [delay], some, frame_skip)[0]
-    ]  # fmt: skip
+    found = {}
+    for some in open_loop.by_length(stretches):
+        together = open_loop.paths([model], [delay], some, frame_skip)[0]
+        found |= {id(one): path for one, path in zip(some, together, strict=True)}
+    return [found[id(one)] for one in stretches]
 
 
 def distance(paths, stretches, measure="rms"):
@@ -243,6 +245,7 @@ def asked(diagnosis, cost):
         "causes": as_told(diagnosis),
         "also_seen": dict(diagnosis.also_seen_),
         "rows": int(diagnosis.n_rows_fitted_),
+        "rows_offered": int(diagnosis.n_rows_),
         "unexplained": str(diagnosis.remainder_)[:2000],
         "left_out": list(diagnosis.computed_velocities_),
         "not_named": not_named(diagnosis),
@@ -263,7 +266,14 @@ def go2_air(kept):
     fitted, tested = cut(*part(0, 2 * n // 3)), cut(*part(2 * n // 3, n))
     mjcf, _ = exported(simulator)
     joints = [name.removeprefix("qpos.") for name in log.feature_names[:12]]
-    parameters = servo_parameters(physical(mjcf), joints, [joint.removesuffix("_joint") for joint in joints])
+    # The base is fixed: a leg moves no other.
+    legs = {joint: tuple(3 * (place // 3) + np.arange(3)) for place, joint in enumerate(joints)}
+    parameters = [
+        replace(one, reach=legs[one.name.rpartition(" | ")[2]])
+        for one in servo_parameters(
+            physical(mjcf), joints, [joint.removesuffix("_joint") for joint in joints]
+        )
+    ]
     others = peers(kept, "go2_air", mjcf, parameters, fitted, 5)
     found = compared(simulator, diagnosis.extended_simulator_, mjcf, parameters, others, tested, 5)
     return {
@@ -544,7 +554,10 @@ FITTED_MOTIONS = {
     "multisine": 1000,
 }
 TESTED_MOTIONS = ("pick_place", "prbs_excitation", "single_joint_elbow", "step_response", "velocity_ramp")
+BAM = "BAM's M1, gain and delay"
 SO101_ROWS = 120
+# Asked about all 135 effects of the model a diagnosis did not end within a working session.
+SO101_FAMILIES = ("dry_friction", "armature", "kp", "kv", "offset")
 
 
 def so101(kept):
@@ -553,7 +566,15 @@ def so101(kept):
     fitted_log = [_stretch_of_motion(*one) for one in FITTED_MOTIONS.items()]
     X, y = (np.concatenate([one[side] for one in fitted_log]) for side in (0, 1))
     groups = np.repeat(np.arange(len(fitted_log)), [len(one[0]) for one in fitted_log])
-    diagnosis, cost = kept.diagnosis("so101", simulator, X, y, groups)
+    effects = [
+        *(
+            effect.name
+            for effect in simulator.effects()
+            if effect.family in SO101_FAMILIES and effect.target != "all"
+        ),
+        "delay[action]",
+    ]
+    diagnosis, cost = kept.diagnosis("so101_list", simulator, X, y, groups, effects=effects)
     fitted = open_loop.stretches_of(X, y, groups, 6)
     tested = []
     for motion in TESTED_MOTIONS:
@@ -582,18 +603,21 @@ def so101(kept):
         delay,
     ]
     others |= {
-        "BAM's M1, gain and delay": peers(
-            kept, "so101_bam", bam_mjcf, bam_parameters, fitted, 10, with_sysid=False
-        )["least squares"]
+        BAM: peers(kept, "so101_bam", bam_mjcf, bam_parameters, fitted, 10, with_sysid=False)["least squares"]
     }
     found = compared(
         simulator, diagnosis.extended_simulator_, mjcf, parameters, others, tested, 10, measure="mean",
-        models={"BAM's M1, gain and delay": (bam_mjcf, bam_parameters)},
+        models={BAM: (bam_mjcf, bam_parameters)},
     )  # fmt: skip
     return {
         **found,
         **asked(diagnosis, cost),
         "rows_tested": sum(len(one.after) for one in tested),
+        "numbers": {
+            "n_asked": str(len(effects)),
+            "n_effects": str(len(simulator.effects())),
+            "bam": study_pages.shown(1e3 * found["errors"][BAM]),
+        },
         "shown": {"joints": joints[1:4], "seconds": 10.0},
     }
 

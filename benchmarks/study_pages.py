@@ -84,6 +84,7 @@ def numbers_of(found):
         "seconds": f"{found['seconds']:,.0f}",
         "minutes": shown(found["seconds"] / 60, 2),
         "rows": f"{found['rows']:,}",
+        "rows_offered": f"{found['rows_offered']:,}",
         "rows_tested": f"{found['rows_tested']:,}",
         "verdict": f"“{found['verdict']}”",
         "causes": "one cause" if len(found["causes"]) == 1 else f"{len(found['causes'])} causes",

@@ -1,6 +1,7 @@
 import csv
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -68,6 +69,14 @@ def test_least_squares_in_open_loop_recover_friction_kp_offset_and_delay():
     assert open_loop.rms(open_loop.misses([model], [delay], stretches, FRAME_SKIP)) < 1e-4
 
 
+def test_parameters_that_move_other_joints_share_a_simulation_and_none_else():
+    import open_loop
+
+    reaches = [(0, 1), (0, 1), (2,), (2,), (), (0,)]
+    mine = [open_loop.Parameter(str(k), 0.0, 0.0, 1.0, 1.0, None, reach) for k, reach in enumerate(reaches)]
+    assert open_loop.apart(mine, 3) == [[0, 2], [1, 3], [4], [5]]
+
+
 def test_batched_and_single_paths_in_open_loop_are_the_same():
     import open_loop
     import studies
@@ -78,6 +87,14 @@ def test_batched_and_single_paths_in_open_loop_are_the_same():
     together = open_loop.paths([model], [0.0], stretches, FRAME_SKIP)[0]
     for path, one in zip(together, stretches):
         np.testing.assert_allclose(studies.plain_path(model, one, FRAME_SKIP), path, rtol=0, atol=1e-12)
+    # Of several lengths they come back in their order.
+    short = [
+        replace(one, commands=one.commands[:n], after=one.after[:n]) for one, n in zip(stretches, (9, 40, 9))
+    ]
+    found = studies.fitted_angles(MJCF, [], [], short, FRAME_SKIP)
+    assert [len(path) for path in found] == [9, 40, 9]
+    for path, whole in zip(found, together):
+        np.testing.assert_array_equal(path, whole[: len(path)])
 
 
 def test_a_stretch_without_speeds_begins_with_the_slope_of_its_angles():
