@@ -155,7 +155,12 @@ def not_named_table(rows):
 
 def more_tables(found):
     """Return tables that only some studies have, by name."""
-    tables = {}
+    models = list(found["errors_by_joint"])
+    rows = [
+        [joint, *(shown(1e3 * found["errors_by_joint"][model][joint]) for model in models)]
+        for joint in found["errors_by_joint"][models[0]]
+    ]
+    tables = {"errors_by_joint": (["joint", *(LABELS.get(model, model) for model in models)], rows)}
     if "thirds" in found:
         tables["thirds"] = thirds_table(found["thirds"])
     if "changes" in found:

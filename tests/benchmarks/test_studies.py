@@ -97,6 +97,19 @@ def test_batched_and_single_paths_in_open_loop_are_the_same():
         np.testing.assert_array_equal(path, whole[: len(path)])
 
 
+def test_late_commands_of_a_model_and_of_least_squares_are_the_same():
+    import open_loop
+    import studies
+
+    X, y, groups = log_of()
+    X[:, 2] += 0.7
+    (one,) = open_loop.stretches_of(X, y, groups, n_joints=1)
+    late = MJCF.replace('kv="0.5"', 'kv="0.5" delay="0.01" nsample="6"')
+    found = studies.plain_path(mujoco.MjModel.from_xml_string(late), one, FRAME_SKIP)
+    given = open_loop.paths([mujoco.MjModel.from_xml_string(MJCF)], [0.01], [one], FRAME_SKIP)[0, 0]
+    np.testing.assert_allclose(found, given, rtol=0, atol=1e-9)
+
+
 def test_a_stretch_without_speeds_begins_with_the_slope_of_its_angles():
     import open_loop
 
