@@ -127,8 +127,10 @@ def causes_table(causes):
 
 
 def probability(value):
-    """Return a probability in words that do not claim more than was counted."""
-    return "" if value is None else "> .999" if value > 0.999 else f"{value:.3f}".lstrip("0")
+    """Return a probability in three digits, and as a bound where they do not tell it from 0 or 1."""
+    if value > 0.999:
+        return "> .999"
+    return "< .001" if value < 0.001 else f"{value:.3f}".lstrip("0")
 
 
 def joints_table(said):
@@ -267,7 +269,7 @@ def draw_paths(paths, what, file):
     figure.align_ylabels()
     axes[-1, 0].set_xlabel("time (s)")
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False)
-    figure.savefig(file, dpi=110)
+    figure.savefig(file, dpi=95)
     pyplot.close(figure)
 
 
