@@ -305,7 +305,7 @@ def each_joint_s(simulator, families):
     return [one.name for one in simulator.effects() if one.family in families and one.target != "all"]
 
 
-# Asked about all effects a diagnosis did not end within an hour.
+# Asked about all effects, its first turn had not ended after nine minutes.
 UR10_FAMILIES = ("dry_friction", "damping", "armature", "gain")
 
 
@@ -572,7 +572,7 @@ FITTED_MOTIONS = {
 TESTED_MOTIONS = ("pick_place", "prbs_excitation", "single_joint_elbow", "step_response", "velocity_ramp")
 BAM = "BAM's M1, gain and delay"
 SO101_ROWS = 120
-# Asked about all 135 effects of the model a diagnosis did not end within a working session.
+# Asked about all effects of the model, its first fit had not ended after eight minutes.
 SO101_FAMILIES = ("dry_friction", "armature", "kp", "kv", "offset")
 
 
