@@ -274,11 +274,7 @@ def _sequences(mjcf, stretches, frame_skip):
 
 def friction(joint):
     """Return how a dry friction is written, N m."""
-
-    def write(spec, value):
-        spec.joint(joint).frictionloss = value
-
-    return write
+    return _of_joint(joint, "frictionloss")
 
 
 def damping(joint):
@@ -292,9 +288,12 @@ def damping(joint):
 
 def armature(joint):
     """Return how a rotor's inertia is written, kg m2."""
+    return _of_joint(joint, "armature")
 
+
+def _of_joint(joint, attribute):
     def write(spec, value):
-        spec.joint(joint).armature = value
+        setattr(spec.joint(joint), attribute, value)
 
     return write
 
