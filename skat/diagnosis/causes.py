@@ -274,8 +274,8 @@ def find_causes(
     -------
     Found
     """
-    effects = _readable(space, effects)
-    priors = priors_of(effects, {**_typical_biases(space, effects), **(typical or {})})
+    effects = readable(space, effects)
+    priors = priors_of(effects, {**typical_biases(space, effects), **(typical or {})})
     power = COARSE_ROWS / (COARSE_ROWS + len(space.X))
     needed = -float(np.log(alpha))
     known = replace(known, tolerance=STILL) if coarse else known
@@ -285,10 +285,10 @@ def find_causes(
     exclusive = rivals_of(effects)
     rivals: list[Rival] = []
     stands = misled = False
-    told = -1
+    shown = -1
     while True:
-        if state.turn != told:
-            told = state.turn
+        if state.turn != shown:
+            shown = state.turn
             if checkpoint is not None and state is not resumed:
                 checkpoint(state)
             if progress is not None:
@@ -304,11 +304,11 @@ def find_causes(
         moved = None
         misled = misled and state.dense is not None
         compared = Comparison(fits, now)
-        proposals = list(_proposals(ranked, worth, now, needed))
+        proposed = list(proposals(ranked, worth, now.members, needed))
         guess = []
         if state.turn == 0 and state.dense is not None:
-            guess = _first_guess(start or {}, worth, fits, now, proposals, needed)
-        asked = [*guess, *proposals, *(_singles(worth, banned) if proposals else ())]
+            guess = _first_guess(start or {}, worth, fits, now, proposed, needed)
+        asked = [*guess, *proposed, *(_singles(worth, banned) if proposed else ())]
         if asked:
             moved = _likeliest(compared, worth, asked, needed)
             misled = misled or moved is None or moved.members != asked[0].members
@@ -340,8 +340,8 @@ def find_causes(
         # What slopes say of other sets was seen to be wrong.
         inside = (one for one in ranked.sets if set(one.members) < set(now.members))
         ranked = Ranked(tuple(sorted((best, *inside), key=lambda one: -one.evidence)))
-    also = {} if misled else _also(ask, gram, priors, effects, exclusive, best, needed, state.banned)
-    return _found(fits, now, worth, ranked, rivals, also, needed, stands)
+    also = {} if misled else also_seen(ask, gram, priors, effects, exclusive, best, needed, state.banned)
+    return told(fits, now, worth, ranked, rivals, also, needed, stands)
 
 
 def _begun(fits: Fits) -> Search:
@@ -384,13 +384,13 @@ def _first_guess(
     return [own] if all(bound > other for other in others) else []
 
 
-def _proposals(ranked: Ranked, worth: Weigher, now: Fit, needed: float) -> Iterator[Weighed]:
+def proposals(ranked: Ranked, worth: Weigher, members: tuple[int, ...], needed: float) -> Iterator[Weighed]:
     """Yield sets that slopes put before the present one: the best, and the best of half its size, and so on.
 
     Each without what is worth less than a name needs.
     """
-    here = worth(now.members)
-    asked = {now.members}
+    here = worth(members)
+    asked = {members}
     most = len(worth.priors.names)
     while most:
         top = next((one for one in ranked.sets if len(one.members) <= most), here)
@@ -527,7 +527,7 @@ def _with_fits(ranked: Ranked, worth: Weigher, best: Weighed, rivals: Sequence[R
     return Ranked(tuple(sorted(sets.values(), key=lambda one: (-one.evidence, one.members != best.members))))
 
 
-def _found(
+def told(
     fits: Fits,
     now: Fit,
     worth: Weigher,
@@ -598,13 +598,13 @@ def _with_refitted(
     return both
 
 
-def _readable(space: StateSpace, effects: Sequence[Effect]) -> list[Effect]:
+def readable(space: StateSpace, effects: Sequence[Effect]) -> list[Effect]:
     seen = space.mask.any(axis=(0, 1))
     unread = {name for name, there in zip(space.simulator.residual_names, np.atleast_1d(seen)) if not there}
     return [effect for effect in effects if effect.family not in SENSORS or effect.target not in unread]
 
 
-def _typical_biases(space: StateSpace, effects: Sequence[Effect]) -> dict[str, float]:
+def typical_biases(space: StateSpace, effects: Sequence[Effect]) -> dict[str, float]:
     """Return typical biases of channels whose unit says nothing of their size: a share of what they read."""
     spreads = dict(zip(space.simulator.residual_names, space.spread))
     return {
@@ -735,7 +735,7 @@ def _stand_ins(
     return {cause: dict(sorted(shares.items(), key=first)) for cause, shares in found.items()}
 
 
-def _also(
+def also_seen(
     ask: Callable[..., Ranked],
     gram: Gram,
     priors: Priors,

@@ -10,7 +10,7 @@ from typing import Any, Self
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.exceptions import NotFittedError
 from sklearn.utils import check_random_state
@@ -24,12 +24,13 @@ from skat.diagnosis.doubts import warn_of_doubts
 from skat.diagnosis.filtering import Array
 from skat.diagnosis.findings import Alias, Cause, Gain
 from skat.diagnosis.fitting import Fitted, Known, coordinate, first_fit, hits, value_at
+from skat.diagnosis.forces.efforts import causes_of_efforts
 from skat.diagnosis.forces.start import start_in_forces
 from skat.diagnosis.identifiability import identifiability, preflight
 from skat.diagnosis.log import Log, check_log, check_matrix, put_together, tangent_variances, without_channels
 from skat.diagnosis.posterior import Posterior
 from skat.diagnosis.prediction import Prediction, horizon_rows, open_loop_gain, predicted
-from skat.diagnosis.remainder import find_remainder, is_unexplained
+from skat.diagnosis.remainder import Remainder, find_remainder, is_unexplained
 from skat.diagnosis.report.from_diagnosis import DiagnosisReport
 from skat.diagnosis.saving import Begun, Checkpoint, read_diagnosis, write_diagnosis
 from skat.diagnosis.smoothing import Smoothing, smoothing_of
@@ -40,6 +41,7 @@ from skat.simulators import Simulator
 
 Progress = Callable[[str, int, int], None]
 VELOCITIES = ("auto", "measured", "computed")
+ACTIONS = ("auto", "commanded", "measured")
 # A log in which the simulation diverges in a larger share of the rows is not explained by it.
 MOST_DIVERGED = 0.1
 # Readings are multiples of a step if none misses one by more than this share of it.
@@ -70,6 +72,10 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
     velocities : {"auto", "measured", "computed"}, default="auto"
         Whether velocities are measurements of their own. Those that were computed from positions are none and are left
         out; "auto" tells them by what noise of the positions must leave in them.
+    actions : {"auto", "commanded", "measured"}, default="auto"
+        Whether actions are what motors were told, or efforts that were measured as states are, such as those of a ROS
+        ``JointState``: a controller has answered in them to all that brakes a joint, so that they are asked for given
+        the motion, by inverse dynamics, and not the motion given them. "auto" goes by what a log says of itself.
     horizon : float, optional
         How far ahead predictions are compared, s. By default a quarter of a second or ten rows, whichever is longer.
     tolerance : float, default=0.1
@@ -105,6 +111,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         What is left beside the causes.
     posterior_ : Posterior
         Sets of causes with their probabilities, and the law of their values.
+    actions_ : {"commanded", "measured"}
+        What actions were taken for.
     computed_velocities_ : tuple of str
         Velocities that were left out since they were computed from positions.
     smoothing_ : Smoothing or None
@@ -140,6 +148,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         test_size: float = 0.3,
         hidden: Sequence[str] = (),
         velocities: str = "auto",
+        actions: str = "auto",
         horizon: float | None = None,
         tolerance: float = 0.1,
         priors: Mapping[str, float] | None = None,
@@ -155,6 +164,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         self.test_size = test_size
         self.hidden = hidden
         self.velocities = velocities
+        self.actions = actions
         self.horizon = horizon
         self.tolerance = tolerance
         self.priors = priors
@@ -235,20 +245,28 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         least = least + _rounding(whole)
         given = self._given_deviations()
         known = Known(least, given)
-        found = find_causes(
-            space,
-            effects,
-            alpha=self.alpha,
-            typical=self.priors,
-            known=known,
-            max_effects=self.max_effects,
-            turns=QUICK_TURNS if first_look else TURNS,
-            coarse=first_look,
-            start=self._start(fitted, effects),
-            resumed=begun.search,
-            checkpoint=None if checkpoint is None else partial(checkpoint.write, begun),
-            progress=progress,
-        )
+        asked: dict[str, Any] = {
+            "alpha": self.alpha,
+            "typical": self.priors,
+            "known": known,
+            "max_effects": self.max_effects,
+            "progress": progress,
+        }
+        left: Remainder | None = None
+        if self.actions_ == "measured":
+            answer = causes_of_efforts(whole, _rows_of(fitted), effects, **asked)
+            space, found, left = whole, answer.found, answer.remainder
+        else:
+            found = find_causes(
+                space,
+                effects,
+                turns=QUICK_TURNS if first_look else TURNS,
+                coarse=first_look,
+                start=self._start(fitted, effects),
+                resumed=begun.search,
+                checkpoint=None if checkpoint is None else partial(checkpoint.write, begun),
+                **asked,
+            )
         if space is not whole:
             # A force is told from noise by the rows beside it.
             found = replace(found, fitted=first_fit(whole, found.values, known))
@@ -276,7 +294,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         )
         told = ", ".join(f"{cause.name} {cause.value:.4g}" for cause in self.causes_)
         progress(f"what is left beside {told or 'no cause'}", 0, 1)
-        self.remainder_ = find_remainder(
+        self.remainder_ = left or find_remainder(
             whole, found.fitted, horizon=self._rows_ahead(), random_state=random_state
         )
         self._prediction: Prediction | None = None
@@ -573,6 +591,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             raise ValueError(f"max_effects must be None or a whole number of at least 1; it is {most!r}.")
         if self.velocities not in VELOCITIES:
             raise ValueError(f"velocities must be one of {', '.join(VELOCITIES)}; it is {self.velocities!r}.")
+        if self.actions not in ACTIONS:
+            raise ValueError(f"actions must be one of {', '.join(ACTIONS)}; it is {self.actions!r}.")
         if not self.tolerance > 0:
             raise ValueError(f"tolerance must be positive; it is {self.tolerance!r}.")
         if self.horizon is not None:
@@ -688,6 +708,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         self, X: Any, y: Any, groups: ArrayLike | None, floor: ArrayLike | None
     ) -> tuple[Log, Array]:
         """Return the log, or the logs put together, and the least variance of each channel's noise, of each log."""
+        self.actions_ = "commanded" if self.actions == "auto" else self.actions
         if y is not None:
             return check_log(self.simulator, X, y, groups), self._checked_floor(floor)
         logs = _named_logs(X)
@@ -697,6 +718,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             raise ValueError(
                 "groups and floor are those of each log: pass tuples of (X, y, groups), or logs."
             )
+        if self.actions == "auto":
+            self.actions_ = _actions_of(X)
         checked, floors = [], []
         for name, (X, y, groups, least) in logs.items():
             try:
@@ -755,9 +778,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
     def _start(self, log: Log, effects: Sequence[Effect]) -> dict[str, float]:
         if not log.consecutive:
             return {}
-        rows = log.X, log.y, log.episodes
         needed = -float(np.log(self.alpha))
-        return start_in_forces(self.simulator, rows, effects, typical=self.priors, needed=needed)
+        return start_in_forces(self.simulator, _rows_of(log), effects, typical=self.priors, needed=needed)
 
     def _rows_ahead(self, horizon: float | None = None) -> int:
         return horizon_rows(self.simulator, self.horizon if horizon is None else horizon)
@@ -825,6 +847,21 @@ def _named_logs(given: Any) -> dict[str, tuple[Any, Any, Any, Any]] | None:
     if not logs:
         raise ValueError("there is no log; expected at least one.")
     return {name: _parts(name, one) for name, one in logs.items()}
+
+
+def _actions_of(given: Any) -> str:
+    """Return what logs say of their actions; raises a ValueError if they differ."""
+    logs = [given] if _is_log(given) else list(given.values() if isinstance(given, Mapping) else given)
+    told = {getattr(one, "actions", "commanded") for one in logs}
+    if len(told) > 1:
+        raise ValueError(
+            "some of the logs hold measured efforts and some commands, of which one law is asked: pass actions=."
+        )
+    return str(told.pop())
+
+
+def _rows_of(log: Log) -> tuple[Array, Array, NDArray[np.intp]]:
+    return log.X, log.y, log.episodes
 
 
 def _is_log(one: Any) -> bool:

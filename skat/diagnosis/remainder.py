@@ -142,7 +142,9 @@ class Remainder:
 
 
 @dataclass(frozen=True)
-class _Regressor:
+class Regressor:
+    """What may predict a force: columns of it, and the coordinate that they are of."""
+
     name: str
     coordinate: str
     values: Array  # (n_rows,)
@@ -242,7 +244,7 @@ def _left(
     for look in looks:
         for one in regressors:
             N = _response(space, look, directions.columns[..., index], one.columns)
-            nats, size = _worth(*_gram(look, N), scale)
+            nats, size = worth_of(*_gram(look, N), scale)
             weight = (0.5 if n_other else 1.0) / n_own if one.is_own else 0.5 / n_other
             tried.append((nats, nats + np.log(weight / len(looks)), size, one, look))
     evidence = float(logsumexp([weighted for _, weighted, *_ in tried]))
@@ -267,7 +269,7 @@ def _left(
     left = force - (sum(predicted) / 2 if corrected > 0 else 0.0)
     shown = 1 - float(variance.mean()) / mean_square if mean_square > 0 else 0.0
     frequencies, spectrum = _spectrum(space, left, white[0], white[1])
-    word = _word(left, frequencies, spectrum, "Hz" if space.simulator.dt else "per row")
+    word = word_of(left, frequencies, spectrum, "Hz" if space.simulator.dt else "per row")
     return Left(
         directions.names[index],
         directions.units[index],
@@ -404,34 +406,34 @@ def _with_normal_noise(space: StateSpace, seen: Seen) -> list[Seen]:
 # -- what predicts it -------------------------------------------------------------------------------------------------
 
 
-def _regressors(space: StateSpace, directions: _Directions, index: int, rows: Array) -> list[_Regressor]:
+def _regressors(space: StateSpace, directions: _Directions, index: int, rows: Array) -> list[Regressor]:
     simulator = space.simulator
     places = {name: column for column, name in enumerate(simulator.input_names)}
     own = directions.own[index]
     first = rows[:, places[own[0]]] if own else np.zeros(len(rows))
-    found = [_Regressor("constant", own[0] if own else "row", first, np.ones((len(rows), 1)), True)]
+    found = [Regressor("constant", own[0] if own else "row", first, np.ones((len(rows), 1)), True)]
     for name in own:
         values = rows[:, places[name]]
-        found += _binned(name, values, OWN_BINS, is_own=True)
-        if _is_rate(name, simulator.units):
+        found += binned(name, values, OWN_BINS, is_own=True)
+        if is_rate(name, simulator.units):
             for law, column in (("sign", np.sign(values)), ("square", np.abs(values) * values)):
                 title = f"sign({name})" if law == "sign" else f"|{name}|{name}"
-                found += _single(title, name, values, column)
+                found += single(title, name, values, column)
             found += [
                 one
                 for other in own
                 if other in simulator.state_names and other != name
-                for one in _single(f"{other} {name}", f"{other} {name}", rows[:, places[other]] * values)
+                for one in single(f"{other} {name}", f"{other} {name}", rows[:, places[other]] * values)
             ]
     if simulator.state_names:
         steps = steps_of(space.groups)
         if np.count_nonzero(steps == 0) >= EPISODES_FOR_TIME:
             time = np.asarray(steps * (simulator.dt or 1.0), dtype=np.float64)
-            found += _binned("time", time, OWN_BINS, is_own=True)
+            found += binned("time", time, OWN_BINS, is_own=True)
     others = [name for name in simulator.input_names if name not in own]
     if len(others) * OTHER_BINS * len(directions.names) <= MOST_COLUMNS:
         for name in others:
-            found += _binned(name, rows[:, places[name]], OTHER_BINS, is_own=False)
+            found += binned(name, rows[:, places[name]], OTHER_BINS, is_own=False)
     return found
 
 
@@ -443,24 +445,27 @@ def _turned_back(space: StateSpace, rows: Array) -> Array:
     return rows
 
 
-def _is_rate(name: str, units: Mapping[str, str]) -> bool:
+def is_rate(name: str, units: Mapping[str, str]) -> bool:
+    """Whether an input is a speed."""
     return name.startswith("qvel.") or units.get(name, "").endswith("/s")
 
 
-def _single(name: str, coordinate: str, values: Array, column: Array | None = None) -> list[_Regressor]:
+def single(name: str, coordinate: str, values: Array, column: Array | None = None) -> list[Regressor]:
+    """Return the regressor of one column, by default the coordinate's values; none where it is zero."""
     column = values if column is None else column
     size = float(np.sqrt(np.mean(column**2)))
     if size == 0:
         return []
-    return [_Regressor(name, coordinate, values, column[:, None] / size, True)]
+    return [Regressor(name, coordinate, values, column[:, None] / size, True)]
 
 
-def _binned(name: str, values: Array, n_bins: int, *, is_own: bool) -> list[_Regressor]:
-    columns = _bins(values, n_bins)[1]
-    return [_Regressor(name, name, values, columns, is_own)] if columns.shape[1] > 1 else []
+def binned(name: str, values: Array, n_bins: int, *, is_own: bool) -> list[Regressor]:
+    """Return the regressor that has a value in each bin of a coordinate; none where there are no two."""
+    columns = bins_of(values, n_bins)[1]
+    return [Regressor(name, name, values, columns, is_own)] if columns.shape[1] > 1 else []
 
 
-def _bins(values: Array, n_bins: int) -> tuple[Array, Array]:
+def bins_of(values: Array, n_bins: int) -> tuple[Array, Array]:
     """Return edges, and which bin each row is in as columns."""
     edges: Array = np.unique(np.quantile(values, np.linspace(0, 1, n_bins + 1)))
     if len(edges) < 3:
@@ -483,7 +488,7 @@ def _gram(seen: Seen, N: Array, chosen: Mask | None = None) -> tuple[Array, Arra
     return columns.T @ columns, columns.T @ z
 
 
-def _worth(G: Array, b: Array, scale: float) -> tuple[float, float]:
+def worth_of(G: Array, b: Array, scale: float) -> tuple[float, float]:
     """Return what a law is worth, nats, as a mean over its sizes, and the size that is best."""
     values, vectors = np.linalg.eigh(G)
     values, turned = np.maximum(values, 0.0), vectors.T @ b
@@ -530,8 +535,8 @@ def _added(space: StateSpace, seen: Seen, direction: Array, forces: Array, runs:
     return float(max(both[mask].mean(), 0.0)) if mask.any() else 0.0
 
 
-def _law(space: StateSpace, seen: Seen, direction: Array, chosen: _Regressor, size: float) -> Law:
-    edges, columns = _bins(chosen.values, OWN_BINS)
+def _law(space: StateSpace, seen: Seen, direction: Array, chosen: Regressor, size: float) -> Law:
+    edges, columns = bins_of(chosen.values, OWN_BINS)
     G, b = _gram(seen, _response(space, seen, direction, columns))
     curvature = G + np.eye(len(G)) / size**2
     mean = np.asarray(np.linalg.solve(curvature, b), dtype=np.float64)
@@ -613,7 +618,8 @@ def _spectrum(space: StateSpace, force: Array, frequencies: Array, white: Array)
     return frequencies, ratio * level
 
 
-def _word(force: Array, frequencies: Array, spectrum: Array, unit: str) -> str:
+def word_of(force: Array, frequencies: Array, spectrum: Array, unit: str) -> str:
+    """Return what a force over time looks like, in a word."""
     squares = np.sort(force**2)[::-1]
     total = float(squares.sum())
     if not len(frequencies) or total == 0 or not spectrum.sum() > 0:

@@ -488,6 +488,7 @@ def _log(
         notes=tuple(notes),
         interpolation=errors,
         source=record.source,
+        actions=found.actions,
     )
 
 

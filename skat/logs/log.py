@@ -69,6 +69,9 @@ class Log:
         Of several logs that were joined, which one each row is of.
     origin_names : tuple of str
         Where these were read from.
+    actions : {"commanded", "measured"}
+        Whether commands are what motors were told, or efforts that were measured with the positions, as those of a
+        ``JointState``.
     """
 
     X: Array
@@ -83,6 +86,7 @@ class Log:
     source: str = ""
     origins: NDArray[np.intp] | None = None
     origin_names: tuple[str, ...] = ()
+    actions: str = "commanded"
 
     def __len__(self) -> int:
         return len(self.X)
@@ -176,6 +180,11 @@ def joined(logs: Sequence[Log]) -> Log:
             )
     if len(logs) == 1:
         return first
+    if len({log.actions for log in logs}) > 1:
+        told = ", ".join(f"{log.source}: {log.actions}" for log in logs)
+        raise ValueError(
+            f"logs that are diagnosed together have all measured efforts, or all commands; these have {told}."
+        )
     offsets = np.cumsum([0, *(len(log.group_names) for log in logs[:-1])])
     several = [log.source for log in logs]
     return _replaced(

@@ -43,6 +43,8 @@ class Plan:
     notes : tuple of str
     told_units : frozenset of str
         Names whose unit was told, or is in the column's name.
+    actions : {"commanded", "measured"}
+        Whether the commands are efforts of the messages that hold the positions, and so were measured as these were.
     """
 
     matches: tuple[Match, ...]
@@ -53,6 +55,7 @@ class Plan:
     episode: tuple[int, str] | None
     notes: tuple[str, ...] = ()
     told_units: frozenset[str] = field(default_factory=frozenset)
+    actions: str = "commanded"
 
 
 @dataclass(frozen=True)
@@ -128,8 +131,38 @@ def plan(
         used.add(episode[1])
     _check_driven(known, used, simulator, recording)
     notes += _leftovers(known, used, lacking)
+    actions = "commanded"
+    if _are_measured(found, known, inputs, recording):
+        actions = "measured"
+        notes = [
+            *notes,
+            "Efforts are of the messages that hold the positions, and so were measured (actions).",
+        ]
     return Plan(
-        tuple(matches), found, constants, lacking, times, episode, tuple(notes), frozenset(with_units)
+        tuple(matches),
+        found,
+        constants,
+        lacking,
+        times,
+        episode,
+        tuple(notes),
+        frozenset(with_units),
+        actions,
+    )
+
+
+def _are_measured(
+    found: Mapping[str, tuple[int, str, Unit]],
+    known: Mapping[str, Column],
+    inputs: Inputs,
+    recording: Recording,
+) -> bool:
+    """Whether all commands are efforts of a topic that holds positions, as a ``JointState`` does: what was measured."""
+    efforts = [found[name] for name in inputs.kinds["ctrl"] if name in found]
+    places = {found[name][0] for name in inputs.kinds["qpos"] if name in found}
+    return bool(efforts) and all(
+        recording.streams[stream].name and stream in places and known[column].said.kind == "effort"
+        for stream, column, _ in efforts
     )
 
 

@@ -425,6 +425,7 @@ class MujocoSimulator(Simulator):
         candidates: Sequence[Mapping[str, float]],
         *,
         slip: ArrayLike = 0.0,
+        velocities: ArrayLike | None = None,
     ) -> Array:
         """Return the force that a motion needs beyond what the model exerts, under each set of effect values.
 
@@ -443,6 +444,9 @@ class MujocoSimulator(Simulator):
         candidates : sequence of mappings from name to value
         slip : float or array-like of shape (nv,), default=0
             Standard deviation of the speeds: dry friction is what it is on average within it.
+        velocities : array-like of shape (n_rows, n_instants, nv), optional
+            Of each row, those over which dry friction is averaged, evenly spaced in time; where a joint turns back
+            within a row, that of the mean speed is not the mean. By default that of the states.
 
         Returns
         -------
@@ -461,11 +465,19 @@ class MujocoSimulator(Simulator):
         inputs = self._layout.normalised(inputs, "states")
         forces, friction = stepper.missing_forces(jobs, inputs, np.asarray(accelerations, float))
         speeds = inputs[:, :, self._nominal.nq : self._nominal.nq + self._nominal.nv]
-        softness, damping = np.array([creep(job.model) for job in jobs]).transpose(1, 0, 2)[:, :, None]
-        speeds = speeds + np.asarray(accelerations, float) / damping
-        return forces + friction * braking_share(
-            speeds, friction * softness / damping, np.asarray(slip, float)
-        )
+        for job, force, brake, mean in zip(jobs, forces, friction, speeds):
+            if not brake.any():
+                continue
+            softness, damping = creep(job.model)
+            seen = mean[:, None] if velocities is None else np.asarray(velocities, float)
+            seen = seen + (np.asarray(accelerations, float) / damping)[:, None]
+            zone = (brake * softness / damping)[:, None]
+            share = braking_share(seen, zone, np.asarray(slip, float))
+            # By the trapezoidal rule: rows begin where those before end.
+            weights = np.ones(seen.shape[1])
+            weights[[0, -1]] = 1 if velocities is None else 0.5
+            force += brake * np.average(share, axis=1, weights=weights)
+        return forces
 
     def constrained(self, states: ArrayLike) -> NDArray[np.bool_]:
         """Return in which rows a contact, a limit or another constraint pushes, under the model as it is.

@@ -55,6 +55,8 @@ class Motion:
     states : ndarray of shape (n_blocks, n_states)
         Mean over each block.
     accelerations : ndarray of shape (n_blocks, nv)
+    velocities : ndarray of shape (n_blocks, rows of a block + 1, nv)
+        Of the instants of each block: friction is that of each, not of their mean.
     commands : ndarray of shape (n_rows, nu)
         Of the log's rows.
     episodes : ndarray of shape (n_rows,)
@@ -71,6 +73,7 @@ class Motion:
 
     states: Array
     accelerations: Array
+    velocities: Array
     commands: Array
     episodes: NDArray[np.intp]
     rows: NDArray[np.intp]
@@ -134,12 +137,11 @@ def smooth_motion(
     ends_count = np.r_[0.5, np.ones(length - 1), 0.5] / length
     duration = length * dt
 
-    def in_blocks(q: Array, v: Array) -> tuple[Array, Array]:
-        means = np.einsum("bij,i->bj", q[middle], ends_count)
-        return np.column_stack([means, (q[last] - q[first]) / duration]), (v[last] - v[first]) / duration
-
+    means = np.einsum("bij,i->bj", q[middle], ends_count)
     return Motion(
-        *in_blocks(q, v),
+        np.column_stack([means, (q[last] - q[first]) / duration]),
+        (v[last] - v[first]) / duration,
+        v[middle],
         X[:, n_states:],
         np.asarray(groups),
         rows,

@@ -1,6 +1,6 @@
 """The motion of a log from positions alone, the forces that models lack for it, and what effects exert of them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -192,6 +192,22 @@ def shares_of(rows: Rows) -> Array:
     return np.asarray(np.max(exerted / np.maximum(there, 1e-300)[:, None], axis=0))
 
 
+def units_by(shares: Array, effects: Sequence[Effect], typical: Mapping[str, float]) -> Array:
+    """Return by what to multiply typical sizes so that they are so of the forces in a log, (n_effects,).
+
+    What is typical of a drive may be far from what acts in this log. ``shares`` are as from `shares_of`; sizes of a
+    user's own, ``typical`` by name, hold as they are.
+    """
+    return np.array(
+        [
+            1.0
+            if effect.name in typical or effect.force_share is None or share <= SHOWN
+            else effect.force_share / share
+            for effect, share in zip(effects, shares)
+        ]
+    )
+
+
 def with_friction(
     simulator: MujocoSimulator,
     half: Half,
@@ -255,7 +271,9 @@ def lacking_forces(simulator: MujocoSimulator, half: Half, models: Sequence[Mode
             acting = simulator.acting_commands(sent, [values[one] for one in own], groups=motion.episodes)
             commands[own] = acting[:, motion.rows].mean(axis=2)
         states, moved = motion.states / np.tile(scale, 2), motion.accelerations / scale
-        found[places, :, :nv] = simulator.missing_forces(states, moved, commands, values, slip=motion.slip)
+        found[places, :, :nv] = simulator.missing_forces(
+            states, moved, commands, values, slip=motion.slip, velocities=motion.velocities / scale
+        )
         found[places, :, nv:] = half.speeds - states[:, nv:]
         for place in places:
             one = models[place].values

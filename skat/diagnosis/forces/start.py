@@ -9,7 +9,7 @@ from skat.diagnosis.evidence import Gram, Weigher
 from skat.diagnosis.fitting import priors_of
 from skat.diagnosis.forces.force_space import noise_beside
 from skat.diagnosis.forces.machines import UNSEEN, Model
-from skat.diagnosis.forces.motions import SHOWN, Log, half_of, rows_about, shares_of, with_friction
+from skat.diagnosis.forces.motions import Log, half_of, rows_about, shares_of, units_by, with_friction
 from skat.diagnosis.search import families_of, rivals_of, search, without_weak
 from skat.effects import Effect
 from skat.simulators import MujocoSimulator, Simulator
@@ -60,16 +60,7 @@ def start_in_forces(
     model = Model({})
     sizes = priors_of(effects, typical, logarithmic=False).scales
     rows = rows_about(simulator, half, model, effects, sizes)
-    shares = shares_of(rows)
-    # What is typical of a drive may be far from what acts in this log.
-    units = np.array(
-        [
-            1.0
-            if effect.name in typical or effect.force_share is None or share <= SHOWN
-            else effect.force_share / share
-            for effect, share in zip(effects, shares)
-        ]
-    )
+    units = units_by(shares_of(rows), effects, typical)
     sizes = sizes * units
     rows = replace(rows, columns=rows.columns * units)
     # In units of the sizes.
