@@ -531,8 +531,10 @@ def derivatives(
         bent = is_bent(chains.transitions[places], chains.bends[places], known)
         for start in range(0, len(names) if bent.any() else 0, together):
             ends = {name: (wide or steps)[name] for name in names[start : start + together]}
-            found = _mean_derivatives(space, rows, values, ends, known, bent)
-            columns[bent, :, start : start + together] = found
+            centres = columns[bent, :, start : start + together]
+            columns[bent, :, start : start + together] = _mean_derivatives(
+                space, rows, values, ends, known, bent, centres
+            )
     columns[~linear.valid] = 0.0
     return columns
 
@@ -544,26 +546,44 @@ def _mean_derivatives(
     ends: Mapping[str, tuple[float, float]],
     known: Array,
     bent: Mask,
+    centres: Array,
 ) -> Array:
-    """Return derivatives by k parameters in bent rows, means over what is not known of where they start."""
+    """Return derivatives by k parameters in bent rows, means over what is not known of where they start.
+
+    What bends a row seldom bends what an effect does there. So pairs of points are added, until the standard error of
+    the mean, of pairs and of the derivative at the centre (n_bent, d, k), is a small share of it.
+    """
     simulator, units = space.simulator, space.spread
     candidates = [{**values, name: end} for name, both in ends.items() for end in both]
     past = simulator.past(rows, candidates, groups=space.groups).of(np.flatnonzero(bent))
-    roots = _roots(known[bent], units)
-    columns = np.empty((int(bent.sum()), space.d, len(ends)))
+    roots, rows = _roots(known[bent], units), rows[bent]
+    columns = np.empty_like(centres)
     for column, (first, last) in enumerate(ends.values()):
-        sums, numbers = np.zeros(columns.shape[:2]), np.zeros(len(columns))
         pair = 2 * column, 2 * column + 1
         own, before = [candidates[one] for one in pair], past.under(pair)
+        sums, numbers = np.zeros(columns.shape[:2]), np.zeros(len(rows))
+        seen = centres[:, :, column] / units
+        total, squares = seen.copy(), np.sum(seen**2, axis=1)
+        unsure = np.arange(len(rows))
         # Of one turn of the axes so many points are as good as any.
-        for point in normal_points(space.d, SLOPE_PAIRS)[:, :SLOPE_PAIRS].T:
-            for offset in (roots @ point, -roots @ point):
-                displaced = simulator.displace(rows[bent], offset)
-                low, high = simulator.predict_many(displaced, own, past=before)
-                fine = np.isfinite(low).all(axis=1) & np.isfinite(high).all(axis=1)
-                sums[fine] += simulator.residual(high[fine], low[fine])
-                numbers += fine
-        columns[:, :, column] = sums / np.maximum(numbers[:, None], 1) / (last - first)
+        for turn, point in enumerate(normal_points(space.d, SLOPE_PAIRS)[:, :SLOPE_PAIRS].T, 1):
+            offset, n = roots[unsure] @ point, len(unsure)
+            both = [simulator.displace(rows[unsure], one) for one in (offset, -offset)]
+            low, high = simulator.predict_many(np.concatenate(both), own, past=before.of(np.tile(unsure, 2)))
+            fine = np.isfinite(low).all(axis=1) & np.isfinite(high).all(axis=1)
+            slopes = np.zeros((2 * n, space.d))
+            slopes[fine] = simulator.residual(high[fine], low[fine]) / (last - first)
+            sums[unsure] += slopes[:n] + slopes[n:]
+            numbers[unsure] += fine[:n] * 1 + fine[n:]
+            seen = (slopes[:n] + slopes[n:]) / np.maximum(fine[:n] * 1 + fine[n:], 1)[:, None] / units
+            total[unsure] += seen
+            squares[unsure] += np.sum(seen**2, axis=1)
+            mean = np.sum((total[unsure] / (turn + 1)) ** 2, axis=1)
+            error = (squares[unsure] / (turn + 1) - mean) / turn
+            unsure = unsure[error > BENT**2 * mean]
+            if not len(unsure):
+                break
+        columns[:, :, column] = sums / np.maximum(numbers[:, None], 1)
     return columns
 
 

@@ -35,8 +35,9 @@ LINEAR_BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFI
 MAX_DELAY_IN_TRANSITIONS = 5
 # Of a servo's control, where the model does not limit it.
 LARGEST_OFFSET = 1.0
-# Of factors on what a servo feeds back.
+# Of factors on what a servo feeds back; and the error that no servo needs for its whole force, in m or rad: a turn.
 GAIN_BOUNDS = (0.02, 20.0)
+LARGEST_ERROR = (1.0, 2 * math.pi)
 # Simulating takes longer by the inverse of it. Reality has no step: a coarser bound would be an estimate's end.
 FINEST_TIMESTEP = 0.1
 # Families on joints: what edits the model (None: the stepping does it), and a typical speed, acceleration or angle that
@@ -469,7 +470,13 @@ def _actuator_effects(anatomy: Anatomy) -> Found:
     damped = [
         index for index in simple if _is_servo(model, index) and model.actuator_biasprm[index, 1:3].all()
     ]
-    yield from _each_and_all("kp", damped, name, GAIN_BOUNDS, edits.scale_stiffness_of_servo)
+    lows = [_softest(anatomy, index) for index in damped]
+    for index, low in zip(damped, lows):
+        edit = partial(edits.scale_stiffness_of_servo, (index,))
+        yield _factor(f"kp[{name(index)}]", low, GAIN_BOUNDS[1], edit), True
+    if damped:
+        edit = partial(edits.scale_stiffness_of_servo, tuple(damped))
+        yield _factor("kp[all]", max(lows), GAIN_BOUNDS[1], edit), len(damped) > 1
     yield from _velocity_gain_effects(
         anatomy, [index for index in simple if _has_velocity_gain(model, index)]
     )
@@ -480,6 +487,20 @@ def _actuator_effects(anatomy: Anatomy) -> Found:
             edit = partial(edits.offset_command, index)
             unit = _control_unit(anatomy, index)
             yield _effect("offset", name(index), (-limit, limit), edit, unit=unit), True
+
+
+def _softest(anatomy: Anatomy, actuator: int) -> float:
+    """Return the least factor on the position gain of a servo: a limit of its force tells how soft it may be."""
+    model, low = anatomy.model, GAIN_BOUNDS[0]
+    kind = (
+        anatomy.joint_kind(int(model.actuator_trnid[actuator, 0]))
+        if actuator in anatomy.joint_driven
+        else None
+    )
+    if kind not in (HINGE, SLIDE) or not model.actuator_forcelimited[actuator]:
+        return low
+    stiffness = abs(float(model.actuator_biasprm[actuator, 1])) * float(model.actuator_gear[actuator, 0]) ** 2
+    return min(low, anatomy.capacity(actuator) / (LARGEST_ERROR[kind == HINGE] * max(stiffness, 1e-9)))
 
 
 def _velocity_gain_effects(anatomy: Anatomy, actuators: Sequence[int]) -> Found:

@@ -171,6 +171,12 @@ class MujocoSimulator(Simulator):
         return {name: (float(low), float(high)) for name, limited, (low, high) in limits if limited}
 
     @property
+    def force_limits(self) -> dict[str, float]:
+        """Largest force of each motor that has a limit on the joint or tendon that it moves, N or N m, by its name."""
+        limited = np.flatnonzero(self._nominal.actuator_forcelimited)
+        return {self._actuator_names[index]: self._anatomy.capacity(int(index)) for index in limited}
+
+    @property
     def dt(self) -> float:  # type: ignore[override]
         """Duration of a transition, s."""
         return self.frame_skip * self.time_step

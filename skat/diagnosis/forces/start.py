@@ -8,8 +8,17 @@ import numpy as np
 from skat.diagnosis.evidence import Gram, Weigher
 from skat.diagnosis.fitting import priors_of
 from skat.diagnosis.forces.force_space import noise_beside
-from skat.diagnosis.forces.machines import UNSEEN, Model
-from skat.diagnosis.forces.motions import Log, half_of, rows_about, shares_of, units_by, with_friction
+from skat.diagnosis.forces.machines import MOTORS, UNSEEN, Model
+from skat.diagnosis.forces.motions import (
+    Half,
+    Log,
+    half_of,
+    lacking_forces,
+    rows_about,
+    shares_of,
+    units_by,
+    with_friction,
+)
 from skat.diagnosis.search import families_of, rivals_of, search, without_weak
 from skat.effects import Effect
 from skat.simulators import MujocoSimulator, Simulator
@@ -27,7 +36,8 @@ def start_in_forces(
 
     Far from the truth a simulation of the next row misleads: a light wrist without its friction accelerates by
     thousands of rad/s^2, and the cheapest way to explain that it does not is a motor that does nothing. The force that
-    inverse dynamics lack is linear in friction, damping, armature and gains, however much of them there is [1]_.
+    inverse dynamics lack is linear in friction, damping, armature and gains, however much of them there is [1]_. But a
+    motor's strength is the unit of what is lacking, and so must be about right.
 
     Parameters
     ----------
@@ -57,6 +67,53 @@ def start_in_forces(
         half = half_of(simulator, log, "")
     except ValueError:  # contacts, pieces that are too short, a free joint: where to begin is not known
         return {}
+    strengths = _strengths(simulator, half, effects)
+    if not strengths:
+        return _found(simulator, half, effects, typical, needed)
+    weaker, names = simulator.extended(strengths), {effect.name for effect in effects}
+    found = _found(
+        weaker,
+        half,
+        [effect for effect in weaker.effects(also="all") if effect.name in names],
+        typical,
+        needed,
+    )
+    return {**found, **{name: own * found.get(name, 1.0) for name, own in strengths.items()}}
+
+
+def _strengths(simulator: MujocoSimulator, half: Half, effects: Sequence[Effect]) -> dict[str, float]:
+    """Return factors of motors that would exert more than they may: with them they do at no time.
+
+    A servo that is far too stiff is at its limit all the time, and there no slope tells how stiff it is.
+    """
+    limits, names = simulator.force_limits, {effect.name for effect in effects}
+    motors = [
+        effect
+        for effect in effects
+        if effect.family in MOTORS
+        and effect.target in limits
+        and not (effect.family == "gain" and f"kp[{effect.target}]" in names)
+    ]
+    off = [float(np.clip(0.0, *effect.bounds)) for effect in motors]
+    forces = lacking_forces(
+        simulator, half, [Model({}), *(Model({effect.name: one}) for effect, one in zip(motors, off))]
+    )[:, :, : len(half.motion.slip)]
+    exerted = np.abs(forces[1:] - forces[0]).max(axis=(1, 2)) / (1 - np.array(off))
+    return {
+        effect.name: max(limits[str(effect.target)] / float(own), effect.bounds[0])
+        for effect, own in zip(motors, exerted)
+        if own > limits[str(effect.target)]
+    }
+
+
+def _found(
+    simulator: MujocoSimulator,
+    half: Half,
+    effects: Sequence[Effect],
+    typical: Mapping[str, float],
+    needed: float,
+) -> dict[str, float]:
+    """Return the set of effects that is worth most by the forces that a model lacks, and their values."""
     model = Model({})
     sizes = priors_of(effects, typical, logarithmic=False).scales
     rows = rows_about(simulator, half, model, effects, sizes)
