@@ -27,11 +27,12 @@ SMALL_FORCE = 1e-3
 SMALLEST_STEP = 1e-7
 # Outer points of Gauss and Hermite's rule of three, in standard deviations.
 OUTER = 3**0.5
-# A row is bent where what a line leaves has more than this share of the standard deviation of what is not known.
+# A row is bent where what a line leaves has more than this share of the standard deviation of what is not known. A mean
+# is known where its standard error is less than this share of it.
 BENT = 0.1
 # Pairs of points about the state of such a row, at least.
 PAIRS = 32
-# The same for slopes by effects.
+# The same for slopes by effects, at most.
 SLOPE_PAIRS = 8
 # A row from near which states end so many times their spread away has diverged, as contacts do: it has no slopes.
 FAR = 1e3
@@ -550,40 +551,36 @@ def _mean_derivatives(
 ) -> Array:
     """Return derivatives by k parameters in bent rows, means over what is not known of where they start.
 
-    What bends a row seldom bends what an effect does there. So pairs of points are added, until the standard error of
-    the mean, of pairs and of the derivative at the centre (n_bent, d, k), is a small share of it.
+    What bends a row seldom bends what an effect does there: pairs of points are added until the standard error of the
+    mean, of them and of the derivative at the centre (n_bent, d, k), is a small share of it.
     """
     simulator, units = space.simulator, space.spread
     candidates = [{**values, name: end} for name, both in ends.items() for end in both]
     past = simulator.past(rows, candidates, groups=space.groups).of(np.flatnonzero(bent))
     roots, rows = _roots(known[bent], units), rows[bent]
+    # Of one turn of the axes so many points are as good as any.
+    points = normal_points(space.d, SLOPE_PAIRS)[:, :SLOPE_PAIRS].T
     columns = np.empty_like(centres)
     for column, (first, last) in enumerate(ends.values()):
         pair = 2 * column, 2 * column + 1
         own, before = [candidates[one] for one in pair], past.under(pair)
-        sums, numbers = np.zeros(columns.shape[:2]), np.zeros(len(rows))
-        seen = centres[:, :, column] / units
-        total, squares = seen.copy(), np.sum(seen**2, axis=1)
+        found = np.full((1 + len(points), *centres.shape[:2]), np.nan)
+        found[0] = centres[:, :, column]
         unsure = np.arange(len(rows))
-        # Of one turn of the axes so many points are as good as any.
-        for turn, point in enumerate(normal_points(space.d, SLOPE_PAIRS)[:, :SLOPE_PAIRS].T, 1):
-            offset, n = roots[unsure] @ point, len(unsure)
-            both = [simulator.displace(rows[unsure], one) for one in (offset, -offset)]
-            low, high = simulator.predict_many(np.concatenate(both), own, past=before.of(np.tile(unsure, 2)))
+        for turn, point in enumerate(points, 1):
+            offsets, copies = roots[unsure] @ point, np.tile(unsure, 2)
+            displaced = simulator.displace(rows[copies], np.concatenate([offsets, -offsets]))
+            low, high = simulator.predict_many(displaced, own, past=before.of(copies))
             fine = np.isfinite(low).all(axis=1) & np.isfinite(high).all(axis=1)
-            slopes = np.zeros((2 * n, space.d))
+            slopes = found[0, copies]
             slopes[fine] = simulator.residual(high[fine], low[fine]) / (last - first)
-            sums[unsure] += slopes[:n] + slopes[n:]
-            numbers[unsure] += fine[:n] * 1 + fine[n:]
-            seen = (slopes[:n] + slopes[n:]) / np.maximum(fine[:n] * 1 + fine[n:], 1)[:, None] / units
-            total[unsure] += seen
-            squares[unsure] += np.sum(seen**2, axis=1)
-            mean = np.sum((total[unsure] / (turn + 1)) ** 2, axis=1)
-            error = (squares[unsure] / (turn + 1) - mean) / turn
-            unsure = unsure[error > BENT**2 * mean]
+            found[turn, unsure] = slopes.reshape(2, len(unsure), -1).mean(axis=0)
+            until = found[: turn + 1, unsure] / units
+            errors = until.var(axis=0, ddof=1) / (turn + 1)
+            unsure = unsure[errors.sum(axis=1) > BENT**2 * np.sum(until.mean(axis=0) ** 2, axis=1)]
             if not len(unsure):
                 break
-        columns[:, :, column] = sums / np.maximum(numbers[:, None], 1)
+        columns[:, :, column] = np.nanmean(found[1:], axis=0)
     return columns
 
 

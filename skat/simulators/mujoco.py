@@ -172,9 +172,13 @@ class MujocoSimulator(Simulator):
 
     @property
     def force_limits(self) -> dict[str, float]:
-        """Largest force of each motor that has a limit on the joint or tendon that it moves, N or N m, by its name."""
-        limited = np.flatnonzero(self._nominal.actuator_forcelimited)
-        return {self._actuator_names[index]: self._anatomy.capacity(int(index)) for index in limited}
+        """Largest force on its joint of each motor of a joint that has a limit, N or N m, by the motor's name."""
+        limited, names = self._nominal.actuator_forcelimited, self._actuator_names
+        return {
+            names[index]: self._anatomy.capacity(index)
+            for index in self._anatomy.joint_driven
+            if limited[index]
+        }
 
     @property
     def dt(self) -> float:  # type: ignore[override]

@@ -262,6 +262,32 @@ def test_where_a_row_is_bent_a_slope_by_an_effect_is_the_mean_one(d):
     np.testing.assert_array_equal(wide[1::2], means[1::2])
 
 
+def test_mean_slopes_end_where_they_are_known():
+    """Of k max(-x, 0) + push at a kink: by k all eight pairs of points are asked, by the push one."""
+    asked = []
+
+    def step(X, wall=4.0, push=0.0):
+        asked.append((wall, push, len(X)))
+        return X[:, :1] + wall * np.maximum(-X[:, :1], 0) + push
+
+    effects = (
+        Effect("wall", unit="1", neutral=4.0, bounds=(0.0, 9.0)),
+        Effect("push", unit="1", neutral=0.0, bounds=(-1.0, 1.0)),
+    )
+    simulator = FunctionSimulator(
+        step, input_names=("s", "u"), output_names=("s",), state_names=("s",), effects=effects, dt=DT
+    )
+    X = np.zeros((30, 2))
+    X[1::2, 0] = 3.0  # far from the kink
+    space = state_space(simulator, X, step(X), np.arange(30), consecutive=False)
+    covariances = np.full((30, 2, 1, 1), 0.01)
+    linear = linearise(space, space.measured, {}, covariances)
+    asked.clear()
+    derivatives(space, linear, {}, {"wall": (3.5, 4.5), "push": (-0.1, 0.1)}, covariances[:, 0])
+    rows = [sum(n for *values, n in asked if values == one) for one in ([3.5, 0.0], [4.0, 0.1])]
+    assert rows == [30 + 8 * 2 * 15, 30 + 2 * 15]
+
+
 def test_a_correlated_law_has_the_slopes_of_a_linear_step():
     A = np.array([[0.9, 0.2], [-0.3, 0.7]])
     X, y, groups = logged([8])

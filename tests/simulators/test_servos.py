@@ -155,6 +155,18 @@ def test_velocity_gain_is_listed_where_damping_does_not_do_the_same():
     assert listed(SERVO_ARM) == dict.fromkeys(both, (0.02, 20.0))
 
 
+def test_a_limited_servo_may_be_so_soft_that_a_whole_turn_takes_its_whole_force():
+    def lowest(text):
+        return {one.target: one.bounds[0] for one in MujocoSimulator(text).effects() if one.family == "kp"}
+
+    stiff = changed(SERVO_ARM, ('kp="80"', 'kp="8000"'))
+    force = float(MujocoSimulator(stiff).compiled().actuator("bend").forcerange[1])
+    assert lowest(stiff)["bend"] == pytest.approx(force / (2 * np.pi * 8000))
+    assert lowest(stiff)["all"] == 0.02  # of all servos what the least soft may be
+    # Of one whose force has no limit nobody knows how soft it may be; nor does a limit hold a soft one.
+    assert set(lowest(without_limits(stiff)).values()) == set(lowest(SERVO_ARM).values()) == {0.02}
+
+
 def test_servos_without_velocity_feedback_of_their_own_have_no_velocity_gain():
     passive = '<general name="bend" joint="elbow" biastype="affine" gainprm="0" biasprm="0 0 -4" forcerange="-9 9"/>'
     bend = '<position name="bend" joint="elbow" kp="80" kv="4" ctrlrange="-2 2" forcerange="-30 30"/>'

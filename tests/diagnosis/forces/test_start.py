@@ -61,6 +61,45 @@ def test_friction_of_a_light_wheel_is_told_beside_its_rotor():
     assert start == pytest.approx(truth, rel=0.3)
 
 
+def servos(kp, forces="-1 1"):
+    """Return the arm with servos of so much stiffness (N m/rad) and a velocity gain of .1 N m s/rad."""
+    motors = '<motor name="shoulder" joint="shoulder"/><motor name="elbow" joint="elbow"/>'
+    return ARM.replace(
+        motors,
+        "".join(
+            f'<position name="{joint}" joint="{joint}" kp="{kp}" kv=".1" forcerange="{forces}"/>'
+            for joint in JOINTS
+        ),
+    )
+
+
+def servo_log(kp, rows=1200):
+    """Return (X, y, groups) of such an arm with dry friction, rows of 10 ms."""
+    model, rng = mujoco.MjModel.from_xml_string(servos(kp)), np.random.default_rng(0)
+    model.dof_frictionloss[:] = FRICTION
+    data, states = mujoco.MjData(model), []
+    commands = 0.6 * np.sin(0.03 * np.arange(rows + 1)[:, None] * [1.0, 1.7] + [0.0, 1.0])
+    for command in commands:
+        states.append(np.r_[data.qpos, data.qvel])
+        data.ctrl[:] = command
+        mujoco.mj_step(model, data, 5)
+    states = np.array(states) + 0.0005 * rng.normal(size=(rows + 1, 4)) * [1, 1, 10, 10]
+    return np.column_stack([states[:-1], commands[:-1]]), states[1:], np.zeros(rows, dtype=int)
+
+
+def test_servos_fifty_times_too_stiff_begin_where_they_are_not_at_their_limits():
+    start = started(MujocoSimulator(servos(200.0), frame_skip=5), servo_log(4.0))
+    assert start["kp[shoulder]"] * 200 == pytest.approx(4.0, rel=0.25)
+    assert start["kp[elbow]"] * 200 == pytest.approx(4.0, rel=0.25)
+    assert start["dry_friction[shoulder]"] == pytest.approx(FRICTION[0], rel=0.5)
+
+
+def test_servos_that_are_never_at_their_limits_begin_where_the_model_has_them():
+    start = started(MujocoSimulator(servos(4.4, "-9 9"), frame_skip=5), servo_log(4.0))
+    assert start["kp[all]"] * 4.4 == pytest.approx(4.0, rel=0.05)
+    assert start["dry_friction[shoulder]"] == pytest.approx(FRICTION[0], rel=0.1)
+
+
 def test_a_typical_size_of_a_user_s_own_holds_a_value(simulator):
     log = log_of(3, damping=(0.1, 0.0), noise=0.0005)
     assert "damping[shoulder]" in started(simulator, log)
