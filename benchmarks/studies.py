@@ -622,6 +622,11 @@ def so101(kept):
         simulator, diagnosis.extended_simulator_, mjcf, parameters, others, tested, 10, measure="mean",
         models={BAM: (bam_mjcf, bam_parameters)},
     )  # fmt: skip
+    stiffness = {
+        who: [one["kp, N m/rad"] for one in found["joints"][who].values()] for who in found["joints"]
+    }
+    nominal, force = max(stiffness["nominal"]), max(simulator.force_limits.values())
+    softer = sorted(nominal / one for one in stiffness["least squares"])
     return {
         **found,
         **asked(diagnosis, cost),
@@ -630,6 +635,11 @@ def so101(kept):
             "n_asked": str(len(effects)),
             "n_effects": str(len(simulator.effects())),
             "bam": study_pages.shown(1e3 * found["errors"][BAM]),
+            "kp": study_pages.shown(nominal),
+            "force": study_pages.shown(force),
+            "full_force_error": study_pages.shown(1e3 * force / nominal),
+            "least_softer": study_pages.shown(softer[0], 2),
+            "most_softer": study_pages.shown(softer[-1], 2),
         },
         "shown": {"joints": joints[1:4], "seconds": 10.0},
     }
