@@ -625,7 +625,7 @@ def so101(kept):
     stiffness = {
         who: [one["kp, N m/rad"] for one in found["joints"][who].values()] for who in found["joints"]
     }
-    nominal, force = max(stiffness["nominal"]), max(simulator.force_limits.values())
+    nominal, force = max(stiffness["nominal"]), max(simulator.servo_limits.values())
     softer = sorted(nominal / one for one in stiffness["least squares"])
     return {
         **found,

@@ -171,9 +171,9 @@ class MujocoSimulator(Simulator):
         return {name: (float(low), float(high)) for name, limited, (low, high) in limits if limited}
 
     @property
-    def force_limits(self) -> dict[str, float]:
-        """Largest force on its joint of each motor of a joint that has a limit, N or N m, by the motor's name."""
-        limited, names = self._nominal.actuator_forcelimited, self._actuator_names
+    def servo_limits(self) -> dict[str, float]:
+        """Largest force on its joint of each servo that has a limit, N or N m, by the servo's name."""
+        limited, names = self._nominal.actuator_forcelimited & self._feeds_back, self._actuator_names
         return {
             names[index]: self._anatomy.capacity(index)
             for index in self._anatomy.joint_driven

@@ -26,7 +26,7 @@ def arm():
 def test_angles_limits_and_steps_are_those_of_the_model(arm):
     assert arm.angle_names == ("qpos.lift", "qvel.lift")
     assert arm.command_limits == {"ctrl.m": (-2.0, 3.0)}
-    assert arm.force_limits == {"m": 1.0}
+    assert arm.servo_limits == {}  # the motor is limited, the servo is not
     assert (arm.time_step, arm.dt) == (0.004, pytest.approx(0.02))
     assert arm.units == {"qpos.lift": "rad", "qpos.slide": "m", "qvel.lift": "rad/s", "qvel.slide": "m/s"}
     assert arm.residual_names == arm.state_names == arm.output_names

@@ -161,6 +161,7 @@ def test_a_limited_servo_may_be_so_soft_that_a_whole_turn_takes_its_whole_force(
 
     stiff = changed(SERVO_ARM, ('kp="80"', 'kp="8000"'))
     force = float(MujocoSimulator(stiff).compiled().actuator("bend").forcerange[1])
+    assert MujocoSimulator(stiff).servo_limits["bend"] == force
     assert lowest(stiff)["bend"] == pytest.approx(force / (2 * np.pi * 8000))
     assert lowest(stiff)["all"] == 0.02  # of all servos what the least soft may be
     # Of one whose force has no limit nobody knows how soft it may be; nor does a limit hold a soft one.

@@ -37,7 +37,8 @@ def start_in_forces(
     Far from the truth a simulation of the next row misleads: a light wrist without its friction accelerates by
     thousands of rad/s^2, and the cheapest way to explain that it does not is a motor that does nothing. The force that
     inverse dynamics lack is linear in friction, damping, armature and gains, however much of them there is [1]_. But a
-    motor's strength is the unit of what is lacking, and so must be about right.
+    motor's strength is the unit of what is lacking, and so must be about right: servos that would be at their limits
+    are first made softer.
 
     Parameters
     ----------
@@ -70,39 +71,42 @@ def start_in_forces(
     strengths = _strengths(simulator, half, effects)
     if not strengths:
         return _found(simulator, half, effects, typical, needed)
-    weaker, names = simulator.extended(strengths), {effect.name for effect in effects}
-    found = _found(
-        weaker,
-        half,
-        [effect for effect in weaker.effects(also="all") if effect.name in names],
-        typical,
-        needed,
-    )
+    weaker, rivals = simulator.extended(strengths), rivals_of(effects)
+    # Of a family whose members have factors of their own none stands for all.
+    names = {
+        effect.name
+        for place, effect in enumerate(effects)
+        if not any(effects[other].name in strengths for other in rivals.get(place, ()))
+    }
+    some = [effect for effect in weaker.effects(also="all") if effect.name in names]
+    found = _found(weaker, half, some, typical, needed)
     return {**found, **{name: own * found.get(name, 1.0) for name, own in strengths.items()}}
 
 
 def _strengths(simulator: MujocoSimulator, half: Half, effects: Sequence[Effect]) -> dict[str, float]:
-    """Return factors of motors that would exert more than they may: with them they do at no time.
+    """Return factors of servos that would exert more than they may: with them they do at no time.
 
     A servo that is far too stiff is at its limit all the time, and there no slope tells how stiff it is.
     """
-    limits, names = simulator.force_limits, {effect.name for effect in effects}
-    motors = [
+    limits, names = simulator.servo_limits, {effect.name for effect in effects}
+    servos = [
         effect
         for effect in effects
         if effect.family in MOTORS
         and effect.target in limits
         and not (effect.family == "gain" and f"kp[{effect.target}]" in names)
     ]
-    off = [float(np.clip(0.0, *effect.bounds)) for effect in motors]
-    forces = lacking_forces(
-        simulator, half, [Model({}), *(Model({effect.name: one}) for effect, one in zip(motors, off))]
-    )[:, :, : len(half.motion.slip)]
-    exerted = np.abs(forces[1:] - forces[0]).max(axis=(1, 2)) / (1 - np.array(off))
+    if not servos:
+        return {}
+    most = np.array([limits[str(effect.target)] for effect in servos])
+    off = np.array([np.clip(0.0, *effect.bounds) for effect in servos])
+    models = [Model({}), *(Model({effect.name: float(one)}) for effect, one in zip(servos, off))]
+    forces = lacking_forces(simulator, half, models)[:, :, : len(half.motion.slip)]
+    exerted = np.abs(forces[1:] - forces[0]).max(axis=(1, 2)) / (1 - off)
     return {
-        effect.name: max(limits[str(effect.target)] / float(own), effect.bounds[0])
-        for effect, own in zip(motors, exerted)
-        if own > limits[str(effect.target)]
+        effect.name: max(float(share), effect.bounds[0])
+        for effect, share in zip(servos, most / np.maximum(exerted, most))
+        if share < 1
     }
 
 

@@ -91,6 +91,7 @@ def test_servos_fifty_times_too_stiff_begin_where_they_are_not_at_their_limits()
     start = started(MujocoSimulator(servos(200.0), frame_skip=5), servo_log(4.0))
     assert start["kp[shoulder]"] * 200 == pytest.approx(4.0, rel=0.25)
     assert start["kp[elbow]"] * 200 == pytest.approx(4.0, rel=0.25)
+    assert "kp[all]" not in start
     assert start["dry_friction[shoulder]"] == pytest.approx(FRICTION[0], rel=0.5)
 
 
