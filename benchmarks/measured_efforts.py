@@ -6,8 +6,8 @@ answers to friction within a row is in the efforts of the row::
     python benchmarks/measured_efforts.py --cut
     python benchmarks/measured_efforts.py --cases "machine"     # see tables.py for the rest
 
-Asked with ``actions="measured"`` of what every machine has and its model lacks (all frictions, or all and rotors, and in
-half of the logs a mass or a torque constant besides), of single causes, and of nothing.
+Asked with ``actions="measured"`` of what every machine has and its model lacks (all frictions, or all and rotors, and
+in half of the logs a mass or a torque constant besides), of single causes, and of nothing.
 """
 
 import mujoco
