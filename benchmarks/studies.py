@@ -305,7 +305,6 @@ def each_joint_s(simulator, families):
     return [one.name for one in simulator.effects() if one.family in families and one.target != "all"]
 
 
-# Asked about all effects, its first turn had not ended after nine minutes.
 UR10_FAMILIES = ("dry_friction", "damping", "armature", "gain")
 
 
@@ -314,13 +313,13 @@ def _rows(log, first, last):
 
 
 def ur10(kept):
-    """An industrial arm whose bag holds motor currents: a first look at two thirds, tested on the last third."""
+    """An industrial arm whose bag holds what its motors exerted: two thirds are fitted, the last third is tested."""
     log, simulator = datasets.fetch_ur10(), make_simulator("ur10")
     n = len(log.data)
     part = partial(_rows, log)
     effects = each_joint_s(simulator, UR10_FAMILIES)
     given = part(0, 2 * n // 3)
-    diagnosis, cost = kept.diagnosis("ur10_quick", simulator, *given, effects=effects, quick=True)
+    diagnosis, cost = kept.diagnosis("ur10_measured", simulator, *given, effects=effects, actions="measured")
     cut = partial(open_loop.stretches_of, n_joints=6, n_rows=31)
     fitted, tested = cut(*given), cut(*part(2 * n // 3, n))
     mjcf, _ = exported(simulator)
@@ -333,7 +332,7 @@ def ur10(kept):
     ]
     others = peers(kept, "ur10", mjcf, parameters, fitted, 4)
     found = compared(simulator, diagnosis.extended_simulator_, mjcf, parameters, others, tested, 4)
-    found["efforts"] = kept.answer("ur10_efforts", partial(_ur10_efforts, log, diagnosis, mjcf))
+    found["efforts"] = kept.answer("ur10_efforts_measured", partial(_ur10_efforts, log, diagnosis, mjcf))
     return {
         **found,
         **asked(diagnosis, cost),

@@ -89,6 +89,14 @@ class Velocities(StrEnum):
     computed = "computed"
 
 
+class Actions(StrEnum):
+    """What the actions of a log are."""
+
+    auto = "auto"
+    commanded = "commanded"
+    measured = "measured"
+
+
 Jobs = Annotated[int | None, typer.Option(help="Processes to use; -1: one per core.")]
 
 
@@ -118,6 +126,12 @@ def diagnose(
             help="Whether velocities were measured, or computed from positions and so measure nothing; auto tells."
         ),
     ] = Velocities.auto,
+    actions: Annotated[
+        Actions,
+        typer.Option(
+            help="Whether motors were told the actions, or were measured to exert them; auto: a JointState's efforts."
+        ),
+    ] = Actions.auto,
     quick: Annotated[
         bool, typer.Option("--quick", help="Take a first look, at a few rows; it says less.")
     ] = False,
@@ -175,7 +189,7 @@ def diagnose(
             asked: dict[str, Any] = dict(
                 effects=effect or "all", hidden=tuple(hidden or ()), velocities=velocities.value
             )
-            asked |= dict(quick=quick, alpha=alpha, max_effects=max_effects, test_size=test_size)
+            asked |= dict(actions=actions.value, quick=quick, alpha=alpha, max_effects=max_effects, test_size=test_size)
             diagnose_fleet(
                 log, simulator, table, robots, reading, asked | dict(random_state=seed), jobs, force
             )
@@ -196,6 +210,7 @@ def diagnose(
                 effects=effect or "all",
                 hidden=hidden or (),
                 velocities=velocities.value,
+                actions=actions.value,
                 quick=quick,
                 alpha=alpha,
                 max_effects=max_effects,

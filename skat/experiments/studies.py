@@ -312,6 +312,8 @@ def study_log(
             "have. Leave these channels out of the first log as well (--map 'NAME=-')."
         )
     floor = log.floor
+    if parameters.get("actions", "auto") == "auto":
+        parameters["actions"] = log.actions
     log, parameters = _complete(log, parameters)
     if test is not None:
         fit, (test, _) = log, _complete(test, parameters)

@@ -239,6 +239,8 @@ def _diagnosed(
     floor = None
     if isinstance(log, Log):
         floor, simulator = log.floor, log.simulator
+        if parameters.get("actions", "auto") == "auto":
+            parameters = {**parameters, "actions": log.actions}
         log = log.X, log.y, log.groups
     diagnosis = SimulationDiagnosis(simulator, **parameters).fit(*log, floor=floor)
     gram, best, priors = diagnosis._found.gram, diagnosis._found.best, diagnosis._found.priors

@@ -432,6 +432,7 @@ def _settings(diagnosis: Any, log: Log) -> tuple[tuple[str, str], ...]:
         "Inputs": ", ".join(simulator.input_names),
         "Outputs": ", ".join(simulator.output_names),
         "Not measured": ", ".join(one for one in unmeasured if one not in diagnosis.computed_velocities_),
+        "Actions": "efforts that were measured" if diagnosis.actions_ == "measured" else "",
         "Computed from positions": ", ".join(diagnosis.computed_velocities_),
         "Smoothed, and made what was read": "" if smoothing is None else smoothing.sentence(simulator),
         "Effects considered": f"{len(diagnosis.identifiability_)}"

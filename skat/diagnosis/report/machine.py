@@ -70,6 +70,7 @@ def findings_as_data(
             for name, row in diagnosis.noise_of_logs_.iterrows()
         ],
         "agreement": None if diagnosis.agreement_ is None else diagnosis.agreement_.to_dict("records"),
+        "actions": diagnosis.actions_,
         "computed_velocities": diagnosis.computed_velocities_,
         "smoothing": None if diagnosis.smoothing_ is None else _fields(diagnosis.smoothing_),
         "remainder": [_left(part) for part in diagnosis.remainder_.parts],
