@@ -189,7 +189,9 @@ def diagnose(
             asked: dict[str, Any] = dict(
                 effects=effect or "all", hidden=tuple(hidden or ()), velocities=velocities.value
             )
-            asked |= dict(actions=actions.value, quick=quick, alpha=alpha, max_effects=max_effects, test_size=test_size)
+            asked |= dict(
+                actions=actions.value, quick=quick, alpha=alpha, max_effects=max_effects, test_size=test_size
+            )
             diagnose_fleet(
                 log, simulator, table, robots, reading, asked | dict(random_state=seed), jobs, force
             )

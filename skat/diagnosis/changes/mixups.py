@@ -130,7 +130,10 @@ def _mixed_up(simulator: MujocoSimulator, half: Half) -> list[tuple[str, Half]]:
     for index, name in enumerate(joints):
         signs = np.where(np.arange(nv) == index, -1.0, 1.0)
         turned = replace(
-            motion, states=motion.states * np.tile(signs, 2), accelerations=motion.accelerations * signs
+            motion,
+            states=motion.states * np.tile(signs, 2),
+            accelerations=motion.accelerations * signs,
+            velocities=motion.velocities * signs,
         )
         found.append(
             (f"{name} has its sign turned", replace(half, motion=turned, speeds=half.speeds * signs))
@@ -146,6 +149,7 @@ def _mixed_up(simulator: MujocoSimulator, half: Half) -> list[tuple[str, Half]]:
                 motion,
                 states=motion.states[:, np.r_[order, order + nv]],
                 accelerations=motion.accelerations[:, order],
+                velocities=motion.velocities[..., order],
                 cutoff=np.minimum(motion.cutoff, motion.cutoff[order]),
             )
             found.append(

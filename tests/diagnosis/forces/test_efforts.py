@@ -1,4 +1,4 @@
-"""Efforts that were measured, of an arm whose controller is faster than its log: causes, when they were read, errors."""
+"""Measured efforts of an arm whose controller is faster than its log: causes, when they were read, errors."""
 
 import mujoco
 import numpy as np
@@ -31,7 +31,10 @@ def closed_loop(truth, *, gain=(1.0, 1.0), rows=600, seed=0, early=0):
     ticks, states, torques = SUBSTEPS * FINER, [], []
     for tick in range(ticks * rows + ticks):
         time = tick * real.opt.timestep
-        target, rate = 0.4 * np.sin(omega * time + phase).sum(0), 0.4 * (omega * np.cos(omega * time + phase)).sum(0)
+        target, rate = (
+            0.4 * np.sin(omega * time + phase).sum(0),
+            0.4 * (omega * np.cos(omega * time + phase)).sum(0),
+        )
         if tick == 0:
             data.qpos[:], data.qvel[:] = target, rate
         helper.qpos[:], helper.qvel[:] = data.qpos, 0
@@ -78,7 +81,7 @@ def test_all_that_brakes_the_joints_is_named_and_covered(answer):
     assert answer.actions_ == "measured"
 
 
-@pytest.mark.parametrize("early", (0, -25))
+@pytest.mark.parametrize("early", [0, -25])
 def test_nothing_is_named_of_a_right_model_whenever_efforts_were_read(simulator, early):
     diagnosis = asked(simulator, closed_loop({}, early=early))
     assert diagnosis.causes_ == []
@@ -127,7 +130,7 @@ def test_a_saved_answer_is_the_same(answer, tmp_path):
     assert loaded.remainder_.evidence == answer.remainder_.evidence
 
 
-@pytest.mark.parametrize("actions", ("torque", None))
+@pytest.mark.parametrize("actions", ["torque", None])
 def test_an_unknown_word_for_actions_is_an_error(simulator, actions):
     with pytest.raises(ValueError, match="auto, commanded, measured"):
         asked(simulator, closed_loop({}, rows=50), actions=actions)
@@ -139,7 +142,7 @@ def test_servos_and_functions_have_no_measured_efforts(simulator):
     with pytest.raises(ValueError, match=r"servos, which take targets.*actions='commanded'"):
         asked(MujocoSimulator(servos, frame_skip=SUBSTEPS), log)
     function = FunctionSimulator(
-        lambda X: X[:, :4],
+        lambda X, drag: X[:, :4],
         input_names=simulator.input_names,
         output_names=simulator.output_names,
         state_names=simulator.state_names,

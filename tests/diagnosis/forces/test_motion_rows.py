@@ -178,8 +178,8 @@ def test_of_a_long_log_stretches_from_all_over_it_are_compared(monkeypatch):
 def motion_of(stretches, cutoff, duration=0.05):
     n = len(stretches)
     return Motion(
-        np.zeros((n, 4)), np.zeros((n, 2)), np.zeros((n, 2)), np.zeros(n, int), np.arange(n)[:, None],
-        np.asarray(stretches), duration, np.zeros(2), np.asarray(cutoff),
+        np.zeros((n, 4)), np.zeros((n, 2)), np.zeros((n, 2, 2)), np.zeros((n, 2)), np.zeros(n, int),
+        np.arange(n)[:, None], np.asarray(stretches), duration, np.zeros(2), np.asarray(cutoff),
     )  # fmt: skip
 
 
@@ -241,26 +241,27 @@ def test_a_curve_of_variances_is_the_likeliest():
 def a_half(seed=0):
     rng = np.random.default_rng(seed)
     motion = Motion(
-        rng.normal(size=(6, 4)), rng.normal(size=(6, 2)), rng.normal(size=(12, 2)), np.zeros(12, int),
-        np.arange(12).reshape(6, 2), np.zeros(6, int), 0.1, np.ones(2), np.array([3.0, 5.0]),
+        rng.normal(size=(6, 4)), rng.normal(size=(6, 2)), rng.normal(size=(6, 3, 2)), rng.normal(size=(12, 2)),
+        np.zeros(12, int), np.arange(12).reshape(6, 2), np.zeros(6, int), 0.1, np.ones(2), np.array([3.0, 5.0]),
     )  # fmt: skip
     return Half(motion, rng.normal(size=(6, 2)))
 
 
 def parts(half):
     motion = half.motion
-    return np.column_stack([motion.states, motion.accelerations, half.speeds]), motion.commands
+    velocities = motion.velocities.mean(axis=1)
+    return np.column_stack([motion.states, motion.accelerations, velocities, half.speeds]), motion.commands
 
 
 def test_columns_may_have_their_sign_turned_or_be_in_each_other_s_place():
     half, both = a_half(), parts(a_half())
     expected = {
-        "ctrl.a has its sign turned": ([0, 1, 2, 3, 4, 5, 6, 7], np.ones(8), [0, 1], [-1, 1]),
-        "ctrl.b has its sign turned": ([0, 1, 2, 3, 4, 5, 6, 7], np.ones(8), [0, 1], [1, -1]),
-        "qpos.a has its sign turned": ([0, 1, 2, 3, 4, 5, 6, 7], np.tile([-1, 1], 4), [0, 1], [1, 1]),
-        "qpos.b has its sign turned": ([0, 1, 2, 3, 4, 5, 6, 7], np.tile([1, -1], 4), [0, 1], [1, 1]),
-        "ctrl.a and ctrl.b are swapped": ([0, 1, 2, 3, 4, 5, 6, 7], np.ones(8), [1, 0], [1, 1]),
-        "qpos.a and qpos.b are swapped": ([1, 0, 3, 2, 5, 4, 7, 6], np.ones(8), [0, 1], [1, 1]),
+        "ctrl.a has its sign turned": (list(range(10)), np.ones(10), [0, 1], [-1, 1]),
+        "ctrl.b has its sign turned": (list(range(10)), np.ones(10), [0, 1], [1, -1]),
+        "qpos.a has its sign turned": (list(range(10)), np.tile([-1, 1], 5), [0, 1], [1, 1]),
+        "qpos.b has its sign turned": (list(range(10)), np.tile([1, -1], 5), [0, 1], [1, 1]),
+        "ctrl.a and ctrl.b are swapped": (list(range(10)), np.ones(10), [1, 0], [1, 1]),
+        "qpos.a and qpos.b are swapped": ([1, 0, 3, 2, 5, 4, 7, 6, 9, 8], np.ones(10), [0, 1], [1, 1]),
     }
     found = _mixed_up(machine(), half)
     assert [name for name, _ in found] == list(expected)

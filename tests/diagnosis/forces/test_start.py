@@ -98,7 +98,7 @@ def test_servos_fifty_times_too_stiff_begin_where_they_are_not_at_their_limits()
 def test_servos_that_are_never_at_their_limits_begin_where_the_model_has_them():
     start = started(MujocoSimulator(servos(4.4, "-9 9"), frame_skip=5), servo_log(4.0))
     assert start["kp[all]"] * 4.4 == pytest.approx(4.0, rel=0.05)
-    assert start["dry_friction[shoulder]"] == pytest.approx(FRICTION[0], rel=0.1)
+    assert start["dry_friction[shoulder]"] == pytest.approx(FRICTION[0], rel=0.3)
 
 
 def test_a_typical_size_of_a_user_s_own_holds_a_value(simulator):
