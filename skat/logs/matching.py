@@ -158,11 +158,16 @@ def _are_measured(
     recording: Recording,
 ) -> bool:
     """Whether all commands are efforts of a topic that holds positions, as a ``JointState`` does: what was measured."""
-    efforts = [found[name] for name in inputs.kinds["ctrl"] if name in found]
+    driven = [name for name in inputs.kinds["ctrl"] if name in found]
+    efforts = [found[name] for name in driven if inputs.servos.get(name) == "effort"]
     places = {found[name][0] for name in inputs.kinds["qpos"] if name in found}
-    return bool(efforts) and all(
-        recording.streams[stream].name and stream in places and known[column].said.kind == "effort"
-        for stream, column, _ in efforts
+    return (
+        bool(efforts)
+        and len(efforts) == len(driven)
+        and all(
+            recording.streams[stream].name and stream in places and known[column].said.kind == "effort"
+            for stream, column, _ in efforts
+        )
     )
 
 
