@@ -570,7 +570,7 @@ FITTED_MOTIONS = {
 }
 TESTED_MOTIONS = ("pick_place", "prbs_excitation", "single_joint_elbow", "step_response", "velocity_ramp")
 BAM = "BAM's M1, gain and delay"
-SO101_ROWS = 120
+SO101_ROWS = 300
 # Asked about all effects of the model, its first fit had not ended after eight minutes.
 SO101_FAMILIES = ("dry_friction", "armature", "kp", "kv", "offset")
 
