@@ -27,9 +27,10 @@ from skat.diagnosis.fitting import Fitted, Known, coordinate, first_fit, hits, v
 from skat.diagnosis.forces.efforts import causes_of_efforts
 from skat.diagnosis.forces.start import start_in_forces
 from skat.diagnosis.identifiability import identifiability, preflight
-from skat.diagnosis.log import Log, check_log, check_matrix, put_together, tangent_variances, without_channels
+from skat.diagnosis.log import Log, check_log, check_matrix, without_channels
 from skat.diagnosis.posterior import Posterior
 from skat.diagnosis.prediction import Prediction, horizon_rows, open_loop_gain, predicted
+from skat.diagnosis.reading import read_logs
 from skat.diagnosis.remainder import Remainder, find_remainder, is_unexplained
 from skat.diagnosis.report.from_diagnosis import DiagnosisReport
 from skat.diagnosis.saving import Begun, Checkpoint, read_diagnosis, write_diagnosis
@@ -224,8 +225,9 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         self._check_parameters()
         effects = self._chosen_effects()
         random_state = check_random_state(self.random_state)
-        log, least = self._checked(X, y, groups, floor)
-        log = without_channels(self.simulator, log, self.hidden)
+        given = read_logs(self.simulator, X, y, groups, floor, self.actions)
+        least, self.actions_ = given.least, given.actions
+        log = without_channels(self.simulator, given.log, self.hidden)
         warn_of_doubts(self.simulator, log)
         log = self._as_read(self._without_computed(log), effects, least, progress)
         self.n_features_in_ = log.X.shape[1]
@@ -243,8 +245,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         self._chain_length = 1 if hits(whole) else CHAIN_LENGTH
         space = self._space(fitted, chain_length=1) if self._chain_length == 1 else whole
         least = least + _rounding(whole)
-        given = self._given_deviations()
-        known = Known(least, given)
+        known = Known(least, self._given_deviations())
         asked: dict[str, Any] = {
             "alpha": self.alpha,
             "typical": self.priors,
@@ -704,35 +705,6 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             )
         return deviations
 
-    def _checked(
-        self, X: Any, y: Any, groups: ArrayLike | None, floor: ArrayLike | None
-    ) -> tuple[Log, Array]:
-        """Return the log, or the logs put together, and the least variance of each channel's noise, of each log."""
-        self.actions_ = "commanded" if self.actions == "auto" else self.actions
-        if y is not None:
-            return check_log(self.simulator, X, y, groups), self._checked_floor(floor)
-        logs = _named_logs(X)
-        if logs is None:
-            raise ValueError(f"{type(self).__name__} requires y to be passed, but the target y is None.")
-        if groups is not None or floor is not None:
-            raise ValueError(
-                "groups and floor are those of each log: pass tuples of (X, y, groups), or logs."
-            )
-        if self.actions == "auto":
-            self.actions_ = _actions_of(X)
-        checked, floors = [], []
-        for name, (X, y, groups, least) in logs.items():
-            try:
-                checked.append(check_log(self.simulator, X, y, groups))
-                floors.append(self._checked_floor(least))
-            except ValueError as error:
-                if len(logs) == 1:
-                    raise
-                raise ValueError(f"{name}: {error}") from error
-        if len(checked) == 1:
-            return checked[0], floors[0]
-        return put_together(checked, tuple(logs)), np.stack(floors)
-
     def _tell_noise(self, space: StateSpace, found: Found, names: Sequence[str]) -> None:
         """Set the standard deviation of each channel's noise, of each log and of all."""
         noise, given = found.fitted.estimate.noise, self._given_deviations()
@@ -747,21 +719,6 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         counts = read.sum(axis=0)
         means = np.sum(variances, axis=0, where=read) / np.maximum(counts, 1)
         self.noise_ = np.where(counts > 0, np.sqrt(means), np.nan)
-
-    def _checked_floor(self, floor: ArrayLike | None) -> Array:
-        """Return the least variance of each residual channel's noise."""
-        names = self.simulator.output_names
-        if floor is None:
-            return np.zeros(len(self.simulator.residual_names))
-        try:
-            variances = np.asarray(floor, dtype=float)
-        except (TypeError, ValueError):
-            variances = np.array(np.nan)
-        if variances.shape != (len(names),) or not ((variances >= 0) & (variances < np.inf)).all():
-            raise ValueError(
-                f"floor must hold a finite variance of at least 0 for each of {', '.join(names)}; it is {floor!r}."
-            )
-        return tangent_variances(self.simulator, variances)
 
     def _space(self, log: Log, chain_length: int = CHAIN_LENGTH) -> StateSpace:
         return state_space(
@@ -830,50 +787,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         return "ambiguous" if any(cause.aliases for cause in self.causes_) else "named"
 
 
-def _named_logs(given: Any) -> dict[str, tuple[Any, Any, Any, Any]] | None:
-    """Return X, y, groups and floor of a log, or of several by their names; None of anything else."""
-    if _is_log(given):
-        given = [given]
-    if isinstance(given, Mapping):
-        logs = {str(name): one for name, one in given.items()}
-    elif isinstance(given, list | tuple) and all(_is_log(one) or isinstance(one, tuple) for one in given):
-        names = [getattr(one, "source", "") or f"log {number}" for number, one in enumerate(given, 1)]
-        logs = {
-            name if names.count(name) == 1 else f"{name} ({number})": one
-            for number, (name, one) in enumerate(zip(names, given), 1)
-        }
-    else:
-        return None
-    if not logs:
-        raise ValueError("there is no log; expected at least one.")
-    return {name: _parts(name, one) for name, one in logs.items()}
-
-
-def _actions_of(given: Any) -> str:
-    """Return what logs say of their actions; raises a ValueError if they differ."""
-    logs = [given] if _is_log(given) else list(given.values() if isinstance(given, Mapping) else given)
-    told = {getattr(one, "actions", "commanded") for one in logs}
-    if len(told) > 1:
-        raise ValueError(
-            "some of the logs hold measured efforts and some commands, of which one law is asked: pass actions=."
-        )
-    return str(told.pop())
-
-
 def _rows_of(log: Log) -> tuple[Array, Array, NDArray[np.intp]]:
     return log.X, log.y, log.episodes
-
-
-def _is_log(one: Any) -> bool:
-    return all(hasattr(one, name) for name in ("X", "y", "groups"))
-
-
-def _parts(name: str, one: Any) -> tuple[Any, Any, Any, Any]:
-    if _is_log(one):
-        return one.X, one.y, one.groups, getattr(one, "floor", None)
-    if not isinstance(one, tuple) or len(one) not in (2, 3):
-        raise ValueError(f"{name}: expected a log, or a tuple of (X, y) or (X, y, groups); got {one!r:.80}.")
-    return one[0], one[1], one[2] if len(one) == 3 else None, None
 
 
 def _causes(found: Found) -> list[Cause]:

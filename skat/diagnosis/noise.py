@@ -3,8 +3,9 @@ r"""Sensor noise and random forces, by variational inference.
 Each measured channel has noise of variance r, each degree of freedom a random acceleration of variance q, both with
 Student's t: a normal law whose precision is scaled by a Gamma variable of its own for each sample. Path and scales are
 factorised, and a bound of the log likelihood is raised in turns: by the scales in closed form, by the degrees of
-freedom over a grid, and by the variances with the step of [1]_, which is monotone and shrinks a variance that is not
-there geometrically, where the step of expectation maximisation would take for ever.
+freedom over a grid, and by the variances with the step of [1]_, which shrinks a variance that is not there
+geometrically, where that of expectation maximisation would take for ever. Half of its ratio is the monotone step;
+longer ones, for each variance as its last one fell by, are taken as long as the bound rises.
 
 References
 ----------

@@ -11,13 +11,13 @@ from skat.diagnosis.causes import (
     Rival,
     _ends_of_chords,
     _live,
-    _readable,
     _shares,
     _stand_ins,
-    _typical_biases,
     _with_fits,
     _with_refitted,
     is_held,
+    readable,
+    typical_biases,
 )
 from skat.diagnosis.evidence import Gram, Priors, Weighed, Weigher, weigh
 from skat.diagnosis.fitting import (
@@ -380,8 +380,8 @@ def test_sensors_that_were_not_read_have_no_effects_and_biases_of_odd_units_are_
         mask=mask, spread=np.array([2.0, 3.0, 4.0]), simulator=SimpleNamespace(residual_names=names)
     )
     effects = [bias("x", "V"), bias("y", "V"), bias("z", "m"), DRAG]
-    assert [one.name for one in _readable(space, effects)] == ["bias[x]", "bias[z]", "drag"]
-    biases = _typical_biases(space, [*effects, bias("elsewhere", "V")])
+    assert [one.name for one in readable(space, effects)] == ["bias[x]", "bias[z]", "drag"]
+    biases = typical_biases(space, [*effects, bias("elsewhere", "V")])
     assert set(biases) == {"bias[x]", "bias[y]"}
     assert biases["bias[y]"] / biases["bias[x]"] == pytest.approx(1.5)
 

@@ -18,24 +18,24 @@ from skat.diagnosis.remainder import (
     Left,
     Remainder,
     _added,
-    _binned,
-    _bins,
     _halves,
     _joint_scales,
     _past,
     _regressors,
     _response,
     _runs,
-    _single,
     _spectrum,
     _turned_back,
     _welch,
     _white_spectra,
     _with_normal_noise,
-    _word,
-    _worth,
+    binned,
+    bins_of,
     find_remainder,
     is_unexplained,
+    single,
+    word_of,
+    worth_of,
 )
 from skat.diagnosis.statespace import linearise, state_space
 from skat.simulators import FunctionSimulator, MujocoSimulator
@@ -137,7 +137,7 @@ def test_a_law_is_worth_its_likelihood_against_none_as_a_mean_over_sizes():
         for size in SIZES
     ]
     none = stats.norm.logpdf(z).sum()
-    nats, best = _worth(N.T @ N, N.T @ z, scale)
+    nats, best = worth_of(N.T @ N, N.T @ z, scale)
     assert nats == pytest.approx(special.logsumexp(each) - np.log(len(each)) - none, rel=1e-9)
     assert best == pytest.approx(SIZES[int(np.argmax(each))] * scale)
 
@@ -145,7 +145,7 @@ def test_a_law_is_worth_its_likelihood_against_none_as_a_mean_over_sizes():
 @pytest.mark.parametrize("n_bins", [5, 12])
 def test_bins_hold_about_as_many_rows_each_between_their_edges(n_bins):
     values = np.random.default_rng(0).gamma(2, size=500)
-    edges, columns = _bins(values, n_bins)
+    edges, columns = bins_of(values, n_bins)
     assert columns.shape == (500, n_bins)
     np.testing.assert_array_equal(columns.sum(axis=1), 1)
     assert np.ptp(columns.sum(axis=0)) <= 2
@@ -156,21 +156,21 @@ def test_bins_hold_about_as_many_rows_each_between_their_edges(n_bins):
 
 
 def test_what_does_not_change_has_no_law_and_what_has_few_values_one_of_these():
-    assert _bins(np.full(20, 3.0), 12)[1].shape == (20, 1)
-    assert _binned("a", np.full(20, 3.0), 12, is_own=True) == []
-    assert _single("a", "a", np.zeros(20)) == []
+    assert bins_of(np.full(20, 3.0), 12)[1].shape == (20, 1)
+    assert binned("a", np.full(20, 3.0), 12, is_own=True) == []
+    assert single("a", "a", np.zeros(20)) == []
     three = np.tile([0.0, 1.0, 2.0], 20)
-    edges, columns = _bins(three, 12)
+    edges, columns = bins_of(three, 12)
     assert (np.diff(edges) > 0).all()
     for value in (0.0, 1.0):
         assert len(np.unique(columns[three == value].argmax(axis=1))) == 1
-    (one,) = _binned("a", three, 12, is_own=False)
+    (one,) = binned("a", three, 12, is_own=False)
     assert not one.is_own
 
 
 def test_a_law_of_one_column_has_a_mean_square_of_one():
     values = np.random.default_rng(0).normal(size=50)
-    (one,) = _single("|v|v", "v", values, np.abs(values) * values)
+    (one,) = single("|v|v", "v", values, np.abs(values) * values)
     assert np.mean(one.columns**2) == pytest.approx(1.0)
     assert np.corrcoef(one.columns[:, 0], np.abs(values) * values)[0, 1] == pytest.approx(1.0)
     np.testing.assert_array_equal(one.values, values)
@@ -516,7 +516,7 @@ FREQUENCIES = np.linspace(0, 50, 101)
 
 def word(spectrum, force=None, frequencies=FREQUENCIES, unit="Hz"):
     force = np.ones(200) if force is None else force
-    return _word(np.asarray(force, float), frequencies, np.asarray(spectrum, float), unit)
+    return word_of(np.asarray(force, float), frequencies, np.asarray(spectrum, float), unit)
 
 
 def line(*powers):
