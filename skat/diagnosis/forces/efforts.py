@@ -61,7 +61,7 @@ from skat.diagnosis.forces.motions import (
 )
 from skat.diagnosis.noise import TOLERANCE
 from skat.diagnosis.remainder import Remainder
-from skat.diagnosis.search import families_of, rivals_of, search
+from skat.diagnosis.search import Ranked, families_of, rivals_of, search
 from skat.diagnosis.statespace import StateSpace
 from skat.effects import Effect
 from skat.simulators import MujocoSimulator, Simulator
@@ -290,9 +290,17 @@ def causes_of_efforts(
     exclusive = rivals_of(effects)
     ask = partial(search, families=families_of(effects), most=max_effects)
     worth = Weigher(gram, fits.priors, exclusive, power=power)
-    ranked = ask(worth, now.members)
+    # Sets that only Gram matrices put before the one that fits prefer are none that it could be.
+    best = worth(now.members)
+    ranked = Ranked(
+        tuple(
+            one
+            for one in ask(worth, now.members).sets
+            if one.evidence <= best.evidence or set(best.members) <= set(one.members)
+        )
+    )
     found = Fit(now.members, values, fitted, now.evidence, np.zeros(len(now.members)))
-    also = also_seen(ask, gram, fits.priors, effects, exclusive, worth(now.members), question.needed, ())
+    also = also_seen(ask, gram, fits.priors, effects, exclusive, best, question.needed, ())
     left = now.rows.target - now.rows.columns[:, [*now.members, -1]] @ np.r_[now.at, now.late]
     return Answer(
         told(fits, found, worth, ranked, (), also, question.needed, stands),

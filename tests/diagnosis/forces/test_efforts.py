@@ -150,3 +150,10 @@ def test_servos_and_functions_have_no_measured_efforts(simulator):
     )
     with pytest.raises(ValueError, match="must be a MujocoSimulator"):
         asked(function, log)
+
+
+def test_what_is_named_is_likely(answer):
+    for cause in answer.causes_:
+        others = sum(alias.probability for alias in cause.aliases)
+        assert cause.probability > 0.5
+        assert cause.probability + others <= 1 + 1e-9
