@@ -10,6 +10,7 @@ from skat.diagnosis import SimulationDiagnosis
 from skat.diagnosis.estimator import _rounding
 from skat.diagnosis.findings import Gain
 from skat.diagnosis.log import check_log
+from skat.diagnosis.reading import _checked_floor
 from skat.diagnosis.saving import SavedSimulator, _with_plain_labels, _without_rows
 from skat.diagnosis.statespace import state_space
 from skat.effects import Effect
@@ -66,11 +67,11 @@ def test_noise_and_floor_are_one_number_for_each_channel():
     for noise in ([0.1], [0.1, 0.0], [0.1, np.inf], [0.1, np.nan], "known", [0.1, "a"]):
         with pytest.raises(ValueError, match="noise must"):
             SimulationDiagnosis(rolling(), noise=noise)._given_deviations()
-    np.testing.assert_array_equal(given._checked_floor(None), [0.0, 0.0])
-    np.testing.assert_array_equal(given._checked_floor([0.0, 0.3]), [0.0, 0.3])
+    np.testing.assert_array_equal(_checked_floor(rolling(), None), [0.0, 0.0])
+    np.testing.assert_array_equal(_checked_floor(rolling(), [0.0, 0.3]), [0.0, 0.3])
     for floor in ([0.1], [0.1, -1e-9], [0.1, np.inf], "none"):
         with pytest.raises(ValueError, match="floor must hold"):
-            given._checked_floor(floor)
+            _checked_floor(rolling(), floor)
 
 
 def test_effects_are_chosen_by_name_once_in_their_order():

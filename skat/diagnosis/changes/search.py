@@ -64,7 +64,12 @@ def find_changes(
             f"be a MujocoSimulator; it is {simulator!r}. Instead, fit the log before, and diagnose the log after with "
             "extended_simulator_."
         )
-    halves = [half_of(simulator, log, name) for name, log in (("before", before), ("after", after))]
+    try:
+        halves = [half_of(simulator, log, name) for name, log in (("before", before), ("after", after))]
+    except ValueError as error:
+        raise ValueError(
+            f"{error} Or fit the log before, and diagnose the log after with extended_simulator_."
+        ) from None
     needed = -np.log(alpha)
     question = question_of(
         simulator, halves, effects, typical=typical or {}, test_size=test_size, needed=needed

@@ -104,7 +104,12 @@ class Regression:
         cls, simulator: MujocoSimulator, log: Log, effects: Sequence[Effect], typical: Mapping[str, float]
     ) -> "Regression":
         """Return the regression of a log; raises a ValueError where forces on joints cannot be told."""
-        half = half_of(simulator, log, "")
+        try:
+            half = half_of(simulator, log, "")
+        except ValueError as error:
+            raise ValueError(
+                f"{error} Or pass actions='commanded', if motors were told these efforts."
+            ) from None
         gains = [effect for effect in effects if effect.family == "gain"]
         forces = lacking_forces(simulator, half, [Model({}), *(Model({one.name: 1 + STEP}) for one in gains)])
         nv = len(half.motion.slip)

@@ -61,18 +61,16 @@ def half_of(simulator: MujocoSimulator, log: Log, name: str) -> Half:
     n_states, nv = len(simulator.state_names), len(simulator.residual_names) // 2
     if n_states != 2 * nv:
         raise ValueError(
-            "changes are searched for in the forces on joints that turn or slide, and this model has a free or a ball "
-            "joint, on which contacts push. If its base did not move, pass base='fixed'; else fit the log before, and "
-            "diagnose the log after with extended_simulator_."
+            "forces are told on joints that turn or slide, and this model has a free or a ball joint, on which "
+            "contacts push. If its base did not move, pass base='fixed'."
         )
     speeds = X[:, nv:n_states], y[:, nv:]
     window = min(LONGEST, len(X) * simulator.dt / WINDOWS)
     motion = smooth_motion(simulator, X, y, groups, window=window)
     if motion is None:
         raise ValueError(
-            f"no stretch of the log {name} is free of contacts and long enough, or the position of a joint was not "
-            "measured. Record the machine moving freely; or fit the log before, and diagnose the log after with "
-            "extended_simulator_."
+            f"no stretch of the log{' ' * bool(name)}{name} is free of contacts and long enough, or the position of a "
+            "joint was not measured. Record the machine moving freely."
         )
     # The mean speed between the ends of a block.
     return Half(motion, 0.5 * sum(one[motion.rows].mean(axis=1) for one in speeds))

@@ -152,6 +152,18 @@ def test_servos_and_functions_have_no_measured_efforts(simulator):
         asked(function, log)
 
 
+def test_a_base_that_moves_freely_has_no_measured_efforts():
+    free = ROTORS.replace(
+        '<body name="upper">', '<body name="trunk"><freejoint/><geom size="0.1"/><body name="upper">'
+    )
+    free = free.replace("</worldbody>", "</body></worldbody>")
+    simulator = MujocoSimulator(free, frame_skip=SUBSTEPS)
+    log = np.zeros((40, len(simulator.input_names))), np.zeros((40, len(simulator.state_names)))
+    effects = simulator.effects()
+    with pytest.raises(ValueError, match=r"base='fixed'.*actions='commanded'"):
+        Regression.of(simulator, (*log, np.zeros(40, dtype=int)), effects, {})
+
+
 def test_what_is_named_is_likely(answer):
     for cause in answer.causes_:
         others = sum(alias.probability for alias in cause.aliases)
