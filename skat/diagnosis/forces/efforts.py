@@ -279,10 +279,17 @@ def causes_of_efforts(
     Raises
     ------
     ValueError
-        If the simulator is none of joints that motors drive by a force, or forces on its joints cannot be told.
+        If the simulator is none of joints that motors drive by a force, forces on its joints cannot be told, or efforts
+        tell of no effect.
     """
     simulator = _of_motors(space.simulator)
+    asked = ", ".join(one.name for one in effects)
     effects = [one for one in readable(space, effects) if one.family not in UNTOLD]
+    if not effects:
+        raise ValueError(
+            f"measured efforts tell nothing of {asked}: ask about masses, friction, damping, rotors or gains, or pass "
+            "actions='commanded'."
+        )
     typical = {**typical_biases(space, effects), **(typical or {})}
     regression = Regression.of(simulator, log, effects, typical)
     power = COARSE_ROWS / (COARSE_ROWS + len(space.X))

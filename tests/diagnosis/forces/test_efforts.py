@@ -164,6 +164,11 @@ def test_a_base_that_moves_freely_has_no_measured_efforts():
         Regression.of(simulator, (*log, np.zeros(40, dtype=int)), effects, {})
 
 
+def test_effects_of_which_efforts_tell_nothing_are_an_error_that_names_them(simulator):
+    with pytest.raises(ValueError, match=r"tell nothing of delay\[action\]: ask about masses"):
+        asked(simulator, closed_loop({}, rows=50), effects=["delay[action]"])
+
+
 def test_what_is_named_is_likely(answer):
     for cause in answer.causes_:
         others = sum(alias.probability for alias in cause.aliases)
