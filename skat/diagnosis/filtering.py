@@ -9,21 +9,26 @@ A chain is a piece of an episode. About a path, its deviations follow
 with :math:`w_t \sim N(0, \mathrm{diag}(q_t))`, :math:`e_t \sim N(0, \mathrm{diag}(r_t))` and
 :math:`v_t \sim N(0, \Omega_t)`, what the linearisation leaves. A channel that was not measured is a row that
 :math:`H_t` lacks. The first state of a chain has a wide prior. Everything is linear in c and m, so that derivatives by
-parameters are further columns of c that run through the same gains.
+parameters are further columns of c that run through the same gains. Channels of which none acts on another, such as
+those of a robot's legs where its base is fixed, are filtered apart.
 
 References
 ----------
 .. [1] Durbin, Koopman (2012). Time Series Analysis by State Space Methods, chapters 4.3 to 4.5.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 from scipy.special import gammaln
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Places = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -54,7 +59,7 @@ class Chains:
     mask: Mask
     prior: Array
 
-    def of(self, chosen: Mask | NDArray[np.intp]) -> "Chains":
+    def of(self, chosen: Mask | Places) -> "Chains":
         """Return some of the chains, by a mask of shape (n_chains,) or by their places."""
         return Chains(
             self.transitions[chosen],
@@ -102,6 +107,30 @@ class Chains:
         """Number of values that were measured."""
         return int(self.mask.sum())
 
+    @cached_property
+    def parts(self) -> tuple[tuple[Places, Places], ...]:
+        """Channels, and the forces on them, of each part; none acts on another in any step."""
+        d, k = self.carrier.shape[-2:]
+        acts = np.zeros((d + k, d + k), dtype=bool)
+        acts[:d, :d] = np.any(self.transitions, axis=(0, 1)) | np.any(self.bends, axis=(0, 1))
+        acts[:d, d:] = np.any(self.carrier, axis=(0, 1))
+        number, label = connected_components(acts, directed=False)
+        parts = [np.flatnonzero(label == one) for one in range(number)]
+        # A force that moves nothing is of no part.
+        return tuple((own[own < d], own[own >= d] - d) for own in parts if own[0] < d)
+
+    def part(self, channels: Places, forces: Places) -> "Chains":
+        """Return some of the channels, with the forces on them."""
+        return Chains(
+            _block(self.transitions, channels),
+            self.drive[..., channels],
+            _block(self.bends, channels),
+            self.carrier[..., channels[:, None], forces],
+            self.measured[..., channels],
+            self.mask[..., channels],
+            self.prior[channels],
+        )
+
 
 @dataclass(frozen=True)
 class Filtered:
@@ -131,6 +160,18 @@ class Filtered:
     gains: Array
     factors: Array
 
+    def part(self, channels: Places) -> "Filtered":
+        """Return what a pass leaves of some channels."""
+        return Filtered(
+            self.log_likelihoods,
+            self.means[..., channels],
+            _block(self.covariances, channels),
+            self.innovations[..., channels],
+            _block(self.precisions, channels),
+            _block(self.gains, channels),
+            _block(self.factors, channels),
+        )
+
     @property
     def log_likelihood(self) -> float:
         """Of all chains."""
@@ -157,11 +198,15 @@ def updated(chains: Chains, filtered: Filtered, error_variances: Array) -> tuple
     means : ndarray of shape (n_chains, n_steps + 1, d)
     covariances : ndarray of shape (n_chains, n_steps + 1, d, d)
     """
-    gains, P = filtered.gains, filtered.covariances
-    means = filtered.means + (gains @ filtered.innovations[..., None])[..., 0]
-    kept = np.eye(means.shape[-1]) - gains
+    means = filtered.means + (filtered.gains @ filtered.innovations[..., None])[..., 0]
     own = np.where(chains.mask, error_variances, 0.0)
-    return means, kept @ P @ kept.swapaxes(2, 3) + (gains * own[:, :, None]) @ gains.swapaxes(2, 3)
+    covariances = []
+    for channels, _ in chains.parts:
+        gains, P = _block(filtered.gains, channels), _block(filtered.covariances, channels)
+        kept = np.eye(len(channels)) - gains
+        read = (gains * own[:, :, None, channels]) @ gains.swapaxes(2, 3)
+        covariances.append(kept @ P @ kept.swapaxes(2, 3) + read)
+    return means, together([channels for channels, _ in chains.parts], covariances)
 
 
 @dataclass(frozen=True)
@@ -199,6 +244,31 @@ def kalman_filter(chains: Chains, force_variances: Array, error_variances: Array
     -------
     Filtered
     """
+    if len(chains.parts) == 1:
+        return _filtered(chains, force_variances, error_variances)
+    return filtered_together(
+        chains,
+        [
+            _filtered(
+                chains.part(channels, forces), force_variances[..., forces], error_variances[..., channels]
+            )
+            for channels, forces in chains.parts
+        ],
+    )
+
+
+def filtered_together(chains: Chains, parts: Sequence[Filtered]) -> Filtered:
+    """Return the passes over the parts of chains as one."""
+    places = [channels for channels, _ in chains.parts]
+    log_likelihoods: Array = np.sum([one.log_likelihoods for one in parts], axis=0)
+    others = [one.name for one in fields(Filtered)[1:]]
+    return Filtered(
+        log_likelihoods, *(together(places, [getattr(one, name) for one in parts]) for name in others)
+    )
+
+
+def _filtered(chains: Chains, force_variances: Array, error_variances: Array) -> Filtered:
+    """Run the filter over channels that may all act on each other."""
     n, steps, d = chains.drive.shape
     F, A = chains.carrier, chains.transitions
     spread = (F * force_variances[:, :, None]) @ F.swapaxes(2, 3) + chains.bends
@@ -244,12 +314,33 @@ def kalman_filter(chains: Chains, force_variances: Array, error_variances: Array
     return Filtered(log_likelihoods, means, covariances, innovations, precisions, gains, factors)
 
 
-def _measured(chains: Chains) -> NDArray[np.intp]:
+def _block(matrices: Array, places: Places) -> Array:
+    """Return the rows and columns of matrices at some places."""
+    return matrices[..., places[:, None], places]
+
+
+def together(places: Sequence[Places], parts: Sequence[Array]) -> Array:
+    """Return vectors, or square matrices, of parts as those of all: zero between parts.
+
+    Parameters
+    ----------
+    places : sequence of ndarray of int
+        Of each part's channels among all.
+    parts : sequence of ndarray of shape (n, n_steps, n_channels) or (n, n_steps, n_channels, n_channels)
+    """
+    n, steps, *own = parts[0].shape
+    out = np.zeros((n, steps, *(sum(map(len, places)),) * len(own)))
+    for where, values in zip(places, parts):
+        out[(..., where) if len(own) == 1 else (..., where[:, None], where)] = values
+    return out
+
+
+def _measured(chains: Chains) -> Places:
     """Return the channels of which anything was measured."""
     return np.flatnonzero(chains.mask.any(axis=(0, 1)))
 
 
-def _spread_out(values: Array, places: NDArray[np.intp], shape: tuple[int, ...]) -> Array:
+def _spread_out(values: Array, places: Places, shape: tuple[int, ...]) -> Array:
     """Return values at some places of the last axis, and zeros at the others."""
     out = np.zeros(shape)
     out[..., places] = values
@@ -272,6 +363,18 @@ def filter_columns(chains: Chains, filtered: Filtered, columns: Array) -> Array:
     ndarray of shape (n_chains, n_steps + 1, d, k)
         N: whitened innovations at the values theta are those at zero minus N theta.
     """
+    n, steps, d, k = columns.shape
+    out = np.zeros((n, steps + 1, d, k))
+    for channels, forces in chains.parts:
+        own = columns[:, :, channels]
+        acting = np.flatnonzero(own.any(axis=(0, 1, 2)))
+        part = chains.part(channels, forces), filtered.part(channels), own[..., acting]
+        out[:, :, channels[:, None], acting] = _filtered_columns(*part)
+    return out
+
+
+def _filtered_columns(chains: Chains, filtered: Filtered, columns: Array) -> Array:
+    """Return what `filter_columns` does, of channels that may all act on each other."""
     n, steps, d, k = columns.shape
     out = np.zeros((n, steps + 1, d, k))
     mean = np.zeros((n, d, k))
@@ -302,6 +405,39 @@ def smooth(
     covariances : bool, default=True
         Whether the states' covariances are wanted; zeros otherwise.
     """
+    if len(chains.parts) == 1:
+        return _smoothed(chains, filtered, force_variances, error_variances, covariances)
+    return smoothed_together(
+        chains,
+        [
+            _smoothed(
+                chains.part(channels, forces),
+                filtered.part(channels),
+                force_variances[..., forces],
+                error_variances[..., channels],
+                covariances,
+            )
+            for channels, forces in chains.parts
+        ],
+    )
+
+
+def smoothed_together(chains: Chains, parts: Sequence[Smoothed]) -> Smoothed:
+    """Return what is known of the parts of chains as one."""
+    channels, forces = zip(*chains.parts)
+    names = [one.name for one in fields(Smoothed)]
+    return Smoothed(
+        *(
+            together(forces if name.startswith("force") else channels, [getattr(one, name) for one in parts])
+            for name in names
+        )
+    )
+
+
+def _smoothed(
+    chains: Chains, filtered: Filtered, force_variances: Array, error_variances: Array, covariances: bool
+) -> Smoothed:
+    """Return what `smooth` does, of channels that may all act on each other."""
     n, steps, d = chains.drive.shape
     F, P, read = chains.carrier, filtered.covariances, _measured(chains)
     G = filtered.gains[..., read]

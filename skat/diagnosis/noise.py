@@ -26,8 +26,10 @@ from skat.diagnosis.filtering import (
     Filtered,
     Mask,
     Smoothed,
+    filtered_together,
     kalman_filter,
     smooth,
+    smoothed_together,
     student_log_density,
 )
 
@@ -77,6 +79,18 @@ class Noise:
     def error_variances(self) -> Array:
         """Variance of each sample of e."""
         return self.error[self.law][:, None] / self.error_weights
+
+    def part(self, channels: Places, forces: Places) -> "Noise":
+        """Return the laws of some channels and forces."""
+        return Noise(
+            self.force[:, forces],
+            self.error[:, channels],
+            self.force_nu[:, forces],
+            self.error_nu[:, channels],
+            self.law,
+            self.force_weights[..., forces],
+            self.error_weights[..., channels],
+        )
 
     def alone(self, law: int) -> "Noise":
         """Return one law, of the chains that have it."""
@@ -166,7 +180,7 @@ def estimate_noise(
     tolerance: float = TOLERANCE,
     held: Mask | None = None,
 ) -> Estimate:
-    """Raise the bound until a pass adds less than a tolerance, each law by itself.
+    """Raise the bound until a pass adds less than a tolerance, each law by itself, and each part of the channels.
 
     Parameters
     ----------
@@ -193,7 +207,20 @@ def estimate_noise(
     floors = np.broadcast_to(np.atleast_2d(floor), noise.error.shape)
 
     def estimated(chains: Chains, noise: Noise, real: Mask, floor: Array) -> Estimate:
-        return _estimated(chains, noise, real, floor, heavy, n_passes, tolerance, held)
+        parts = [
+            _estimated(
+                chains.part(channels, forces),
+                noise.part(channels, forces),
+                real,
+                floor[channels],
+                heavy,
+                n_passes,
+                tolerance,
+                None if held is None else held[channels],
+            )
+            for channels, forces in chains.parts
+        ]
+        return parts[0] if len(parts) == 1 else _of_parts(chains, noise, parts)
 
     if n_laws == 1:
         return estimated(chains, noise, real, floors[0])
@@ -214,6 +241,21 @@ def estimate_noise(
         sum(part.bound for part in parts.values()),
         _joined([part.filtered for part in parts.values()], order),
         _joined([part.smoothed for part in parts.values()], order),
+    )
+
+
+def _of_parts(chains: Chains, noise: Noise, parts: Sequence[Estimate]) -> Estimate:
+    """Return the estimates of the parts of chains, which have one law, as one."""
+    filled: dict[str, Array] = {}
+    for name in ("force", "error", "force_nu", "error_nu", "force_weights", "error_weights"):
+        filled[name] = getattr(noise, name).copy()
+        for (channels, forces), one in zip(chains.parts, parts):
+            filled[name][..., forces if name.startswith("force") else channels] = getattr(one.noise, name)
+    return Estimate(
+        replace(noise, **filled),
+        sum(one.bound for one in parts),
+        filtered_together(chains, [one.filtered for one in parts]),
+        smoothed_together(chains, [one.smoothed for one in parts]),
     )
 
 

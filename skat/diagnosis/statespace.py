@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 
 import numpy as np
 from joblib import Parallel, delayed, effective_n_jobs
@@ -93,6 +94,17 @@ class StateSpace:
     def d(self) -> int:
         """Number of channels of a residual."""
         return int(self.mask.shape[-1])
+
+    @property
+    def parts(self) -> list[Places]:
+        """Channels that act on each other, part by part."""
+        names = self.simulator.residual_names
+        return [np.array([names.index(name) for name in part]) for part in self.simulator.parts()]
+
+    def channels_of(self, effect: str) -> Places:
+        """Return the channels that an effect, by its name, may act on."""
+        part = self.simulator.part_of(effect)
+        return np.arange(self.d) if part is None else self.parts[part]
 
     def rows(self, path: Array) -> Array:
         """Return the rows of inputs that start on a path, (n_rows, n_inputs)."""
@@ -370,21 +382,23 @@ def _sloped(
     past: Past,
 ) -> _ByRow:
     """Return rows with slopes taken over what is not known of the states that they start from, (n_rows, d, d)."""
-    d, n, units = space.d, len(rows), space.spread
+    d, n, units, parts = space.d, len(rows), space.spread, space.parts
     roots = (
-        np.tile(np.diag(FIRST_STEP * units), (n, 1, 1)) if covariances is None else _roots(covariances, units)
+        np.tile(np.diag(FIRST_STEP * units), (n, 1, 1))
+        if covariances is None
+        else _roots(covariances, units, parts)
     )
-    base, up, down = _ends(space, rows, after, values, OUTER * roots, past)
+    base, up, down = _ends(space, rows, after, values, OUTER * _at_once(roots, parts), past)
     inverse = np.linalg.inv(roots)
-    transitions = ((up - down) / (2 * OUTER)) @ inverse
+    transitions = _by_part((up - down) / (2 * OUTER), parts) @ inverse
     far = np.any(np.maximum(np.abs(up), np.abs(down)) > FAR * units[:, None], axis=(1, 2))
     base = np.where(far[:, None], np.nan, base)
     bends, beyond = np.zeros((n, d, d)), np.zeros((n, d))
     carrier = _joint_carrier(space, rows, values, base, after, past)
     if covariances is not None:
-        second = up + down
+        second = _by_part(up + down, parts)
         beyond = second.sum(axis=-1) / (2 * OUTER**2)
-        bends = np.einsum("nia,nja->nij", second, second) / (2 * OUTER**4)
+        bends = second @ second.swapaxes(1, 2) / (2 * OUTER**4)
         bent = is_bent(transitions, bends, covariances) & ~far
         if bent.any():
             own = past.of(np.flatnonzero(bent))
@@ -396,6 +410,22 @@ def _sloped(
     )
 
 
+def _at_once(columns: Array, parts: Sequence[Places]) -> Array:
+    """Return columns (n, d, d) that stay in their parts, those of all parts beside each other: (n, d, largest part)."""
+    out = np.zeros((*columns.shape[:2], max(map(len, parts))))
+    for part in parts:
+        out[:, part, : len(part)] = columns[:, part[:, None], part]
+    return out
+
+
+def _by_part(columns: Array, parts: Sequence[Places]) -> Array:
+    """Return, of columns for all parts at once, those of each: the inverse of `_at_once`."""
+    out = np.zeros((*columns.shape[:2], columns.shape[1]))
+    for part in parts:
+        out[:, part[:, None], part] = columns[:, part, : len(part)]
+    return out
+
+
 def _averaged(
     space: StateSpace, rows: Array, after: Array, values: Mapping[str, float], roots: Array, past: Past
 ) -> tuple[Array, Array, Array]:
@@ -403,16 +433,19 @@ def _averaged(
 
     Over the points of `normal_points` and their negatives, the same for all rows.
     """
-    d = space.d
+    parts = space.parts
+    d = max(map(len, parts))
     Z = normal_points(d, max(PAIRS, d + 1))
-    _, up, down = _ends(space, rows, after, values, roots @ Z, past)
+    _, up, down = _ends(space, rows, after, values, _at_once(roots, parts) @ Z, past)
     odd, even = (up - down) / 2, (up + down) / 2
-    slopes = odd @ Z.T / Z.shape[1]
+    slopes = _by_part(odd @ Z.T / Z.shape[1], parts)
     beyond = even.mean(axis=-1)
-    left, scatter = odd - slopes @ Z, even - beyond[..., None]
-    bends = left @ left.swapaxes(1, 2) / (Z.shape[1] - d) + scatter @ scatter.swapaxes(1, 2) / (
-        Z.shape[1] - 1
-    )
+    left, scatter = odd - _at_once(slopes, parts) @ Z, even - beyond[..., None]
+    bends = np.zeros_like(slopes)
+    for part in parts:
+        own, other = left[:, part], scatter[:, part]
+        bends[:, part[:, None], part] = own @ own.swapaxes(1, 2) / (Z.shape[1] - d)
+        bends[:, part[:, None], part] += other @ other.swapaxes(1, 2) / (Z.shape[1] - 1)
     return slopes, bends, beyond
 
 
@@ -476,12 +509,27 @@ def _joint_carrier(
     forces = [effect for effect, _ in space.simulator.joint_forces()]
     if not forces:
         return None
-    sizes = [SMALL_FORCE * effect.bounds[1] for effect in forces]
-    candidates = [{**values, effect.name: size} for effect, size in zip(forces, sizes)]
+    sizes = {effect.name: SMALL_FORCE * effect.bounds[1] for effect in forces}
+    groups = _told_apart(space, list(sizes))
+    candidates = [{**values, **{name: sizes[name] for name in group}} for group in groups]
     outputs = space.simulator.predict_many(rows, candidates, past=past.under([0] * len(candidates)))
     base = _finite(base, safe)
-    columns = [space.simulator.residual(_finite(one, base), base) / size for one, size in zip(outputs, sizes)]
-    return np.stack(columns, axis=-1)
+    columns = np.zeros((len(rows), space.d, len(forces)))
+    for group, one in zip(groups, outputs):
+        difference = space.simulator.residual(_finite(one, base), base)
+        for name in group:
+            own = space.channels_of(name)
+            columns[:, own, list(sizes).index(name)] = difference[:, own] / sizes[name]
+    return columns
+
+
+def _told_apart(space: StateSpace, names: Sequence[str]) -> list[list[str]]:
+    """Return effects in groups whose members act in a part each: one simulation of all of them tells each one's."""
+    by_part: dict[int | None, list[str]] = {}
+    for name in names:
+        by_part.setdefault(space.simulator.part_of(name), []).append(name)
+    alone = [[name] for name in by_part.pop(None, [])]
+    return alone + [[name for name in group if name] for group in zip_longest(*by_part.values())]
 
 
 def derivatives(
@@ -509,24 +557,30 @@ def derivatives(
     safe = _finite(base, linear.path[:, 1:][space.places])
     columns = np.zeros((len(rows), space.d, len(steps)))
     names = list(steps)
+    here = {name: values.get(name, neutral[name]) for name in names}
     together = max(1, int(VALUES_AT_ONCE // max(1, 2 * base.size)))
-    for start in range(0, len(names), together):
-        part = names[start : start + together]
-        candidates = [
-            {**values, name: end}
-            for name in part
-            for end in steps[name]
-            if end != values.get(name, neutral[name])
+    groups = _told_apart(space, sorted(names, key=lambda name: here[name] not in steps[name]))
+    for start in range(0, len(groups), together):
+        part = groups[start : start + together]
+        # One end of most slopes is where the effect is.
+        ends = [
+            {name: steps[name][end] for name in group if steps[name][end] != here[name]}
+            for group in part
+            for end in (0, 1)
         ]
-        outputs = iter(space.simulated(rows, candidates))
-        for column, name in enumerate(part, start):
-            low, high = (
-                base if end == values.get(name, neutral[name]) else next(outputs) for end in steps[name]
-            )
-            difference = simulator.residual(_finite(high, safe), _finite(low, safe))
-            bad = ~(np.isfinite(high).all(axis=1) & np.isfinite(low).all(axis=1))
-            difference[bad] = 0.0
-            columns[:, :, column] = difference / (steps[name][1] - steps[name][0])
+        outputs = iter(space.simulated(rows, [{**values, **moved} for moved in ends if moved]))
+        reached = [next(outputs) if moved else base for moved in ends]
+        for place, group in enumerate(part):
+            for name in group:
+                low, high = (
+                    reached[2 * place + end] if name in ends[2 * place + end] else base for end in (0, 1)
+                )
+                difference = simulator.residual(_finite(high, safe), _finite(low, safe))
+                bad = ~(np.isfinite(high).all(axis=1) & np.isfinite(low).all(axis=1))
+                difference[bad] = 0.0
+                own = space.channels_of(name)
+                width = steps[name][1] - steps[name][0]
+                columns[:, own, names.index(name)] = difference[:, own] / width
     if known is not None and simulator.state_names:
         chains, places = linear.chains, space.places
         bent = is_bent(chains.transitions[places], chains.bends[places], known)
@@ -557,7 +611,7 @@ def _mean_derivatives(
     simulator, units = space.simulator, space.spread
     candidates = [{**values, name: end} for name, both in ends.items() for end in both]
     past = simulator.past(rows, candidates, groups=space.groups).of(np.flatnonzero(bent))
-    roots, rows = _roots(known[bent], units), rows[bent]
+    roots, rows = _roots(known[bent], units, space.parts), rows[bent]
     # Of one turn of the axes so many points are as good as any.
     points = normal_points(space.d, SLOPE_PAIRS)[:, :SLOPE_PAIRS].T
     columns = np.empty_like(centres)
@@ -584,10 +638,13 @@ def _mean_derivatives(
     return columns
 
 
-def _roots(covariances: Array, units: Array) -> Array:
+def _roots(covariances: Array, units: Array, parts: Sequence[Places]) -> Array:
     """Return roots of covariances, (n_rows, d, d), no axis of which is too short or too long for a slope."""
-    variances, axes = np.linalg.eigh(covariances / (units[:, None] * units))
-    roots: Array = axes * units[:, None] * np.sqrt(np.clip(variances, SMALLEST_STEP**2, 1.0))[:, None]
+    roots = np.zeros(covariances.shape)
+    for part in parts:
+        own, block = units[part], (..., part[:, None], part)
+        variances, axes = np.linalg.eigh(covariances[block] / (own[:, None] * own))
+        roots[block] = axes * own[:, None] * np.sqrt(np.clip(variances, SMALLEST_STEP**2, 1.0))[:, None]
     return roots
 
 

@@ -115,6 +115,14 @@ class Simulator(BaseEstimator, ABC):
         """Return effects that are a force on one joint each, with the inputs of that joint; none unless overridden."""
         return ()
 
+    def parts(self) -> tuple[tuple[str, ...], ...]:
+        """Return the channels of a residual, part by part: none acts on one of another part, whatever happens."""
+        return (self.residual_names,)
+
+    def part_of(self, effect: str) -> int | None:
+        """Return the part that an effect, by its name, acts in alone; None where it may act in several."""
+        return None
+
     def n_lags(self, effects: Mapping[str, float] | None = None) -> int:
         """Return of how many earlier rows the actions still act in a row: a delay, in transitions, rounded up."""
         return self._lags(self._total(effects))

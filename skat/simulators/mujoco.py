@@ -27,6 +27,7 @@ from skat.simulators.derived import write_down
 from skat.simulators.edits import PLAY, add_payload, finish_plays
 from skat.simulators.friction import NEUTRAL, braking_share, creep
 from skat.simulators.furnishing import with_base, with_motors
+from skat.simulators.parts import parts_of, places_of_effects
 from skat.simulators.source import (
     NOTES,
     ModelSource,
@@ -554,6 +555,36 @@ class MujocoSimulator(Simulator):
             velocity = tangent[self._nominal.nv + dof]
             found.append((self._by_name[name], (position, velocity, *controls)))
         return tuple(found)
+
+    def parts(self) -> tuple[tuple[str, ...], ...]:
+        """Return the channels of a residual, part by part: trees of bodies that move each other.
+
+        All are of one part where `extra_effects` may do anything.
+        """
+        return self._cached("parts", self._parts)
+
+    def _parts(self) -> tuple[tuple[str, ...], ...]:
+        of_dofs = np.tile(self._dof_parts, 2)
+        names = np.array(self.residual_names)
+        return tuple(
+            tuple(names[of_dofs == part].tolist()) for part in range(int(of_dofs.max(initial=0)) + 1)
+        )
+
+    def part_of(self, effect: str) -> int | None:
+        """Return the part that an effect, by its name, acts in alone; None where it may act in several."""
+        return self._cached("places", self._places).get(effect)
+
+    def _places(self) -> dict[str, int]:
+        if self.extra_effects:
+            return {}
+        forces = zip(self._listing.forces, self._dof_parts.tolist())
+        return {**places_of_effects(self._anatomy, self._dof_parts), **dict(forces)}
+
+    @property
+    def _dof_parts(self) -> NDArray[np.intp]:
+        if self.extra_effects:
+            return np.zeros(self._nominal.nv, dtype=int)
+        return self._cached("dof_parts", lambda: parts_of(self._anatomy))
 
     def _own_effects(self) -> tuple[Effect, ...]:
         return (*self._listing.effects, *self.extra_effects)
