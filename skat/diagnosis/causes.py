@@ -375,9 +375,8 @@ def _first_guess(
     own = replace(worth(members), values=places)
 
     def likelihood(one: Weighed) -> float:
-        effects = [fits.effects[member] for member in one.members]
-        values = {effect.name: value_at(effect, at) for effect, at in zip(effects, one.values)}
-        return fits.bound(values, now) - needed * len(effects)
+        # What passes for noise about the path of a model without them is none about their own.
+        return fits.about(one.members, one.values, now).fitted.bound - needed * len(one.members)
 
     bound = likelihood(own)
     others = [now.fitted.bound, *map(likelihood, proposals[:1])]

@@ -71,15 +71,16 @@ class Chains:
             self.prior,
         )
 
-    def with_memory(self, shares: Array, prior: Array) -> "Chains":
+    def with_memory(self, shares: Array, prior: Array | None = None) -> "Chains":
         """Return these chains with a force of memory beside each random force, as further, hidden channels.
 
         Parameters
         ----------
         shares : ndarray of shape (n_forces,)
             What is left of such a force a step later: g[t+1] = share g[t] + w[t].
-        prior : ndarray of shape (n_forces,)
-            Variance of each such force where a chain begins.
+        prior : ndarray of shape (n_forces,), optional
+            Variance of each such force where a chain begins. By default a chain's first step makes of none what all
+            steps before would have: a force that is the same in all chains is not unknown anew in each.
         """
         n, steps, d = self.drive.shape
         k = self.carrier.shape[-1]
@@ -89,6 +90,9 @@ class Chains:
         carrier = np.zeros((n, steps, d + k, 2 * k))
         carrier[..., :d, :k] = self.carrier
         carrier[..., d:, k:] = np.eye(k)
+        if prior is None:
+            prior = np.zeros(k)
+            carrier[:, 0, d:, k:] = np.diag(1 / np.sqrt(1 - shares**2))
         bends = np.zeros((n, steps, d + k, d + k))
         bends[..., :d, :d] = self.bends
         wide = [(0, 0), (0, 0), (0, k)]

@@ -391,8 +391,7 @@ def _worth_of_memories(chains: Chains, estimate: Estimate) -> list[float]:
 def _remembering(space: StateSpace, linear: Linear, shares: Array) -> Chains:
     if not len(shares):
         return linear.chains
-    sizes = np.mean(linear.chains.carrier**2, axis=(0, 1)) / space.spread[:, None] ** 2
-    return linear.chains.with_memory(shares, 1 / np.maximum(sizes.max(axis=0), 1e-300))
+    return linear.chains.with_memory(shares)
 
 
 def _with_memory(noise: Noise, shares: Array) -> Noise:
