@@ -152,6 +152,42 @@ def test_a_force_with_memory_is_told_from_a_white_one_by_the_bound():
     assert gains[1] < 6
 
 
+def test_a_force_of_memory_is_from_the_second_step_on_what_all_steps_before_a_chain_would_have_made_it():
+    share, force = np.array([0.95, 0.5]), np.array([0.2, 3.0])
+    chains = Chains(
+        np.tile(np.eye(2), (1, 6, 1, 1)),
+        np.zeros((1, 6, 2)),
+        np.zeros((1, 6, 2, 2)),
+        np.tile(np.eye(2), (1, 6, 1, 1)),
+        np.zeros((1, 7, 2)),
+        np.zeros((1, 7, 2), dtype=bool),
+        np.ones(2),
+    ).with_memory(share)
+    forces = np.tile(np.r_[1.0, 1.0, force], (1, 6, 1))
+    spread = kalman_filter(chains, forces, np.ones((1, 7, 4))).covariances[0, :, 2:, 2:]
+    steady = np.diag(force / (1 - share**2))
+    np.testing.assert_array_equal(spread[0], np.zeros((2, 2)))
+    np.testing.assert_allclose(spread[1:], np.tile(steady, (6, 1, 1)), rtol=1e-12)
+
+
+def test_a_force_that_is_not_there_costs_a_log_nothing_however_many_chains_it_is_cut_into():
+    rng = np.random.default_rng(6)
+    measured = np.cumsum(rng.normal(size=241))
+    for n in (1, 8):
+        steps = 240 // n
+        pieces = np.stack([measured[one * steps : (one + 1) * steps + 1] for one in range(n)])[..., None]
+        flat = np.ones((n, steps, 1, 1))
+        seen = np.ones(pieces.shape, dtype=bool)
+        chains = Chains(flat, 0 * flat[..., 0], 0 * flat, flat, pieces, seen, np.full(1, 100.0))
+        real = np.ones((n, steps), dtype=bool)
+        white = estimate_noise(chains, normal_noise(chains, [1.0], [0.1]), real, floor=np.zeros(1))
+        both = chains.with_memory(np.array([0.95]))
+        start = normal_noise(both, [1.0, 0.01], [0.1, 1.0])
+        bound = estimate_noise(both, start, real, floor=np.zeros(2)).bound
+        # Its variance may be zero.
+        assert white.bound - 0.2 < bound < white.bound + 4
+
+
 def test_the_bound_is_near_the_likelihood_by_quadrature():
     rng = np.random.default_rng(5)
     measured, scale, nu = 1.5 * rng.standard_t(3, size=12), 1.2, 3.0
