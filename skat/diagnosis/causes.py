@@ -262,7 +262,7 @@ def find_causes(
         Whether noise is estimated no finer than a path, and slopes alone tell what a cause is worth beside the others
         and from what acts much like it; otherwise fits without it, and of the other in its place, do.
     start : mapping from name to value, optional
-        What missing forces ask for, which is tried first if the log prefers it to what slopes propose.
+        What missing forces ask for, from where the search goes on if the log prefers it to nothing.
     resumed : Search, optional
         Go on from there.
     checkpoint : callable, optional
@@ -304,11 +304,12 @@ def find_causes(
         moved = None
         misled = misled and state.dense is not None
         compared = Comparison(fits, now)
-        proposed = list(proposals(ranked, worth, now.members, needed))
-        guess = []
-        if state.turn == 0 and state.dense is not None:
-            guess = _first_guess(start or {}, worth, fits, now, proposed, needed)
-        asked = [*guess, *proposed, *(_singles(worth, banned) if proposed else ())]
+        afar = state.turn == 0 and state.dense is not None
+        if afar:
+            moved = _first_guess(start or {}, fits, now, needed)
+            afar = moved is not None
+        proposed = [] if afar else list(proposals(ranked, worth, now.members, needed))
+        asked = [*proposed, *(_singles(worth, banned) if proposed else ())]
         if asked:
             moved = _likeliest(compared, worth, asked, needed)
             misled = misled or moved is None or moved.members != asked[0].members
@@ -330,7 +331,6 @@ def find_causes(
             stands = True
             break
         # Far from where slopes were taken they say nothing.
-        afar = any(one.members == moved.members for one in guess)
         live = list(range(len(effects))) if afar else _live(ranked, moved.members)
         slopes = state.slopes.copy()
         slopes[..., live] = _slopes(fits, moved, live)
@@ -356,31 +356,20 @@ def _begun(fits: Fits) -> Search:
     return Search(0, now, dense, slopes, None, ())
 
 
-def _first_guess(
-    start: Mapping[str, float],
-    worth: Weigher,
-    fits: Fits,
-    now: Fit,
-    proposals: Sequence[Weighed],
-    needed: float,
-) -> list[Weighed]:
-    """Return the set that missing forces ask for, if the log is likelier with it, as it is, than with none.
+def _first_guess(start: Mapping[str, float], fits: Fits, now: Fit, needed: float) -> Fit | None:
+    """Return the fit of the set that missing forces ask for, if the log is likelier with it, as it is, than with none.
 
-    And than with the first of what slopes propose, as it is, by what more names need.
+    It is far from where slopes were taken: what these propose is asked for from there. What passes for noise about the
+    path of a model without it is none about its own.
     """
     members = [place for place, effect in enumerate(fits.effects) if effect.name in start]
-    if not members:
-        return []
     places = np.array([coordinate(fits.effects[one], start[fits.effects[one].name]) for one in members])
-    own = replace(worth(members), values=places)
-
-    def likelihood(one: Weighed) -> float:
-        # What passes for noise about the path of a model without them is none about their own.
-        return fits.about(one.members, one.values, now).fitted.bound - needed * len(one.members)
-
-    bound = likelihood(own)
-    others = [now.fitted.bound, *map(likelihood, proposals[:1])]
-    return [own] if all(bound > other for other in others) else []
+    if not members:
+        return None
+    about = fits.about(members, places, now)
+    if about.fitted.bound - needed * len(members) <= now.fitted.bound:
+        return None
+    return fits.of(members, places, about)
 
 
 def proposals(ranked: Ranked, worth: Weigher, members: tuple[int, ...], needed: float) -> Iterator[Weighed]:

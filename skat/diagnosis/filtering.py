@@ -49,6 +49,8 @@ class Chains:
     mask : ndarray of bool of shape (n_chains, n_steps + 1, d)
     prior : ndarray of shape (d,)
         Variance of a chain's first state about the path.
+    before : ndarray of shape (d, n_forces), optional
+        How forces of the kind of the first step's have made that state beside.
     """
 
     transitions: Array
@@ -58,6 +60,7 @@ class Chains:
     measured: Array
     mask: Mask
     prior: Array
+    before: Array | None = None
 
     def of(self, chosen: Mask | Places) -> "Chains":
         """Return some of the chains, by a mask of shape (n_chains,) or by their places."""
@@ -69,6 +72,7 @@ class Chains:
             self.measured[chosen],
             self.mask[chosen],
             self.prior,
+            self.before,
         )
 
     def with_memory(self, shares: Array, prior: Array | None = None) -> "Chains":
@@ -79,8 +83,8 @@ class Chains:
         shares : ndarray of shape (n_forces,)
             What is left of such a force a step later: g[t+1] = share g[t] + w[t].
         prior : ndarray of shape (n_forces,), optional
-            Variance of each such force where a chain begins. By default a chain's first step makes of none what all
-            steps before would have: a force that is the same in all chains is not unknown anew in each.
+            Variance of each such force where a chain begins. By default it is what all steps before would have made it:
+            a force that is the same in all chains is not unknown anew in each.
         """
         n, steps, d = self.drive.shape
         k = self.carrier.shape[-1]
@@ -90,9 +94,10 @@ class Chains:
         carrier = np.zeros((n, steps, d + k, 2 * k))
         carrier[..., :d, :k] = self.carrier
         carrier[..., d:, k:] = np.eye(k)
+        before = None
         if prior is None:
-            prior = np.zeros(k)
-            carrier[:, 0, d:, k:] = np.diag(1 / np.sqrt(1 - shares**2))
+            prior, before = np.zeros(k), np.zeros((d + k, 2 * k))
+            before[d:, k:] = np.diag(1 / np.sqrt(1 - shares**2))
         bends = np.zeros((n, steps, d + k, d + k))
         bends[..., :d, :d] = self.bends
         wide = [(0, 0), (0, 0), (0, k)]
@@ -104,6 +109,7 @@ class Chains:
             np.pad(self.measured, wide),
             np.pad(self.mask, wide),
             np.r_[self.prior, prior],
+            before,
         )
 
     @property
@@ -133,6 +139,7 @@ class Chains:
             self.measured[..., channels],
             self.mask[..., channels],
             self.prior[channels],
+            None if self.before is None else self.before[channels[:, None], forces],
         )
 
 
@@ -288,6 +295,8 @@ def _filtered(chains: Chains, force_variances: Array, error_variances: Array) ->
     padded = np.where(mask, variances, 1.0)[..., None] * np.eye(m)
     seen = mask.astype(np.float64)
     mean, P = np.zeros((n, d)), np.tile(np.diag(chains.prior), (n, 1, 1))
+    if chains.before is not None:
+        P = P + (chains.before * force_variances[:, 0, None]) @ chains.before.T
     diagonal = np.arange(m)
     for t in range(steps + 1):
         means[:, t], covariances[:, t] = mean, P

@@ -100,10 +100,9 @@ class Fits:
         widths = np.abs(places - origin)
         for turn in range(FIT_TURNS):
             values = {effect.name: value_at(effect, at) for effect, at in zip(chosen, places)}
-            # A comparison looks for a memory once.
-            fitted = (
-                self._next(values, start) if own_slopes else self._compared(values, start, memories=turn == 0)
-            )
+            # A memory is looked for once.
+            fit_at = self._next if own_slopes else self._compared
+            fitted = fit_at(values, start, memories=turn == 0)
             fit, one = self._weighed(members, fitted, widths)
             moved, deviations = one.values, one.deviations
             # Within its standard errors no step goes too far.
@@ -136,10 +135,6 @@ class Fits:
         """Whether some row of a fit is bent; see `fitting.bends`."""
         return bends(self.space, fit.fitted)
 
-    def bound(self, values: Mapping[str, float], near: Fit) -> float:
-        """Return the bound of the log likelihood at given values, with path and slopes of another fit."""
-        return self._compared(values, near.fitted).bound
-
     def places(self, fit: Fit) -> Array:
         """Return the coordinates of a fit's values."""
         return np.array([self._place(one, fit.values) for one in fit.members])
@@ -150,8 +145,8 @@ class Fits:
         slopes = slopes_of(self.space, fitted, chosen, self.priors.scales[list(members)], widths, means=True)
         return gram_of(self.space, fitted, slopes, chosen).gram
 
-    def _next(self, values: Mapping[str, float], start: Fitted) -> Fitted:
-        return next_fit(self.space, values, start, self.known)
+    def _next(self, values: Mapping[str, float], start: Fitted, *, memories: bool = True) -> Fitted:
+        return next_fit(self.space, values, start, self.known, memories=memories)
 
     def _compared(self, values: Mapping[str, float], start: Fitted, *, memories: bool = True) -> Fitted:
         return compared(self.space, values, start, self.known, memories=memories)

@@ -511,15 +511,18 @@ def _joint_carrier(
         return None
     sizes = {effect.name: SMALL_FORCE * effect.bounds[1] for effect in forces}
     groups = _told_apart(space, list(sizes))
-    candidates = [{**values, **{name: sizes[name] for name in group}} for group in groups]
+    # To both sides: a joint that rests against its friction gives way to one of them alone.
+    candidates = [
+        {**values, **{name: sign * sizes[name] for name in group}} for group in groups for sign in (1, -1)
+    ]
     outputs = space.simulator.predict_many(rows, candidates, past=past.under([0] * len(candidates)))
     base = _finite(base, safe)
     columns = np.zeros((len(rows), space.d, len(forces)))
-    for group, one in zip(groups, outputs):
-        difference = space.simulator.residual(_finite(one, base), base)
+    for group, up, down in zip(groups, outputs[::2], outputs[1::2]):
+        difference = space.simulator.residual(_finite(up, base), _finite(down, base))
         for name in group:
             own = space.channels_of(name)
-            columns[:, own, list(sizes).index(name)] = difference[:, own] / sizes[name]
+            columns[:, own, list(sizes).index(name)] = difference[:, own] / (2 * sizes[name])
     return columns
 
 

@@ -204,21 +204,15 @@ def test_sets_with_the_slopes_of_another_fit_differ_as_fits_of_their_own_do(fits
         assert both.gain((1,), np.zeros(1)) == pytest.approx(gravity.evidence - damped.evidence, abs=5.0)
 
 
-def test_a_first_guess_is_tried_where_it_is_likelier_as_it_is_than_nothing_and_than_what_slopes_propose(
-    fits, nothing
-):
-    worth = Weigher(fits.gram(nothing.fitted, (0, 1)), fits.priors)
-
-    def guess(value, *proposals):
-        values = {} if value is None else {"damping[hinge]": value}
-        sets = [replace(worth((0,)), values=np.array([one])) for one in proposals]
-        return [tuple(one.values) for one in _first_guess(values, worth, fits, nothing, sets, 4.6)]
-
+def test_a_search_goes_on_from_a_first_guess_that_is_likelier_as_it_is_than_nothing(fits, nothing):
     # The pendulum's damping is larger by .1.
     neutral = fits.effects[0].neutral
-    assert guess(neutral + 0.1) == guess(neutral + 0.1, 1.0) == [(pytest.approx(0.1),)]
-    assert guess(None) == guess(neutral + 3.0) == []
-    assert guess(neutral + 0.13, 0.1, 3.0) == []
+    found = _first_guess({"damping[hinge]": neutral + 0.13}, fits, nothing, 4.6)
+    assert found.members == (0,)
+    assert found.values["damping[hinge]"] == pytest.approx(neutral + 0.1, abs=0.01)
+    assert _first_guess({}, fits, nothing, 4.6) is None
+    assert _first_guess({"damping[hinge]": neutral + 3.0}, fits, nothing, 4.6) is None
+    assert _first_guess({"damping[hinge]": neutral + 0.13}, fits, nothing, 1e4) is None
 
 
 def test_forces_are_given_no_memory_where_none_is_looked_for(space, nothing):
@@ -258,7 +252,8 @@ def test_a_set_is_fitted_to_where_its_slopes_move_it_no_more(fits, nothing):
     assert low.evidence > nothing.evidence + 100
     back = fits.of((), np.zeros(0), low)
     assert back.members == ()
-    assert back.evidence == pytest.approx(nothing.evidence, abs=0.5)
+    # Its noise, a random force for the one and outliers of a sensor for the other, has two maxima near each other.
+    assert back.evidence == pytest.approx(nothing.evidence, abs=5.0)
 
 
 @pytest.mark.parametrize("members", [(0,), ()])
