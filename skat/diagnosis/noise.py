@@ -246,13 +246,17 @@ def estimate_noise(
 
 def _of_parts(chains: Chains, noise: Noise, parts: Sequence[Estimate]) -> Estimate:
     """Return the estimates of the parts of chains, which have one law, as one."""
-    filled: dict[str, Array] = {}
-    for name in ("force", "error", "force_nu", "error_nu", "force_weights", "error_weights"):
-        filled[name] = getattr(noise, name).copy()
+
+    def filled(name: str) -> Array:
+        values: Array = getattr(noise, name).copy()
         for (channels, forces), one in zip(chains.parts, parts):
-            filled[name][..., forces if name.startswith("force") else channels] = getattr(one.noise, name)
+            values[..., forces if name.startswith("force") else channels] = getattr(one.noise, name)
+        return values
+
+    force, error, force_nu, error_nu = map(filled, ("force", "error", "force_nu", "error_nu"))
+    weights = filled("force_weights"), filled("error_weights")
     return Estimate(
-        replace(noise, **filled),
+        Noise(force, error, force_nu, error_nu, noise.law, *weights),
         sum(one.bound for one in parts),
         filtered_together(chains, [one.filtered for one in parts]),
         smoothed_together(chains, [one.smoothed for one in parts]),

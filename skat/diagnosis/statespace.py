@@ -566,17 +566,17 @@ def derivatives(
     for start in range(0, len(groups), together):
         part = groups[start : start + together]
         # One end of most slopes is where the effect is.
-        ends = [
+        moves = [
             {name: steps[name][end] for name in group if steps[name][end] != here[name]}
             for group in part
             for end in (0, 1)
         ]
-        outputs = iter(space.simulated(rows, [{**values, **moved} for moved in ends if moved]))
-        reached = [next(outputs) if moved else base for moved in ends]
+        outputs = iter(space.simulated(rows, [{**values, **moved} for moved in moves if moved]))
+        reached = [next(outputs) if moved else base for moved in moves]
         for place, group in enumerate(part):
             for name in group:
                 low, high = (
-                    reached[2 * place + end] if name in ends[2 * place + end] else base for end in (0, 1)
+                    reached[2 * place + end] if name in moves[2 * place + end] else base for end in (0, 1)
                 )
                 difference = simulator.residual(_finite(high, safe), _finite(low, safe))
                 bad = ~(np.isfinite(high).all(axis=1) & np.isfinite(low).all(axis=1))

@@ -42,8 +42,9 @@ def parts_of(anatomy: Anatomy) -> NDArray[np.intp]:
         first, second = model.body_treeid[model.geom_bodyid[[pair.first, pair.second]]]
         if first >= 0 and second >= 0:
             touching[first, second] = True
-    of_trees: NDArray[np.intp] = connected_components(touching, directed=False)[1]
-    return of_trees[model.dof_treeid]
+    of_trees = connected_components(touching, directed=False)[1]
+    of_dofs: NDArray[np.intp] = of_trees[model.dof_treeid].astype(int)
+    return of_dofs
 
 
 def places_of_effects(anatomy: Anatomy, parts: NDArray[np.intp]) -> dict[str, int]:
