@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from skat.diagnosis.filtering import Array, Chains, updated
+from skat.diagnosis.filtering import Array, Chains, Memory, updated
 from skat.diagnosis.noise import Estimate, Noise
 from skat.diagnosis.statespace import PAIRS, Linear, Places, StateSpace, moved_path, normal_points
 from skat.simulators.tables import episode_starts
@@ -35,14 +35,14 @@ class Seen:
     chains : Chains
         Those of `linear`, with forces of memory where the noise has such.
     estimate : Estimate
-    shares : ndarray of shape (n_forces,) or (0,)
-        What is left of a force with memory a row later.
+    memory : Memory
+        Of these forces.
     """
 
     linear: Linear
     chains: Chains
     estimate: Estimate
-    shares: Array
+    memory: Memory
 
 
 @dataclass(frozen=True)
@@ -142,10 +142,9 @@ def variances_of(scale: Array, nu: Array) -> Array:
     return scale * np.where(heavy, nu / np.where(heavy, nu - 2, 1.0), 1.0)
 
 
-def steady(noise: Noise, shares: Array) -> Array:
-    """Return the variance of each force with memory, at any time, (n_laws, n_forces)."""
-    force = variances_of(noise.force, noise.force_nu)[:, -len(shares) :]
-    return force / np.maximum(1 - shares**2, 1e-12)
+def steady(noise: Noise, memory: Memory) -> Array:
+    """Return the variance of what is hidden of each force with memory, at any time, (n_laws, n_forces)."""
+    return memory.steady(variances_of(noise.force, noise.force_nu)[:, -len(memory) :])
 
 
 def _drawn(
@@ -205,14 +204,14 @@ def _line(
     squares : ndarray of shape (n_points, n_starts, horizon, d)
     variances : ndarray of shape (n_starts, horizon, d)
     """
-    (n_points, n_starts, horizon, d), noise, k = pushes.shape, seen.estimate.noise, len(seen.shares)
+    (n_points, n_starts, horizon, d), noise, k = pushes.shape, seen.estimate.noise, len(seen.memory)
     A, F = (one[space.places] for one in (seen.chains.transitions, seen.chains.carrier))
     law = space.origins[starts]
     force = variances_of(noise.force, noise.force_nu)[law, None]
     M = np.zeros((n_starts, d + k, d + k))
     M[:, :d, :d] = unknown
     if k:
-        M[:, d:, d:] = steady(noise, seen.shares)[law, :, None] * np.eye(k)
+        M[:, d:, d:] = steady(noise, seen.memory)[law, :, None] * np.eye(k)
     moved, pushed = np.moveaxis(offsets, -1, 1), np.zeros((n_starts, n_points, d))
     squares, variances = np.empty((n_points, n_starts, horizon, d)), np.empty((n_starts, horizon, d))
     with np.errstate(over="ignore", invalid="ignore"):
@@ -253,16 +252,17 @@ def _drawn_pushes(
     random_state: np.random.RandomState,
 ) -> Array:
     """Return draws of what random forces add to the state in each row, (n_draws, n_starts, horizon, d)."""
-    noise, k, law = seen.estimate.noise, len(seen.shares), space.origins[starts]
+    noise, k, law = seen.estimate.noise, len(seen.memory), space.origins[starts]
     deviations = np.sqrt(variances_of(noise.force, noise.force_nu))[law]
     shape = n_draws, len(starts), horizon
     forces = random_state.standard_normal((*shape, deviations.shape[-1])) * deviations[:, None]
     if k:
         # A simulation does not know what is known of these forces: to it, all of their variance is an error.
-        lasting = np.sqrt(steady(noise, seen.shares)[law]) * random_state.standard_normal((*shape[:2], k))
+        hidden = np.sqrt(steady(noise, seen.memory)[law]) * random_state.standard_normal((*shape[:2], k))
         for step in range(horizon):
-            forces[:, :, step, :k] += lasting
-            lasting = seen.shares * lasting + forces[:, :, step, -k:]
+            fresh = forces[:, :, step, -k:]
+            forces[:, :, step, :k] += seen.memory.acting(fresh, hidden)
+            hidden = seen.memory.share * hidden + seen.memory.kept(fresh)
     carrier = seen.linear.chains.carrier[space.places][starts[:, None] + np.arange(horizon)]
     pushes: Array = np.einsum("shdf,nshf->nshd", carrier, forces[..., : carrier.shape[-1]])
     return pushes

@@ -32,6 +32,51 @@ Places = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
+class Memory:
+    """Random forces that remember the ones before, one beside each white force.
+
+    With fresh pushes w and a hidden z, ``z[t+1] = share z[t] + w[t]`` acts as it is and lasts, as a drift does; or
+    ``z[t+1] = share z[t] + (1 - share) w[t]`` takes back from w[t], so that nothing is left of a push in the end, as
+    of a vibration's: spectra that fall off above a frequency, or below it.
+
+    Attributes
+    ----------
+    n_forces : int, default=0
+        0: there are none.
+    share : float, default=0
+        What is left of z a row later.
+    returns : bool, default=False
+        Whether pushes are taken back.
+    """
+
+    n_forces: int = 0
+    share: float = 0.0
+    returns: bool = False
+
+    def __len__(self) -> int:
+        return self.n_forces
+
+    def acting(self, fresh: Array, hidden: Array) -> Array:
+        """Return the forces of pushes (..., n_forces) and of what is hidden beside them."""
+        return fresh - hidden if self.returns else hidden
+
+    def kept(self, fresh: Array) -> Array:
+        """Return what pushes add to what is hidden."""
+        return (1 - self.share) * fresh if self.returns else fresh
+
+    def steady(self, fresh: Array) -> Array:
+        """Return the variance of what is hidden, at any time, from that of the pushes (..., n_forces)."""
+        return self.kept(self.kept(fresh)) / (1 - self.share**2)
+
+    def variance(self, fresh: Array) -> Array:
+        """Return the variance of the forces, at any time."""
+        return self.steady(fresh) + (fresh if self.returns else 0.0)
+
+
+NO_MEMORY = Memory()
+
+
+@dataclass(frozen=True)
 class Chains:
     """Linear dynamics and measurements of chains, padded to the longest one.
 
@@ -75,29 +120,32 @@ class Chains:
             self.before,
         )
 
-    def with_memory(self, shares: Array, prior: Array | None = None) -> "Chains":
+    def with_memory(self, memory: Memory, prior: Array | None = None) -> "Chains":
         """Return these chains with a force of memory beside each random force, as further, hidden channels.
 
         Parameters
         ----------
-        shares : ndarray of shape (n_forces,)
-            What is left of such a force a step later: g[t+1] = share g[t] + w[t].
+        memory : Memory
         prior : ndarray of shape (n_forces,), optional
-            Variance of each such force where a chain begins. By default it is what all steps before would have made it:
-            a force that is the same in all chains is not unknown anew in each.
+            Variance of what is hidden of each such force where a chain begins. By default it is what all steps before
+            would have made it: what is the same in all chains is not unknown anew in each.
         """
         n, steps, d = self.drive.shape
         k = self.carrier.shape[-1]
         transitions = np.zeros((n, steps, d + k, d + k))
-        transitions[..., :d, :d], transitions[..., :d, d:] = self.transitions, self.carrier
-        transitions[..., d:, d:] = np.diag(shares)
+        none, one = np.zeros(k), np.ones(k)
+        transitions[..., :d, :d], transitions[..., :d, d:] = (
+            self.transitions,
+            self.carrier * memory.acting(none, one),
+        )
+        transitions[..., d:, d:] = memory.share * np.eye(k)
         carrier = np.zeros((n, steps, d + k, 2 * k))
-        carrier[..., :d, :k] = self.carrier
-        carrier[..., d:, k:] = np.eye(k)
+        carrier[..., :d, :k], carrier[..., :d, k:] = self.carrier, self.carrier * memory.acting(one, none)
+        carrier[..., d:, k:] = np.diag(memory.kept(one))
         before = None
         if prior is None:
-            prior, before = np.zeros(k), np.zeros((d + k, 2 * k))
-            before[d:, k:] = np.diag(1 / np.sqrt(1 - shares**2))
+            prior, before = none, np.zeros((d + k, 2 * k))
+            before[d:, k:] = np.diag(np.sqrt(memory.steady(one)))
         bends = np.zeros((n, steps, d + k, d + k))
         bends[..., :d, :d] = self.bends
         wide = [(0, 0), (0, 0), (0, k)]

@@ -100,9 +100,10 @@ class Fits:
         widths = np.abs(places - origin)
         for turn in range(FIT_TURNS):
             values = {effect.name: value_at(effect, at) for effect, at in zip(chosen, places)}
-            # A memory is looked for once.
+            # A memory is looked for once, and again where values were still too far off to show one.
+            looks = turn == 0 or (bool(near.fitted.memory) and not start.memory)
             fit_at = self._next if own_slopes else self._compared
-            fitted = fit_at(values, start, memories=turn == 0)
+            fitted = fit_at(values, start, memories=looks)
             fit, one = self._weighed(members, fitted, widths)
             moved, deviations = one.values, one.deviations
             # Within its standard errors no step goes too far.

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skat.diagnosis.evidence import Gram, Priors
-from skat.diagnosis.filtering import Array, Chains, Filtered, Mask, filter_columns, updated
+from skat.diagnosis.filtering import NO_MEMORY, Array, Chains, Filtered, Mask, Memory, filter_columns, updated
 from skat.diagnosis.noise import TOLERANCE, Estimate, Noise, estimate_noise, normal_noise, passed
 from skat.diagnosis.statespace import (
     Linear,
@@ -96,15 +96,15 @@ class Fitted:
         Noise, and the pass of filter and smoother with it.
     chains : Chains
         Those of `linear`, with forces of memory where the noise has such.
-    shares : ndarray of shape (n_forces,) or (0,)
-        What is left of such a force a row later.
+    memory : Memory
+        Of these forces.
     """
 
     values: Mapping[str, float]
     linear: Linear
     chains: Chains
     estimate: Estimate
-    shares: Array
+    memory: Memory
 
     @property
     def bound(self) -> float:
@@ -176,7 +176,7 @@ def first_fit(
     force = np.stack([_force_guess(linear, one) for one in typical])
     noise = normal_noise(linear.chains, force, typical, space.origin)
     estimate = known.estimated(linear.chains, noise, space.real)
-    fitted = Fitted(dict(values), linear, linear.chains, estimate, np.zeros(0))
+    fitted = Fitted(dict(values), linear, linear.chains, estimate, NO_MEMORY)
     for turn in range(turns):
         before = fitted.bound
         fitted = next_fit(space, values, fitted, known, afresh=turn == 0, memories=turn == 0)
@@ -252,7 +252,7 @@ def compared(
     """
     linear = linearise(space, start.linear.path, values, slopes=start.linear)
     # Forces have the memory that they have there, if any.
-    climbs = not len(start.shares)
+    climbs = not len(start.memory)
     return _estimated(space, values, linear, start, known, memories=memories or not climbs, climbs=climbs)
 
 
@@ -267,12 +267,10 @@ def _estimated(
     climbs: bool = True,
 ) -> Fitted:
     """Return the fit about a path, noise estimated from that of another fit on."""
-    noise, shares = start.estimate.noise, start.shares
+    noise, memory = start.estimate.noise, start.memory
     if memories and space.real.shape[1] > FEWEST_FOR_MEMORY:
-        estimate, shares = _with_best_memory(space, linear, noise, shares, known, climbs=climbs)
-        return Fitted(dict(values), linear, _remembering(space, linear, shares), estimate, shares)
-    chains = _remembering(space, linear, shares)
-    return Fitted(dict(values), linear, chains, known.estimated(chains, noise, space.real), shares)
+        return _with_best_memory(space, values, linear, noise, memory, known, climbs=climbs)
+    return _with_memory_of(space, values, linear, noise, memory, known)
 
 
 def _typical(space: StateSpace, linear: Linear) -> Array:
@@ -320,13 +318,28 @@ def hits(space: StateSpace) -> bool:
     return bool(bent.any())
 
 
+def _with_memory_of(
+    space: StateSpace, values: Mapping[str, float], linear: Linear, noise: Noise, memory: Memory, known: Known
+) -> Fitted:
+    """Return the fit at a memory of forces, from a noise that has such."""
+    chains = _remembering(linear, memory)
+    return Fitted(dict(values), linear, chains, known.estimated(chains, noise, space.real), memory)
+
+
 def _with_best_memory(
-    space: StateSpace, linear: Linear, noise: Noise, shares: Array, known: Known, *, climbs: bool = True
-) -> tuple[Estimate, Array]:
-    """Return the noise with forces of the memory, if any, that the bound asks for: the last, or what it climbs to."""
+    space: StateSpace,
+    values: Mapping[str, float],
+    linear: Linear,
+    noise: Noise,
+    last: Memory,
+    known: Known,
+    *,
+    climbs: bool = True,
+) -> Fitted:
+    """Return the fit with forces of the memory, if any, that the bound asks for: the last, or what it climbs to."""
     n_forces = linear.chains.carrier.shape[-1]
     plain = _without_memory(noise, space.d, n_forces)
-    without = known.estimated(linear.chains, plain, space.real)
+    without = _with_memory_of(space, values, linear, plain, NO_MEMORY, known)
     if known.given is None:
         rough = _rough(space)
         read = np.where(np.isfinite(rough), np.maximum(plain.error, rough), plain.error)
@@ -335,40 +348,49 @@ def _with_best_memory(
             other = normal_noise(linear.chains, plain.force, read, plain.law)
             without = max(
                 without,
-                known.estimated(linear.chains, other, space.real),
+                _with_memory_of(space, values, linear, other, NO_MEMORY, known),
                 key=lambda one: one.bound,
             )
     # A variance more for each force in each log, and the memory itself.
     needed = MEMORY_WORTH * (noise.force.shape[0] * n_forces + 1)
     longest = SHARE_OF_EPISODE * np.unique(space.groups, return_counts=True)[1].max()
-    memories = [np.full(n_forces, np.exp(-1 / rows)) for rows in MEMORIES if rows <= longest]
-    worth = _worth_of_memories(linear.chains, without)[: len(memories)]
-    if not memories or max(worth, default=0.0) < needed:
-        return without, np.zeros(0)
+    memories = [
+        Memory(n_forces, float(np.exp(-1 / rows)), returns)
+        for returns in (False, True)
+        for rows in MEMORIES
+        if rows <= longest
+    ]
+    worth = _worth_of_memories(linear.chains, without.estimate, memories)
+    if max(worth, default=0.0) < needed:
+        return without
 
-    def remembered(place: int) -> Estimate:
-        chains = _remembering(space, linear, memories[place])
-        start = noise if len(shares) else _with_memory(without.noise, memories[place])
-        return known.estimated(chains, start, space.real)
+    def remembered(place: int) -> Fitted:
+        start = noise if last == memories[place] else _with_memory(without.estimate.noise, memories[place])
+        return _with_memory_of(space, values, linear, start, memories[place], known)
 
-    # Climbed to, from the last one or from where innovations point.
-    now = int(np.argmax(worth))
-    if len(shares):
-        now = int(np.argmin([abs(one[0] - shares[0]) for one in memories]))
-    best = remembered(now)
-    tried = {now}
-    while climbs and (
-        beside := [one for one in (now - 1, now + 1) if 0 <= one < len(memories) and one not in tried]
-    ):
-        tried.add(beside[0])
-        moved = remembered(beside[0])
-        if moved.bound > best.bound:
-            now, best = beside[0], moved
-    return (best, memories[now]) if best.bound > without.bound + needed else (without, np.zeros(0))
+    def climbed(now: int) -> Fitted:
+        best, tried = remembered(now), {now}
+        while climbs and (beside := [one for one in (now - 1, now + 1) if one in own(memories[now]) - tried]):
+            tried.add(beside[0])
+            moved = remembered(beside[0])
+            if moved.bound > best.bound:
+                now, best = beside[0], moved
+        return best
+
+    def own(memory: Memory) -> set[int]:
+        return {place for place, one in enumerate(memories) if one.returns == memory.returns}
+
+    # Climbed to from where innovations point, or from the last one, which may be of either kind.
+    starts = {int(np.argmax(worth))}
+    if len(last):
+        nearest = min(own(last), key=lambda place: abs(memories[place].share - last.share))
+        starts = {nearest} | (starts - own(last) if climbs else set())
+    best = max((climbed(start) for start in sorted(starts)), key=lambda one: one.bound)
+    return best if best.bound > without.bound + needed else without
 
 
-def _worth_of_memories(chains: Chains, estimate: Estimate) -> list[float]:
-    """Return about how many nats each memory would add, by how innovations go with those before.
+def _worth_of_memories(chains: Chains, estimate: Estimate, memories: Sequence[Memory]) -> list[float]:
+    """Return about how many nats each memory would add, by how innovations go with those before, or against them.
 
     White forces leave white innovations. Their mean product with the sum of the k before them, in units of its standard
     error, is the score of a memory of about k rows; half its square is what the likelihood would gain.
@@ -377,28 +399,29 @@ def _worth_of_memories(chains: Chains, estimate: Estimate) -> list[float]:
     whitened = np.clip(whitened, -3.0, 3.0)
     worth = []
     sums = np.cumsum(whitened, axis=1)
-    for rows in (int(rows) for rows in MEMORIES):
+    for memory in memories:
+        rows = round(-1 / np.log(memory.share))
         if whitened.shape[1] <= rows + 1:
-            break
+            worth.append(0.0)
+            continue
         before = sums[:, rows - 1 : -1].copy()
         before[:, 1:] -= sums[:, : -rows - 1]
         products = whitened[:, rows:] * before
         scores = products.sum(axis=(0, 1)) / np.sqrt(np.maximum(np.sum(products**2, axis=(0, 1)), 1e-300))
-        worth.append(float(np.sum(np.maximum(scores, 0.0) ** 2)) / 2)
+        worth.append(float(np.sum(np.maximum(-scores if memory.returns else scores, 0.0) ** 2)) / 2)
     return worth
 
 
-def _remembering(space: StateSpace, linear: Linear, shares: Array) -> Chains:
-    if not len(shares):
-        return linear.chains
-    return linear.chains.with_memory(shares)
+def _remembering(linear: Linear, memory: Memory) -> Chains:
+    return linear.chains.with_memory(memory) if memory else linear.chains
 
 
-def _with_memory(noise: Noise, shares: Array) -> Noise:
-    k = len(shares)
+def _with_memory(noise: Noise, memory: Memory) -> Noise:
+    """Return a noise with forces of memory that are as large as the white ones."""
+    k = len(memory)
     wide, chains = [(0, 0), (0, k)], [(0, 0), (0, 0), (0, k)]
     return Noise(
-        np.concatenate([noise.force, noise.force * (1 - shares**2)], axis=1),
+        np.concatenate([noise.force, noise.force / memory.variance(np.ones(k))], axis=1),
         np.pad(noise.error, wide, constant_values=1.0),
         np.pad(noise.force_nu, wide, constant_values=np.inf),
         np.pad(noise.error_nu, wide, constant_values=np.inf),
@@ -569,15 +592,16 @@ def noise_without(
     moves: Array,
     known: Known = NOTHING_KNOWN,
 ) -> Fitted:
-    """Return the fit with its noise estimated anew where effects move by so much.
+    """Return the fit with its noise estimated anew where effects move by so much, its forces' memory with it.
 
     What effects explain is no noise: a force that a missing friction leaves would hide the friction.
     """
-    hidden = fitted.chains.drive.shape[-1] - space.d
-    shift = space.padded(np.pad(slopes @ moves, [(0, 0), (0, hidden)]))
-    moved = replace(fitted.chains, drive=fitted.chains.drive + shift)
-    estimate = known.estimated(moved, fitted.estimate.noise, space.real)
-    return replace(fitted, estimate=passed(fitted.chains, estimate.noise, space.real, covariances=True))
+    linear = fitted.linear
+    moved = replace(linear.chains, drive=linear.chains.drive + space.padded(slopes @ moves))
+    found = _estimated(space, fitted.values, replace(linear, chains=moved), fitted, known, memories=True)
+    chains = _remembering(linear, found.memory)
+    estimate = passed(chains, found.estimate.noise, space.real, covariances=True)
+    return replace(fitted, chains=chains, estimate=estimate, memory=found.memory)
 
 
 def on_logarithm(effect: Effect) -> bool:

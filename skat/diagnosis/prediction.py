@@ -203,15 +203,15 @@ def look(space: StateSpace, fitted: Fitted, values: Mapping[str, float]) -> Seen
 
     Where heavy tails were found, each sample's weight is found anew in turns with the variances held.
     """
-    noise, shares = _with_even_weights(fitted.estimate.noise, space), fitted.shares
+    noise, memory = _with_even_weights(fitted.estimate.noise, space), fitted.memory
     path, covariances = space.measured, None
     heavy = bool(np.isfinite(np.c_[noise.force_nu, noise.error_nu]).any())
     turns = TURNS if space.simulator.state_names or heavy else 1
     for turn in range(turns):
         linear = linearise(space, path, values, covariances)
         chains = linear.chains
-        if len(shares):
-            chains = chains.with_memory(shares, steady(noise, shares).max(axis=0))
+        if len(memory):
+            chains = chains.with_memory(memory, steady(noise, memory).max(axis=0))
         for _ in range(TURNS if heavy else 0):
             estimate = passed(chains, noise, space.real)
             noise = _weighted(estimate, space.real, chains.mask)
@@ -220,7 +220,7 @@ def look(space: StateSpace, fitted: Fitted, values: Mapping[str, float]) -> Seen
             means, known = updated(chains, estimate.filtered, noise.error_variances)
             path = moved_path(space, linear.path, means[..., : space.d])
             covariances = known[..., : space.d, : space.d]
-    return Seen(linear, chains, estimate, shares)
+    return Seen(linear, chains, estimate, memory)
 
 
 def windows(space: StateSpace, horizon: int, *, n_lags: int = 0) -> tuple[Places, int]:
@@ -586,11 +586,11 @@ def _open_loop_variances(
     space: StateSpace, fitted: Fitted, values: Mapping[str, float], initial_state: str, begun: Array
 ) -> Array:
     """Return the variance of what a right model's error would be after each row, (n_rows, d), from states begun in."""
-    linear, shares = linearise(space, space.measured, values), fitted.shares
+    linear, memory = linearise(space, space.measured, values), fitted.memory
     chains = linear.chains
-    if len(shares):
-        chains = chains.with_memory(shares, steady(fitted.estimate.noise, shares).max(axis=0))
-    seen = Seen(linear, chains, fitted.estimate, shares)
+    if len(memory):
+        chains = chains.with_memory(memory, steady(fitted.estimate.noise, memory).max(axis=0))
+    seen = Seen(linear, chains, fitted.estimate, memory)
     d = space.d
     errors = variances_of(fitted.estimate.noise.error, fitted.estimate.noise.error_nu)[:, :d]
     out = np.empty((len(space.X), d))

@@ -28,7 +28,7 @@ from scipy.special import logsumexp
 
 from skat.diagnosis.ahead import Seen, ahead, filtered
 from skat.diagnosis.evidence import WIDTH_95
-from skat.diagnosis.filtering import Array, Mask, kalman_filter, smooth
+from skat.diagnosis.filtering import Array, Mask, Memory, kalman_filter, smooth
 from skat.diagnosis.findings import Gain
 from skat.diagnosis.fitting import Fitted, response
 from skat.diagnosis.noise import estimate_noise, normal_noise
@@ -209,7 +209,7 @@ def find_remainder(
     random_state : numpy.random.RandomState
         Draws white forces, for comparison of spectra.
     """
-    seen, simulator = Seen(fitted.linear, fitted.chains, fitted.estimate, fitted.shares), space.simulator
+    seen, simulator = Seen(fitted.linear, fitted.chains, fitted.estimate, fitted.memory), space.simulator
     h = horizon_rows(simulator) if horizon is None else horizon
     directions = _directions(space, fitted)
     rows = space.X.copy()
@@ -307,9 +307,9 @@ def _directions(space: StateSpace, fitted: Fitted) -> _Directions:
         )
     columns = fitted.linear.chains.carrier[space.places]
     k = columns.shape[-1]
-    forces, variances = _total_forces(space, fitted.shares, smoothed.forces, smoothed.means)
+    forces, variances = _total_forces(space, fitted.memory, smoothed.forces, smoothed.means)
     variances = smoothed.force_variances[..., :k][space.places].copy()
-    if len(fitted.shares):
+    if len(fitted.memory):
         diagonal = np.einsum("ctii->cti", smoothed.covariances)[..., d:]
         variances += np.maximum(diagonal[:, :-1][space.places], 0.0)
     joints = simulator.joint_forces()
@@ -352,12 +352,13 @@ def _state_inputs(space: StateSpace, channel: str) -> tuple[str, ...]:
     return tuple(name for name in names if name in space.simulator.input_names)
 
 
-def _total_forces(space: StateSpace, shares: Array, forces: Array, means: Array) -> tuple[Array, Array]:
+def _total_forces(space: StateSpace, memory: Memory, forces: Array, means: Array) -> tuple[Array, Array]:
     """Return white forces with those of memory added, (n_rows, k), and the white ones alone."""
-    white = forces[..., : forces.shape[-1] - len(shares)][space.places]
-    if not len(shares):
+    own, k = forces[space.places], forces.shape[-1] - len(memory)
+    white = own[:, :k]
+    if not len(memory):
         return white, white
-    return white + means[:, :-1, space.d :][space.places], white
+    return white + memory.acting(own[:, k:], means[:, :-1, space.d :][space.places]), white
 
 
 def _joint_scales(space: StateSpace, fitted: Fitted) -> Array:
@@ -384,13 +385,13 @@ def _joint_scales(space: StateSpace, fitted: Fitted) -> Array:
 
 def _past(seen: Seen, index: int) -> float:
     """Return the share of a force's variance that its own past predicts a row ahead."""
-    k = len(seen.shares)
+    k, memory = len(seen.memory), seen.memory
     if not k:
         return 0.0
-    force, share = seen.estimate.noise.force.mean(axis=0), float(seen.shares[index])
-    lasting = force[k + index] / max(1 - share**2, 1e-12)
-    total = lasting + force[index]
-    return float(share**2 * lasting / total) if total > 0 else 0.0
+    force = seen.estimate.noise.force.mean(axis=0)
+    hidden = memory.steady(force[k:])[index] * (1.0 if memory.returns else memory.share**2)
+    total = memory.variance(force[k:])[index] + force[index]
+    return float(hidden / total) if total > 0 else 0.0
 
 
 def _with_normal_noise(space: StateSpace, seen: Seen) -> list[Seen]:
@@ -581,8 +582,8 @@ def _white_spectra(
     plain, chains, noise = fitted.linear.chains, fitted.chains, fitted.estimate.noise
     d, k = space.d, plain.carrier.shape[-1]
     forces = noise.force[:, :k].copy()
-    if len(fitted.shares):
-        forces += noise.force[:, k:] / np.maximum(1 - fitted.shares**2, 1e-12)
+    if len(fitted.memory):
+        forces += fitted.memory.variance(noise.force[:, k:])
     mean = forces.mean(axis=0)
     variances = noise.force_variances, noise.error_variances
     spectra = [np.zeros(0)] * n
@@ -601,7 +602,7 @@ def _white_spectra(
             chains, measured=np.where(chains.mask, readings, 0.0), drive=np.zeros_like(chains.drive)
         )
         smoothed = smooth(drawn, kalman_filter(drawn, *variances), *variances, covariances=False)
-        shown, _ = _total_forces(space, fitted.shares, smoothed.forces, smoothed.means)
+        shown, _ = _total_forces(space, fitted.memory, smoothed.forces, smoothed.means)
         for index in range(n):
             frequencies, power = _welch(space, shown[:, index] / np.sqrt(max(mean[index], 1e-300)))
             spectra[index] = power / DRAWS if draw == 0 else spectra[index] + power / DRAWS

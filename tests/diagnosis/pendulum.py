@@ -5,6 +5,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
+from skat.diagnosis.filtering import NO_MEMORY, Memory
 from skat.diagnosis.fitting import Fitted
 from skat.diagnosis.noise import normal_noise, passed
 from skat.diagnosis.statespace import linearise, state_space
@@ -58,11 +59,11 @@ def laid_out(simulator, X, y, groups):
 def known(space, values, force, *, share=None, nu=np.inf):
     """Return the fit at the true noise: of the sensors, and of a force of this standard deviation, N m."""
     linear = linearise(space, space.measured, values)
-    chains, variance, shares = linear.chains, [force**2], np.zeros(0)
+    chains, variance, memory = linear.chains, [force**2], NO_MEMORY
     error = SIGMA**2
     if share is not None:
-        shares = np.array([share])
-        chains = chains.with_memory(shares, np.array([force**2]))
+        memory = Memory(1, share)
+        chains = chains.with_memory(memory, np.array([force**2]))
         variance, error = [1e-12, force**2 * (1 - share**2)], np.r_[error, 1.0]
     noise = normal_noise(chains, np.array(variance), error)
     noise = replace(noise, error_nu=np.full((1, len(error)), nu))
@@ -71,5 +72,5 @@ def known(space, values, force, *, share=None, nu=np.inf):
         linear,
         chains,
         passed(chains, noise, space.real, covariances=True),
-        shares,
+        memory,
     )

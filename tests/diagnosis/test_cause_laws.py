@@ -20,7 +20,9 @@ from skat.diagnosis.causes import (
     typical_biases,
 )
 from skat.diagnosis.evidence import Gram, Priors, Weighed, Weigher, weigh
+from skat.diagnosis.filtering import Memory
 from skat.diagnosis.fitting import (
+    MEMORIES,
     Columns,
     Known,
     _blocks,
@@ -200,10 +202,9 @@ def test_a_noise_with_memory_is_as_large_as_without_and_comes_back_as_it_was():
         np.array([[4.0]]), np.array([[1.0, 2.0]]), np.array([[5.0]]), np.array([[np.inf, 3.0]]), np.zeros(2, dtype=int),
         np.full((2, 3, 1), 0.5), np.full((2, 4, 2), 0.7),
     )  # fmt: skip
-    share = np.array([0.8])
-    both = _with_memory(noise, share)
+    both = _with_memory(noise, Memory(1, 0.8))
     # In steady state the lasting force has the variance of the white one.
-    assert both.force[0, 1] / (1 - share[0] ** 2) == pytest.approx(4.0)
+    assert both.force[0, 1] / (1 - 0.8**2) == pytest.approx(4.0)
     assert both.error.tolist() == [[1.0, 2.0, 1.0]]
     assert (both.force_weights.shape, both.error_weights.shape) == ((2, 3, 2), (2, 4, 3))
     assert np.isinf(both.force_nu[0, 1])
@@ -214,22 +215,31 @@ def test_a_noise_with_memory_is_as_large_as_without_and_comes_back_as_it_was():
 
 
 @pytest.mark.parametrize("share", [0.0, 0.9])
-def test_innovations_that_go_with_those_before_ask_for_a_memory(share):
+def test_innovations_that_go_with_those_before_or_against_them_ask_for_a_memory(share):
     rng, n = np.random.default_rng(0), 300
     white = rng.normal(size=(4, n, 1))
     z = np.zeros_like(white)
     for step in range(n):
         z[:, step] = share * z[:, step - 1] + np.sqrt(1 - share**2) * white[:, step]
-    chains = SimpleNamespace(mask=np.ones_like(z, dtype=bool))
-    worth = _worth_of_memories(chains, SimpleNamespace(filtered=SimpleNamespace(whitened=z)))
-    assert (max(worth) > 20) == bool(share)
-    assert len(worth) == 5
-    # Against each other is no memory.
-    against = z * (-1) ** np.arange(n)[:, None] if share else -z
-    turned = _worth_of_memories(chains, SimpleNamespace(filtered=SimpleNamespace(whitened=against)))
-    assert turned[0] < 20
-    short = SimpleNamespace(filtered=SimpleNamespace(whitened=z[:, :12]))
-    assert len(_worth_of_memories(SimpleNamespace(mask=np.ones((4, 12, 1), bool)), short)) == 3
+    # A force that is taken back by as much in each of the ten rows behind it.
+    back = white.copy()
+    for later in range(1, 11):
+        back[:, later:] -= white[:, :-later] / 10
+    memories = [Memory(1, np.exp(-1 / rows), returns) for returns in (False, True) for rows in MEMORIES]
+
+    def worth(series, memories=memories):
+        filtered = SimpleNamespace(filtered=SimpleNamespace(whitened=series))
+        found = _worth_of_memories(SimpleNamespace(mask=np.ones_like(series, dtype=bool)), filtered, memories)
+        return found[:5], found[5:]
+
+    lasting, returning = worth(z)
+    assert (max(lasting) > 20) == bool(share)
+    assert max(returning) < 20
+    lasting, returning = worth(back if share else white)
+    assert (max(returning) > 20) == bool(share)
+    assert max(lasting) < 20
+    # Of a memory that is longer than a chain nothing is known.
+    assert worth(z[:, :12])[0][3:] == [0.0, 0.0]
 
 
 def columns_of(N, z, origin, blocks=None):

@@ -8,6 +8,7 @@ from scipy import integrate, stats
 
 from skat.diagnosis.filtering import (
     Chains,
+    Memory,
     filter_columns,
     kalman_filter,
     smooth,
@@ -145,15 +146,16 @@ def test_a_force_with_memory_is_told_from_a_white_one_by_the_bound():
         chains = random_walk(np.random.default_rng(4), memory=memory, error=0.5)
         real = np.ones(chains.drive.shape[:2], dtype=bool)
         white = estimate_noise(chains, normal_noise(chains, [0.3], [0.3]), real, floor=np.zeros(1))
-        both = chains.with_memory(np.array([0.9]), np.array([10.0]))
+        both = chains.with_memory(Memory(1, 0.9), np.array([10.0]))
         start = normal_noise(both, [0.1, 0.1], [0.3, 1.0])
         gains.append(estimate_noise(both, start, real, floor=np.zeros(2)).bound - white.bound)
     assert gains[0] > 20
     assert gains[1] < 6
 
 
-def test_a_force_of_memory_is_at_all_times_what_all_steps_before_have_made_it():
-    share, force = np.array([0.95, 0.5]), np.array([0.2, 3.0])
+@pytest.mark.parametrize("returns", [False, True])
+def test_a_force_of_memory_is_at_all_times_what_all_steps_before_have_made_it(returns):
+    memory, force = Memory(2, 0.95, returns), np.array([0.2, 3.0])
     chains = Chains(
         np.tile(np.eye(2), (1, 6, 1, 1)),
         np.zeros((1, 6, 2)),
@@ -162,10 +164,10 @@ def test_a_force_of_memory_is_at_all_times_what_all_steps_before_have_made_it():
         np.zeros((1, 7, 2)),
         np.zeros((1, 7, 2), dtype=bool),
         np.ones(2),
-    ).with_memory(share)
+    ).with_memory(memory)
     forces = np.tile(np.r_[1.0, 1.0, force], (1, 6, 1))
     spread = kalman_filter(chains, forces, np.ones((1, 7, 4))).covariances[0, :, 2:, 2:]
-    steady = np.diag(force / (1 - share**2))
+    steady = np.diag(memory.steady(force))
     np.testing.assert_allclose(spread, np.tile(steady, (7, 1, 1)), rtol=1e-12)
 
 
@@ -180,11 +182,55 @@ def test_a_force_that_is_not_there_costs_a_log_nothing_however_many_chains_it_is
         chains = Chains(flat, 0 * flat[..., 0], 0 * flat, flat, pieces, seen, np.full(1, 100.0))
         real = np.ones((n, steps), dtype=bool)
         white = estimate_noise(chains, normal_noise(chains, [1.0], [0.1]), real, floor=np.zeros(1))
-        both = chains.with_memory(np.array([0.95]))
+        both = chains.with_memory(Memory(1, 0.95))
         start = normal_noise(both, [1.0, 0.01], [0.1, 1.0])
         bound = estimate_noise(both, start, real, floor=np.zeros(2)).bound
         # Its variance may be zero.
         assert white.bound - 0.2 < bound < white.bound + 4
+
+
+def test_of_a_force_that_returns_nothing_is_left():
+    """Its pushes add up to what is hidden of them, which fades."""
+    memory, rng = Memory(1, 0.7, returns=True), np.random.default_rng(0)
+    fresh, hidden, forces = rng.normal(size=400), 0.0, []
+    for push in fresh:
+        forces.append(memory.acting(push, hidden))
+        hidden = memory.share * hidden + memory.kept(push)
+    assert np.sum(forces) == pytest.approx(hidden / (1 - 0.7))
+    assert np.var(forces) == pytest.approx(float(memory.variance(1.0)), rel=0.15)
+    slow, fast = (
+        np.mean(np.abs(np.fft.rfft(forces)[part]) ** 2) for part in (slice(1, 10), slice(-50, None))
+    )
+    assert fast > 10 * slow
+
+
+@pytest.mark.parametrize("returns", [False, True])
+def test_forces_with_memory_have_the_likelihood_of_their_dense_covariance(returns):
+    """Of a place that is moved by them, and read with noise: from the recursion, push by push."""
+    rows, memory, fresh, error = 7, Memory(1, 0.6, returns), 0.5, 0.2
+    rng = np.random.default_rng(1)
+    measured = rng.normal(size=(1, rows + 1, 1))
+    chains = Chains(
+        np.ones((1, rows, 1, 1)), np.zeros((1, rows, 1)), np.zeros((1, rows, 1, 1)), np.ones((1, rows, 1, 1)), measured,
+        np.ones((1, rows + 1, 1), bool), np.array([4.0]),
+    )  # fmt: skip
+    steady = memory.steady(np.array([fresh]))
+    both = chains.with_memory(memory, steady)
+    force, errors = np.tile([0.0, fresh], (1, rows, 1)), np.tile([error, 1.0], (1, rows + 1, 1))
+    found = kalman_filter(both, force, errors).log_likelihood
+    # Columns: the first place, what is hidden at first, and the pushes.
+    places = np.zeros((rows + 1, rows + 2))
+    places[:, 0] = 1.0
+    hidden = np.zeros(rows + 2)
+    hidden[1] = 1.0
+    for row in range(rows):
+        push = np.zeros(rows + 2)
+        push[2 + row] = 1.0
+        places[row + 1 :] += push - hidden if returns else hidden
+        hidden = 0.6 * hidden + (0.4 * push if returns else push)
+    covariance = (places * np.r_[4.0, steady, np.full(rows, fresh)]) @ places.T + error * np.eye(rows + 1)
+    dense = stats.multivariate_normal(np.zeros(rows + 1), covariance).logpdf(measured[0, :, 0])
+    assert found == pytest.approx(dense, rel=1e-9)
 
 
 def test_the_bound_is_near_the_likelihood_by_quadrature():

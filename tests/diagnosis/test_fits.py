@@ -216,13 +216,13 @@ def test_a_search_goes_on_from_a_first_guess_that_is_likelier_as_it_is_than_noth
 
 
 def test_forces_are_given_no_memory_where_none_is_looked_for(space, nothing):
-    assert len(nothing.fitted.shares)
+    assert len(nothing.fitted.memory)
     bare = first_fit(space, {}, turns=0)
-    assert not len(bare.shares)
-    assert not len(compared(space, {}, bare, memories=False).shares)
-    assert len(compared(space, {}, bare).shares)
+    assert not len(bare.memory)
+    assert not len(compared(space, {}, bare, memories=False).memory)
+    assert len(compared(space, {}, bare).memory)
     kept = compared(space, {}, nothing.fitted, memories=False)
-    assert len(kept.shares) == len(nothing.fitted.shares)
+    assert len(kept.memory) == len(nothing.fitted.memory)
 
 
 def test_a_fit_is_the_same_wherever_it_was_begun(space):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from skat.diagnosis.evidence import Gram, weigh
-from skat.diagnosis.filtering import kalman_filter
+from skat.diagnosis.filtering import Memory, kalman_filter
 from skat.diagnosis.fits import Fits
 from skat.diagnosis.fitting import (
     MEMORIES,
@@ -117,7 +117,7 @@ def test_scores_are_of_whitened_rows_in_blocks_of_time():
 def test_responses_are_what_steps_take_from_innovations_beside_forces_of_memory():
     """Of linear dynamics: the difference of two passes, one with more added in each step to the places alone."""
     space, rng = walks(), np.random.default_rng(1)
-    chains = linearise(space, space.measured, {}).chains.with_memory(np.full(2, 0.8), np.ones(2))
+    chains = linearise(space, space.measured, {}).chains.with_memory(Memory(2, 0.8), np.ones(2))
     slopes = rng.normal(size=(len(space.X), 2, 1))
     drive = chains.drive.copy()
     drive[..., :2] += space.padded(slopes[..., 0])
@@ -175,7 +175,7 @@ def test_turns_show_no_noise_of_their_own():
 
 
 def test_of_forces_with_memory_nothing_is_known():
-    chains = linearise(walks(), walks().measured, {}).chains.with_memory(np.full(2, 0.8), np.ones(2))
+    chains = linearise(walks(), walks().measured, {}).chains.with_memory(Memory(2, 0.8), np.ones(2))
     known = Known(np.array([0.1, 0.2]), np.array([0.3, 0.4]))
     assert known.least(chains).tolist() == [0.1, 0.2, 0.0, 0.0]
     assert known.held(chains).tolist() == [True, True, False, False]
@@ -185,24 +185,35 @@ def test_of_forces_with_memory_nothing_is_known():
     assert known.estimated(chains, start, real).noise.error[0, :2].tolist() == [0.09, 0.16]
 
 
-@pytest.mark.parametrize("last", [0, 2])
-def test_a_memory_is_sought_from_the_last_one_on(last, monkeypatch):
-    """Between two memories that fit there is one that does not: each of the two stays where it was the last one."""
-    space, bounds = walks(), [50.0, 20.0, 60.0]
+@pytest.mark.parametrize(
+    ("last", "bounds", "best"),
+    [
+        # Between two memories that fit there is one that does not: each of the two stays where it was the last one.
+        (0, {0: 50.0, 1: 20.0, 2: 60.0}, 0),
+        (2, {0: 50.0, 1: 20.0, 2: 60.0}, 2),
+        # One of the other kind is tried, too, where innovations point to it.
+        (2, {2: 60.0, 4: 70.0}, 4),
+        (4, {2: 60.0, 4: 50.0}, 2),
+    ],
+)
+def test_a_memory_is_sought_from_the_last_one_on(last, bounds, best, monkeypatch):
+    space = walks()
     linear = linearise(space, space.measured, {})
-    memories = [np.full(2, np.exp(-1 / rows)) for rows in MEMORIES[:3]]
-    monkeypatch.setattr("skat.diagnosis.fitting._remembering", lambda space, linear, shares: shares)
-    monkeypatch.setattr("skat.diagnosis.fitting._worth_of_memories", lambda chains, estimate: bounds)
+    memories = [
+        Memory(2, float(np.exp(-1 / rows)), returns) for returns in (False, True) for rows in MEMORIES[:3]
+    ]
+    worth = [bounds.get(place, 0.0) for place in range(6)]
+    monkeypatch.setattr("skat.diagnosis.fitting._remembering", lambda linear, memory: memory)
+    monkeypatch.setattr("skat.diagnosis.fitting._worth_of_memories", lambda chains, estimate, memories: worth)
 
-    def estimated(chains, noise, real):
-        told = [bound for one, bound in zip(memories, bounds) if np.array_equal(chains, one)]
-        return SimpleNamespace(bound=told[0] if told else 0.0)
+    def estimated(memory, noise, real):
+        return SimpleNamespace(bound=worth[memories.index(memory)] if memory else 0.0, noise=noise)
 
     known = SimpleNamespace(given=np.ones(2), estimated=estimated)
     noise = normal_noise(linear.chains, np.ones(2), np.ones(2))
-    estimate, shares = _with_best_memory(space, linear, noise, memories[last], known)
-    assert estimate.bound == bounds[last]
-    np.testing.assert_array_equal(shares, memories[last])
+    fitted = _with_best_memory(space, {}, linear, noise, memories[last], known)
+    assert fitted.bound == bounds[best]
+    assert fitted.memory == memories[best]
 
 
 def test_a_simulation_that_diverges_everywhere_has_no_fit():

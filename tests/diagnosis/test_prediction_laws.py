@@ -8,7 +8,7 @@ import pytest
 from scipy import integrate, stats
 
 from skat.diagnosis.ahead import Seen, _mean_beside, ahead, filtered, variances_of
-from skat.diagnosis.filtering import updated
+from skat.diagnosis.filtering import NO_MEMORY, Memory, updated
 from skat.diagnosis.fitting import Fitted
 from skat.diagnosis.noise import Noise, normal_noise, passed
 from skat.diagnosis.prediction import (
@@ -74,11 +74,11 @@ def read(lengths, *, error=0.1, seed=0, chain_length=1000, simulator=None, centr
 def known(space, error, force=0.0, share=None):
     """Return the fit at a known noise; `force` is the variance of a random step of the place."""
     linear = linearise(space, space.measured, {})
-    chains, shares = linear.chains, np.zeros(0)
+    chains, memory = linear.chains, NO_MEMORY
     forces, errors = [force / float(space.carrier[0, 0]) ** 2], [error**2]
     if share is not None:
-        shares = np.array([share])
-        chains = chains.with_memory(shares, np.array(forces) / (1 - share**2))
+        memory = Memory(1, share)
+        chains = chains.with_memory(memory, np.array(forces) / (1 - share**2))
         forces, errors = [0.0, *forces], [*errors, 1.0]
     noise = normal_noise(chains, np.array(forces), np.array(errors))
     return Fitted(
@@ -86,7 +86,7 @@ def known(space, error, force=0.0, share=None):
         linear,
         chains,
         passed(chains, noise, space.real, covariances=True),
-        shares,
+        memory,
     )
 
 
@@ -213,7 +213,7 @@ def test_what_is_not_known_of_a_state_is_what_its_readings_leave_of_what_was_pre
     linear, errors = linearise(space, space.measured, {}), np.array([0.01, 0.02])
     noise = normal_noise(linear.chains, 0.01 / space.carrier.diagonal() ** 2, errors)
     estimate = passed(linear.chains, noise, space.real, covariances=True)
-    seen = Seen(linear, linear.chains, estimate, np.zeros(0))
+    seen = Seen(linear, linear.chains, estimate, NO_MEMORY)
     states, covariances = filtered(space, seen)
     one = estimate.filtered
     for row in (0, 1, 2, 17):
@@ -282,9 +282,7 @@ def test_what_bounces_is_as_far_apart_as_it_is_drawn_not_as_slopes_have_it():
     space = state_space(simulator, states[:-1], states[1:], np.arange(40), consecutive=True)
     linear = linearise(space, space.measured, {})
     noise = normal_noise(linear.chains, np.full(2, 1e-12), np.full(2, 1e-6))
-    seen = Seen(
-        linear, linear.chains, passed(linear.chains, noise, space.real, covariances=True), np.zeros(0)
-    )
+    seen = Seen(linear, linear.chains, passed(linear.chains, noise, space.real, covariances=True), NO_MEMORY)
     height, speed, spread = 0.3, -2.0, 0.15
     begin = np.tile([height, speed], (20, 1)), np.tile(np.diag([spread**2, 0.0]), (20, 1, 1))
     # Where the floor is a row away, slopes know nothing of it.
@@ -322,7 +320,7 @@ def test_without_a_state_the_squares_of_a_right_model_are_alike_for_all_rows():
     space = state_space(simulator, X, X, np.arange(20), consecutive=False)
     linear = linearise(space, space.measured, {})
     noise = replace(normal_noise(linear.chains, np.zeros(0), np.array([0.04])), error_nu=np.array([[5.0]]))
-    fitted = Fitted({}, linear, linear.chains, passed(linear.chains, noise, space.real), np.zeros(0))
+    fitted = Fitted({}, linear, linear.chains, passed(linear.chains, noise, space.real), NO_MEMORY)
     found = ahead(space, look(space, fitted, {}), {}, np.arange(3), 1)
     assert found.last.shape[1:] == (1, 1)
     np.testing.assert_allclose(found.variances, 0.04 * 5 / 3)
@@ -369,7 +367,7 @@ def test_without_a_state_an_error_ahead_is_that_of_the_sensor():
         linear,
         linear.chains,
         passed(linear.chains, noise, space.real),
-        np.zeros(0),
+        NO_MEMORY,
     )
     found = ahead(space, look(space, fitted, {}), {}, np.arange(3), 1)
     np.testing.assert_array_equal(found.variances, np.full((3, 1, 1), 0.04))

@@ -9,6 +9,7 @@ import pytest
 from scipy import special, stats
 
 from skat.diagnosis.ahead import Seen
+from skat.diagnosis.filtering import NO_MEMORY, Memory
 from skat.diagnosis.findings import Gain
 from skat.diagnosis.fitting import Fitted, first_fit
 from skat.diagnosis.noise import normal_noise, passed
@@ -261,7 +262,7 @@ def one_shot(n, seed, bent=0.0, error=0.5):
     linear = linearise(space, space.measured, {})
     noise = normal_noise(linear.chains, np.zeros(0), np.array([error**2]))
     estimate = passed(linear.chains, noise, space.real, covariances=True)
-    return space, Fitted({}, linear, linear.chains, estimate, np.zeros(0))
+    return space, Fitted({}, linear, linear.chains, estimate, NO_MEMORY)
 
 
 def test_the_law_of_what_is_read_is_the_mean_in_each_bin_drawn_to_zero_by_its_size():
@@ -357,18 +358,21 @@ def test_a_joint_s_force_is_that_of_its_motor_and_without_one_that_of_gravity():
 def test_the_past_predicts_of_a_force_with_memory_what_is_left_of_it_a_row_later():
     """A lasting force of variance 1, of which half is left a row later, beside a white one of variance 1."""
     noise = SimpleNamespace(force=np.array([[9.0, 1.0, 5.0, 0.75]]))
-    seen = SimpleNamespace(shares=np.array([0.9, 0.5]), estimate=SimpleNamespace(noise=noise))
+    seen = SimpleNamespace(memory=Memory(2, 0.5), estimate=SimpleNamespace(noise=noise))
     assert _past(seen, 1) == pytest.approx(0.25 / 2)
-    white = SimpleNamespace(shares=np.zeros(0), estimate=SimpleNamespace(noise=noise))
+    # Of pushes of .75 a third of the variance is taken back in later rows.
+    back = SimpleNamespace(memory=Memory(2, 0.5, returns=True), estimate=SimpleNamespace(noise=noise))
+    assert _past(back, 1) == pytest.approx(0.25 / 2)
+    white = SimpleNamespace(memory=NO_MEMORY, estimate=SimpleNamespace(noise=noise))
     assert _past(white, 0) == 0.0
     none = SimpleNamespace(force=np.zeros((1, 2)))
-    assert _past(SimpleNamespace(shares=np.array([0.5]), estimate=SimpleNamespace(noise=none)), 0) == 0.0
+    assert _past(SimpleNamespace(memory=Memory(1, 0.5), estimate=SimpleNamespace(noise=none)), 0) == 0.0
 
 
 def test_a_log_with_heavy_tails_is_looked_at_with_normal_noise_too():
     space, fitted = one_shot(40, 0)
     noise = fitted.estimate.noise
-    seen = Seen(fitted.linear, fitted.chains, fitted.estimate, fitted.shares)
+    seen = Seen(fitted.linear, fitted.chains, fitted.estimate, fitted.memory)
     assert _with_normal_noise(space, seen) == []
     heavy = replace(fitted.estimate, noise=replace(noise, error_nu=np.array([[3.0]])))
     (normal,) = _with_normal_noise(space, replace(seen, estimate=heavy))
@@ -393,14 +397,14 @@ def resting(lengths, *, error=0.1, force=0.0):
     forces = np.array([force / space.carrier[0, 0] ** 2])
     noise = normal_noise(linear.chains, forces, np.array([error**2]))
     estimate = passed(linear.chains, noise, space.real, covariances=True)
-    return space, Fitted({}, linear, linear.chains, estimate, np.zeros(0))
+    return space, Fitted({}, linear, linear.chains, estimate, NO_MEMORY)
 
 
 def test_a_force_adds_ahead_the_product_of_what_its_two_estimates_move():
     """What moves a place by .2 and by .3 a row moves it by ten times as much in ten rows."""
     error = 0.1
     space, fitted = resting([30, 40], error=error)
-    seen = Seen(fitted.linear, fitted.chains, fitted.estimate, fitted.shares)
+    seen = Seen(fitted.linear, fitted.chains, fitted.estimate, fitted.memory)
     runs = _runs(space, seen, {}, 10)
     forces = np.tile([0.2, 0.3], (70, 1))
     ahead = _added(space, seen, np.ones((70, 1)), forces, runs)
@@ -411,25 +415,25 @@ def test_a_force_adds_ahead_the_product_of_what_its_two_estimates_move():
 
 def test_a_force_that_sensors_hide_is_as_large_as_its_law_says_lasting_part_and_white_one():
     space, fitted = resting([60], error=1e4)
-    white, fresh, share = 0.04, 0.09, np.array([0.8])
+    white, fresh, share = 0.04, 0.09, 0.8
     carrier = space.carrier[0, 0]
     steady = fresh / (1 - share**2)
-    chains = fitted.linear.chains.with_memory(share, steady / carrier**2)
+    chains = fitted.linear.chains.with_memory(Memory(1, share), np.array([steady / carrier**2]))
     noise = normal_noise(chains, np.array([white, fresh]) / carrier**2, np.array([1e8, 1.0]))
     estimate = passed(chains, noise, space.real, covariances=True)
-    lasting = replace(fitted, chains=chains, estimate=estimate, shares=share)
+    lasting = replace(fitted, chains=chains, estimate=estimate, memory=Memory(1, share))
     (part,) = find_remainder(space, lasting, random_state=np.random.RandomState(0)).parts
-    assert part.rms == pytest.approx(np.sqrt(white + steady[0]), rel=1e-3)
-    assert part.past == pytest.approx(share[0] ** 2 * steady[0] / (white + steady[0]))
+    assert part.rms == pytest.approx(np.sqrt(white + steady), rel=1e-3)
+    assert part.past == pytest.approx(share**2 * steady / (white + steady))
     assert part.word == "none"
 
 
 def test_a_row_in_which_the_simulation_diverges_is_pushed_by_no_force():
     space, fitted = resting([12])
     valid = np.arange(12) != 5
-    seen = Seen(replace(fitted.linear, valid=valid), fitted.chains, fitted.estimate, fitted.shares)
+    seen = Seen(replace(fitted.linear, valid=valid), fitted.chains, fitted.estimate, fitted.memory)
     own = _response(space, seen, np.ones((12, 1)), np.ones((12, 1)))
-    whole = Seen(fitted.linear, fitted.chains, fitted.estimate, fitted.shares)
+    whole = Seen(fitted.linear, fitted.chains, fitted.estimate, fitted.memory)
     expected = _response(space, whole, np.ones((12, 1)), valid[:, None].astype(float))
     np.testing.assert_allclose(own, expected, atol=1e-12)
 
@@ -448,7 +452,7 @@ def test_an_acceleration_adds_ahead_what_it_moves_of_place_and_speed():
     linear = linearise(space, space.measured, {})
     noise = normal_noise(linear.chains, np.array([1e-6]), np.array([1e-8, 1e-6]))
     estimate = passed(linear.chains, noise, space.real, covariances=True)
-    seen = Seen(linear, linear.chains, estimate, np.zeros(0))
+    seen = Seen(linear, linear.chains, estimate, NO_MEMORY)
     h, forces = 10, np.tile([0.2, 0.3], (70, 1))
     runs = _runs(space, seen, {}, h)
     moved = np.array([h * (h - 1) / 2 * DT**2, h * DT])

@@ -13,6 +13,7 @@ from matplotlib import pyplot
 
 from skat.diagnosis import Cause, Gain, SimulationDiagnosis
 from skat.diagnosis.comparison import EXTENDED, NOMINAL
+from skat.diagnosis.filtering import Memory
 from skat.diagnosis.findings import Alias
 from skat.diagnosis.prediction import Overlay
 from skat.diagnosis.report.from_diagnosis import _by_error, _rows, _with_breaks
@@ -344,7 +345,7 @@ def test_a_force_with_memory_is_told_with_its_time_constant():
     diagnosis = copy.copy(fitted("pulled"))
     found, parts = diagnosis._found, diagnosis.remainder_.parts
     share = np.exp(-1 / 4)
-    estimate = SimpleNamespace(**vars(found.fitted) | {"shares": np.full(len(parts), share)})
+    estimate = SimpleNamespace(**vars(found.fitted) | {"memory": Memory(len(parts), share)})
     diagnosis._found = SimpleNamespace(**vars(found) | {"fitted": estimate})
     pasts = (0.9 * share**2, 0.1 * share**2)
     parts = tuple(SimpleNamespace(**vars(one) | {"past": past}) for one, past in zip(parts, pasts))

@@ -398,13 +398,13 @@ def _noise(diagnosis: Any) -> tuple[ChannelNoise, ...]:
 
 def _forces(diagnosis: Any) -> tuple[ForceNoise, ...]:
     """Return the random forces; one has memory if that makes up most of its variance."""
-    simulator, shares = diagnosis.simulator, diagnosis._found.fitted.shares
+    simulator, memory = diagnosis.simulator, diagnosis._found.fitted.memory
     if not simulator.state_names:
         return ()
-    share = float(shares[0]) if len(shares) else 0.0
-    memory = -simulator.dt / np.log(share) if share and simulator.dt else None
+    share = 0.0 if memory.returns else memory.share
+    lasts = -simulator.dt / np.log(share) if share and simulator.dt else None
     return tuple(
-        ForceNoise(part.name, part.unit, part.rms, memory if part.past > share**2 / 2 else 0.0)
+        ForceNoise(part.name, part.unit, part.rms, lasts if part.past > share**2 / 2 else 0.0)
         for part in diagnosis.remainder_.parts
     )
 
