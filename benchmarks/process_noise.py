@@ -7,6 +7,9 @@ the noise that is found is judged, and nothing else::
     python benchmarks/process_noise.py --cut
     python benchmarks/process_noise.py --cases "| memory20"     # see tables.py for the rest
 
+A rod that bends under a pendulum, whose encoder sits at the motor, is a force that is taken back
+(`worlds.flexible`): positions alone, one cause each, or none.
+
 Causes have sizes s of 0.3 to 5, which count the random force as noise (`worlds.robots.size_of`).
 """
 
@@ -14,8 +17,11 @@ import numpy as np
 import sensors
 import tables
 from tables import Case, Table
+from worlds import flexible
 from worlds.robots import World, make_log
 from worlds.worth import noise_bound
+
+from skat.simulators import MujocoSimulator
 
 ROBOTS = ("puck", "hopper", "two_link", "cart_pole", "servo_arm")
 # The interval of 88 % is for memory20 and resonance20.
@@ -32,6 +38,7 @@ CAUSES = {robot: sensors.CAUSES[robot] for robot in ROBOTS if robot != "cart_pol
 }
 N_CLEAN = 200
 N_UNMODELLED, UNMODELLED = 20, 0.2
+N_FLEXIBLE, N_FLEXIBLE_CLEAN = 10, 20
 VISIBLE = 0.3
 SIZES = (0.3, 5.0)
 
@@ -50,6 +57,11 @@ def cases(cut):
     for index in range(2 if cut else N_UNMODELLED):
         robot, kind = ROBOTS[index % len(ROBOTS)], KINDS[index // len(ROBOTS) % 2]
         found.append(Case(f"unmodelled | {robot} | {kind}", 6000 + index, {"unmodelled": UNMODELLED}))
+    for name, value in flexible.CAUSES.items():
+        for seed in range(1 if cut else N_FLEXIBLE):
+            found.append(Case(f"flexible | pendulum | {name}", 7000 + seed, {"truth": {name: value}}))
+    for seed in range(1 if cut else N_FLEXIBLE_CLEAN):
+        found.append(Case("flexible | pendulum | nothing", 7000 + seed, {"truth": {}}))
     return found
 
 
@@ -97,6 +109,8 @@ def value_of(robot, kind, name, seed):
 
 
 def run(case, parameters):
+    if case.name.startswith("flexible"):
+        return _run_flexible(case, parameters)
     what, robot, kind, *_ = case.name.split(" | ")
     log = log_of(case)
     answer, _ = tables.ask(
@@ -113,6 +127,14 @@ def run(case, parameters):
         "bound": noise_bound(log).tolist(),
         **answer,
     }
+
+
+def _run_flexible(case, parameters):
+    simulator = MujocoSimulator(flexible.nominal(), frame_skip=flexible.STEPS)
+    truth = case.settings["truth"]
+    X, y, groups = flexible.log_of(truth, seed=case.seed)
+    answer, _ = tables.ask(simulator, X, y, groups, seed=case.seed, parameters=parameters)
+    return {"kind": "flexible", "robot": "pendulum", "truth": truth, **answer}
 
 
 def _ratios(line):
@@ -151,13 +173,17 @@ def report(lines, shown):
             [tables.names(x)[:1] == list(x["truth"]) for x in visible if x["force"] == kind],
         )
         shown.share(f"... {kind}: alarms", [not tables.silent(x) for x in clean if x["force"] == kind])
-    ratios = [pair for line in lines for pair in _ratios(line)]
+    bent = [line for line in lines if line["kind"] == "flexible"]
+    shown.share("rod that bends: named or alias", map(tables.or_alias, [x for x in bent if x["truth"]]))
+    shown.share("... intervals that cover", [one for x in bent for one in tables.in_interval(x)])
+    shown.share("... alarms", [not tables.silent(x) for x in bent if not x["truth"]])
+    ratios = [pair for line in lines if "sigma" in line for pair in _ratios(line)]
     shown.share(
         "noise within its Fisher 95 % interval", [abs(r) <= 1.96 * b for r, b in ratios], "92 to 98 %"
     )
     known = [r for r, b in ratios if b <= 0.04]
     shown.share("noise within 10 %, bound <= 4 %", [abs(r) <= np.log(1.1) for r in known], ">= 90 %")
-    shown.probabilities(causes + clean)
+    shown.probabilities(causes + clean + bent)
 
 
 TABLE = Table("process_noise", cases, run, report)
