@@ -18,7 +18,7 @@ The size of a law comes from two halves of the log, blocks of time in turns: the
 has it to be is free of what each takes for the law by chance.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -31,7 +31,7 @@ from skat.diagnosis.evidence import WIDTH_95
 from skat.diagnosis.filtering import Array, Mask, Memory, kalman_filter, smooth
 from skat.diagnosis.findings import Gain
 from skat.diagnosis.fitting import Fitted, response
-from skat.diagnosis.noise import estimate_noise, normal_noise
+from skat.diagnosis.noise import estimate_noise, normal_noise, passed
 from skat.diagnosis.prediction import ends, horizon_rows, windows
 from skat.diagnosis.statespace import Places, StateSpace, steps_of
 
@@ -219,22 +219,29 @@ def find_remainder(
     white = _white_spectra(space, fitted, directions, random_state)
     looks = [seen, *_with_normal_noise(space, seen)]
     runs = _runs(space, looks[-1], fitted.values, h)
+    laws = [_likeliest(space, looks, directions, index, rows) for index in range(len(directions.names))]
+    # How large it is, is a matter of mean squares: heavy tails would take a law's largest forces for outliers.
+    sized = _without_laws(space, looks[-1], directions, laws)
     parts = [
-        _left(space, looks, directions, index, rows, runs, (white[0], white[1][index]))
-        for index in range(len(directions.names))
+        _left(space, seen, sized, directions, index, law, runs, (white[0], white[1][index]))
+        for index, law in enumerate(laws)
     ]
     return Remainder(tuple(sorted(parts, key=lambda part: -part.evidence)), h)
 
 
-def _left(
-    space: StateSpace,
-    looks: list[Seen],
-    directions: _Directions,
-    index: int,
-    rows: Array,
-    runs: "_Runs",
-    white: tuple[Array, Array],
-) -> Left:
+@dataclass(frozen=True)
+class _Likeliest:
+    """The regressor of a direction that most speaks for, what there is for any, and those that came near."""
+
+    regressor: Regressor
+    size: float
+    evidence: float
+    tried: tuple[tuple[str, float], ...]
+
+
+def _likeliest(
+    space: StateSpace, looks: Sequence[Seen], directions: _Directions, index: int, rows: Array
+) -> _Likeliest:
     scale = float(directions.scales[index])
     regressors = _regressors(space, directions, index, rows)
     # Own laws have half of the weight for themselves.
@@ -246,27 +253,66 @@ def _left(
             N = _response(space, look, directions.columns[..., index], one.columns)
             nats, size = worth_of(*_gram(look, N), scale)
             weight = (0.5 if n_other else 1.0) / n_own if one.is_own else 0.5 / n_other
-            tried.append((nats, nats + np.log(weight / len(looks)), size, one, look))
-    evidence = float(logsumexp([weighted for _, weighted, *_ in tried]))
+            tried.append((nats, nats + np.log(weight / len(looks)), size, one))
+    evidence = float(logsumexp([weighted for _, weighted, *_ in tried])) - float(
+        np.log(len(directions.names))
+    )
     ranked = sorted(tried, key=lambda entry: -entry[1])
-    _, _, size, chosen, _ = ranked[0]
-    # How large it is, is a matter of mean squares: heavy tails would take a law's largest forces for outliers.
-    seen = looks[-1]
-    own = _response(space, seen, directions.columns[..., index], chosen.columns)
+    _, _, size, chosen = ranked[0]
+    return _Likeliest(
+        chosen, size, evidence, tuple((one.name, nats) for nats, _, _, one in ranked[:LONGEST_TABLE])
+    )
+
+
+def _without_laws(space: StateSpace, seen: Seen, directions: _Directions, laws: Sequence[_Likeliest]) -> Seen:
+    """Return a log with the noise that is left when those laws act that there is more for than against.
+
+    What a law explains is no noise: forces of memory would take most of it.
+    """
+    shift = np.zeros((len(space.X), space.d))
+    for index, law in enumerate(laws):
+        if law.evidence > 0:
+            own = _response(space, seen, directions.columns[..., index], law.regressor.columns)
+            shift += (
+                directions.columns[..., index]
+                * (law.regressor.columns @ _fit_of(seen, own, law.size))[:, None]
+            )
+    if not shift.any():
+        return seen
+    hidden = seen.chains.drive.shape[-1] - space.d
+    moved = replace(seen.chains, drive=seen.chains.drive + space.padded(np.pad(shift, [(0, 0), (0, hidden)])))
+    noise = seen.estimate.noise
+    found = estimate_noise(moved, noise, space.real, floor=np.zeros(noise.error.shape), heavy=False).noise
+    return replace(seen, estimate=passed(seen.chains, found, space.real))
+
+
+def _fit_of(seen: Seen, response: Array, size: float, chosen: Mask | None = None) -> Array:
+    """Return the strengths of a regressor's columns, held by a normal law of a size."""
+    G, b = _gram(seen, response, chosen)
+    return np.asarray(np.linalg.solve(G + np.eye(len(b)) / size**2, b), dtype=np.float64)
+
+
+def _left(
+    space: StateSpace,
+    fitted: Seen,
+    seen: Seen,
+    directions: _Directions,
+    index: int,
+    law: _Likeliest,
+    runs: "_Runs",
+    white: tuple[Array, Array],
+) -> Left:
+    chosen, column = law.regressor, directions.columns[..., index]
+    own = _response(space, seen, column, chosen.columns)
     half = _halves(space)
-    ridge = np.eye(chosen.columns.shape[1]) / size**2
-    betas = []
-    for which in (False, True):
-        G, b = _gram(seen, own, half == which)
-        betas.append(np.linalg.solve(G + ridge, b))
-    predicted = [chosen.columns @ beta for beta in betas]
-    predictable = float(np.sqrt(max(np.mean(predicted[0] * predicted[1]), 0.0)))
-    added = _added(space, seen, directions.columns[..., index], np.stack(predicted, axis=-1), runs)
-    law = _law(space, seen, directions.columns[..., index], chosen, size)
-    corrected = evidence - np.log(len(directions.names))
+    predicted: list[Array] = [
+        chosen.columns @ _fit_of(seen, own, law.size, half == which) for which in (False, True)
+    ]
+    predictable = float(np.sqrt(max(float(np.mean(predicted[0] * predicted[1])), 0.0)))
+    added = _added(space, seen, column, np.stack(predicted, axis=-1), runs)
     force, variance = directions.forces[:, index], directions.variances[:, index]
     mean_square = float(np.mean(force**2 + variance))
-    left = force - (sum(predicted) / 2 if corrected > 0 else 0.0)
+    left = force - ((predicted[0] + predicted[1]) / 2 if law.evidence > 0 else 0.0)
     shown = 1 - float(variance.mean()) / mean_square if mean_square > 0 else 0.0
     frequencies, spectrum = _spectrum(space, left, white[0], white[1])
     word = word_of(left, frequencies, spectrum, "Hz" if space.simulator.dt else "per row")
@@ -274,17 +320,17 @@ def _left(
         directions.names[index],
         directions.units[index],
         float(np.sqrt(mean_square)),
-        scale,
+        float(directions.scales[index]),
         predictable,
         chosen.name,
-        float(corrected),
-        law,
-        _past(seen, index),
+        law.evidence,
+        _law(space, seen, column, chosen, law.size),
+        _past(fitted, index),
         added,
         frequencies,
         spectrum,
         word if shown > LEAST_SHOWN else "none",
-        tuple((one.name, nats) for nats, _, _, one, _ in ranked[:LONGEST_TABLE]),
+        law.tried,
     )
 
 

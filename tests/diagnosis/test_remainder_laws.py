@@ -279,8 +279,12 @@ def test_the_law_of_what_is_read_is_the_mean_in_each_bin_drawn_to_zero_by_its_si
     half = (part.law.high - part.law.low) / 2
     np.testing.assert_allclose((part.law.high + part.law.low) / 2, part.law.mean, atol=1e-12)
     curvature = (stats.norm.ppf(0.975) / half) ** 2
-    np.testing.assert_allclose(part.law.mean, sums / error**2 / curvature, rtol=1e-4)
-    prior = curvature - counts / error**2
+    # The noise is that which is left beside the law.
+    noise = sums / part.law.mean / curvature
+    np.testing.assert_allclose(noise, noise[0], rtol=1e-4)
+    left = np.mean((y - part.law.mean[place]) ** 2)
+    assert noise[0] == pytest.approx(left, rel=0.03)
+    prior = curvature - counts / noise[0]
     size = 1 / np.sqrt(prior[0])
     np.testing.assert_allclose(prior, prior[0], rtol=0.2)
     assert np.abs(np.array(SIZES) * part.scale / size - 1).min() < 0.1
@@ -300,13 +304,14 @@ def test_what_is_predictable_is_the_mean_product_of_what_two_halves_of_the_rows_
     y, place = space.measured[:, 1, 0], np.searchsorted(part.law.edges, space.X[:, 0], side="right") - 1
     place = np.clip(place, 0, len(part.law.mean) - 1)
     counts = np.bincount(place)
-    half = (part.law.high - part.law.low) / 2
-    ridge = np.median((1.96 / half) ** 2 - counts / error**2)
+    curvature = (stats.norm.ppf(0.975) / ((part.law.high - part.law.low) / 2)) ** 2
+    noise = np.median(np.bincount(place, y) / part.law.mean / curvature)
+    ridge = np.median(curvature - counts / noise)
     means = []
     for which in (0, 1):
         own = np.arange(n) % 2 == which
-        sums = np.bincount(place[own], y[own], minlength=len(counts)) / error**2
-        means.append(sums / (np.bincount(place[own], minlength=len(counts)) / error**2 + ridge))
+        sums = np.bincount(place[own], y[own], minlength=len(counts)) / noise
+        means.append(sums / (np.bincount(place[own], minlength=len(counts)) / noise + ridge))
     expected = np.sqrt(max(np.mean(means[0][place] * means[1][place]), 0.0))
     assert part.regressor == "a"
     assert expected > 0.1
