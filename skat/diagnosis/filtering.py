@@ -72,6 +72,11 @@ class Memory:
         """Return the variance of the forces, at any time."""
         return self.steady(fresh) + (fresh if self.returns else 0.0)
 
+    @property
+    def predicted(self) -> float:
+        """Share of the forces' variance that is known from those before."""
+        return (1 - self.share) / 2 if self.returns else self.share**2
+
 
 NO_MEMORY = Memory()
 

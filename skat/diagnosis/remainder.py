@@ -435,9 +435,9 @@ def _past(seen: Seen, index: int) -> float:
     if not k:
         return 0.0
     force = seen.estimate.noise.force.mean(axis=0)
-    hidden = memory.steady(force[k:])[index] * (1.0 if memory.returns else memory.share**2)
-    total = memory.variance(force[k:])[index] + force[index]
-    return float(hidden / total) if total > 0 else 0.0
+    remembered = memory.variance(force[k:])[index]
+    total = remembered + force[index]
+    return float(memory.predicted * remembered / total) if total > 0 else 0.0
 
 
 def _with_normal_noise(space: StateSpace, seen: Seen) -> list[Seen]:

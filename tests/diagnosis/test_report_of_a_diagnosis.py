@@ -341,19 +341,22 @@ def test_noise_and_random_forces_are_those_of_the_fit():
     assert report_of("thrown").content.forces == ()
 
 
-def test_a_force_with_memory_is_told_with_its_time_constant():
+@pytest.mark.parametrize("returns", [False, True])
+def test_a_force_with_memory_is_told_with_its_time_constant(returns):
     diagnosis = copy.copy(fitted("pulled"))
     found, parts = diagnosis._found, diagnosis.remainder_.parts
     share = np.exp(-1 / 4)
-    estimate = SimpleNamespace(**vars(found.fitted) | {"memory": Memory(len(parts), share)})
+    most = (1 - share) / 2 if returns else share**2
+    estimate = SimpleNamespace(**vars(found.fitted) | {"memory": Memory(len(parts), share, returns)})
     diagnosis._found = SimpleNamespace(**vars(found) | {"fitted": estimate})
-    pasts = (0.9 * share**2, 0.1 * share**2)
+    pasts = (0.9 * most, 0.1 * most)
     parts = tuple(SimpleNamespace(**vars(one) | {"past": past}) for one, past in zip(parts, pasts))
     for one in parts:
         one.share = 0.0
     diagnosis.remainder_ = SimpleNamespace(**vars(diagnosis.remainder_) | {"parts": parts, "evidence": 99.0})
     forces = type(diagnosis.report_)(diagnosis, diagnosis.report_.log).content.forces
     assert [one.memory_s for one in forces] == [pytest.approx(4 * 0.05), 0.0]
+    assert [one.returns for one in forces] == [returns, False]
 
 
 def test_findings_as_data_hold_probabilities_aliases_and_what_is_left():

@@ -352,12 +352,15 @@ class ForceNoise:
     rms : float
     memory_s : float or None
         Time constant; 0 where it is white.
+    returns : bool
+        Whether it is taken back within that time, as a vibration's; otherwise it lasts that long.
     """
 
     name: str
     unit: str
     rms: float
     memory_s: float | None = None
+    returns: bool = False
 
 
 @dataclass(frozen=True)

@@ -401,10 +401,11 @@ def _forces(diagnosis: Any) -> tuple[ForceNoise, ...]:
     simulator, memory = diagnosis.simulator, diagnosis._found.fitted.memory
     if not simulator.state_names:
         return ()
-    share = 0.0 if memory.returns else memory.share
-    lasts = -simulator.dt / np.log(share) if share and simulator.dt else None
+    time = -simulator.dt / np.log(memory.share) if memory and simulator.dt else None
     return tuple(
-        ForceNoise(part.name, part.unit, part.rms, lasts if part.past > share**2 / 2 else 0.0)
+        ForceNoise(part.name, part.unit, part.rms, time, memory.returns)
+        if part.past > memory.predicted / 2
+        else ForceNoise(part.name, part.unit, part.rms, 0.0)
         for part in diagnosis.remainder_.parts
     )
 

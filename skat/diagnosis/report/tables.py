@@ -261,7 +261,7 @@ def force_grid(title: str, forces: Sequence[ForceNoise]) -> Grid:
                 Cell(
                     ""
                     if one.memory_s is None
-                    else f"{number(one.memory_s, 3)}{GAP}s"
+                    else f"{number(one.memory_s, 3)}{GAP}s" + ", taken back" * one.returns
                     if one.memory_s > 0
                     else "none",
                     one.memory_s,
