@@ -105,7 +105,7 @@ class Regression:
     ) -> "Regression":
         """Return the regression of a log; raises a ValueError where forces on joints cannot be told."""
         try:
-            half = half_of(simulator, log, "")
+            half = half_of(simulator, log, "", measured=True)
         except ValueError as error:
             raise ValueError(
                 f"{error} Or pass actions='commanded', if motors were told these efforts."

@@ -27,8 +27,8 @@ from skat.simulators import MujocoSimulator
 KEPT = 0.75
 # Blocks of rows for each period of that frequency: forces change within a block by little.
 BLOCKS_A_PERIOD = 4
-# Of the power of a speed, and how far beyond the frequency below which it is forces are compared: of hard stops, which
-# ring, less is lost than is gained.
+# Of the power of a speed, or of the changes of efforts that were measured; and how far beyond the frequency below which
+# it is of a speed forces are compared: of hard stops, which ring, less is lost than is gained.
 MOTION, BEYOND_MOTION = 0.95, 2.0
 # Fewest blocks of a stretch without contacts, and rows about a contact that a smoothed motion blurs.
 SHORTEST = 12
@@ -84,7 +84,7 @@ class Motion:
 
 
 def smooth_motion(
-    simulator: MujocoSimulator, X: Array, y: Array, groups: Array, *, window: float
+    simulator: MujocoSimulator, X: Array, y: Array, groups: Array, *, window: float, measured: bool = False
 ) -> Motion | None:
     """Return the smoothed motion of a log without what contacts push, None if nothing is left.
 
@@ -97,6 +97,9 @@ def smooth_motion(
     groups : ndarray of shape (n_rows,)
     window : float
         About how long a stretch is, s.
+    measured : bool, default=False
+        Whether commands are efforts that were measured: forces are compared as far as those of a joint change, behind
+        whatever filter, and not as far as it moves. Where it turns back dry friction is faster than the motion.
     """
     n_states, dt = len(simulator.state_names), simulator.dt
     nv = len(simulator.residual_names) // 2
@@ -109,9 +112,15 @@ def smooth_motion(
         return None
     q, v = (np.column_stack([getattr(one, name) for one in smooth]) for name in ("position", "velocity"))
     slip = np.array([one.velocity_error for one in smooth])
-    cutoff = np.array(
-        [min(one.cutoff(KEPT, dt), _busy(speed, episodes, dt, MOTION)) for one, speed in zip(smooth, v.T)]
-    )
+    kept = [one.cutoff(KEPT, dt) for one in smooth]
+    if measured:
+        efforts = X[:, n_states:] @ _exerted(simulator, np.concatenate([q[0], v[0]]))
+        joined = groups[1:] == groups[:-1]
+        changes, where = np.diff(efforts, axis=0)[joined], np.asarray(groups)[1:][joined]
+        busy = np.array([_busy(one, where, dt, MOTION) for one in changes.T])
+    else:
+        busy = BEYOND_MOTION * np.array([_busy(one, episodes, dt, MOTION) for one in v.T])
+    cutoff = np.minimum(kept, busy)
     free = ~simulator.constrained(np.column_stack([q, v]))
     for _ in range(BLURRED):
         free = free & np.r_[True, free[:-1]] & np.r_[free[1:], True]
@@ -152,17 +161,25 @@ def smooth_motion(
     )
 
 
-def _busy(speed: Array, episodes: Array, dt: float, share: float) -> float:
-    """Return the frequency below which nearly all of a motion is; above, it is what structures ring with, Hz."""
+def _exerted(simulator: MujocoSimulator, state: Array) -> Array:
+    """Return the force on each joint of each command's unit, (nu, nv), N or N m."""
+    nu, nv = len(simulator.input_names) - len(state), len(state) // 2
+    units = np.vstack([np.zeros(nu), np.eye(nu)])[:, None]
+    lacking = simulator.missing_forces(state[None], np.zeros((1, nv)), units, [{}] * (nu + 1))[:, 0]
+    return np.asarray(lacking[0] - lacking[1:])
+
+
+def _busy(course: Array, episodes: Array, dt: float, share: float) -> float:
+    """Return the frequency below which a share of the power of a course over time is, Hz."""
     frequencies, powers = [], []
     for episode in np.unique(episodes):
-        own = speed[episodes == episode]
+        own = course[episodes == episode]
         powers.append(dct(own, norm="ortho") ** 2)
         frequencies.append(np.arange(len(own)) / (2 * len(own) * dt))
     frequency, power = np.concatenate(frequencies), np.concatenate(powers)
     order = np.argsort(frequency)
     below = np.cumsum(power[order]) / max(float(power.sum()), 1e-300)
-    return float(BEYOND_MOTION * frequency[order][min(int(np.searchsorted(below, share)), len(below) - 1)])
+    return float(frequency[order][min(int(np.searchsorted(below, share)), len(below) - 1)])
 
 
 def _fewer(rows: NDArray[np.intp], stretch: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

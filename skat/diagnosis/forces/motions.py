@@ -41,7 +41,7 @@ class Half:
     speeds: Array
 
 
-def half_of(simulator: MujocoSimulator, log: Log, name: str) -> Half:
+def half_of(simulator: MujocoSimulator, log: Log, name: str, *, measured: bool = False) -> Half:
     """Return the motion of a log, cut into windows.
 
     Parameters
@@ -51,6 +51,8 @@ def half_of(simulator: MujocoSimulator, log: Log, name: str) -> Half:
         NaN in states where nothing was measured.
     name : str
         Of the log, for errors.
+    measured : bool, default=False
+        Whether commands are efforts that were measured.
 
     Raises
     ------
@@ -66,7 +68,7 @@ def half_of(simulator: MujocoSimulator, log: Log, name: str) -> Half:
         )
     speeds = X[:, nv:n_states], y[:, nv:]
     window = min(LONGEST, len(X) * simulator.dt / WINDOWS)
-    motion = smooth_motion(simulator, X, y, groups, window=window)
+    motion = smooth_motion(simulator, X, y, groups, window=window, measured=measured)
     if motion is None:
         raise ValueError(
             f"no stretch of the log{' ' * bool(name)}{name} is free of contacts and long enough, or the position of a "

@@ -3,6 +3,7 @@
 import mujoco
 import numpy as np
 import pytest
+from scipy import signal
 
 from skat.diagnosis import SimulationDiagnosis
 from skat.diagnosis.evidence import weigh
@@ -13,11 +14,16 @@ from tests.diagnosis.forces.test_force_space import ARM
 
 ROTORS = ARM.replace("<joint ", '<joint armature="0.01" ')
 SUBSTEPS, FINER, ROW = 5, 10, 0.01
+FRICTIONS = {"dry_friction": 0.2, "damping": 0.1}
+BOTH = {f"{family}[{joint}]": size for joint in ("shoulder", "elbow") for family, size in FRICTIONS.items()}
 MACHINE = {"dry_friction[shoulder]": 0.3, "damping[shoulder]": 0.1, "dry_friction[elbow]": 0.12}
 
 
-def closed_loop(truth, *, gain=(1.0, 1.0), rows=600, seed=0, early=0):
-    """Return X, y, groups of the arm under a controller at 5 kHz: its efforts at 100 Hz, read so many ticks early."""
+def closed_loop(truth, *, gain=(1.0, 1.0), rows=600, seed=0, early=0, fastest=7.0, smoothed=None):
+    """Return X, y, groups of the arm under a controller at 5 kHz: its efforts at 100 Hz, read so many ticks early.
+
+    It moves at up to ``fastest`` rad/s; efforts may be smoothed without phase up to so many Hz.
+    """
     rng = np.random.default_rng(seed)
     real, nominal = (mujoco.MjModel.from_xml_string(ROTORS) for _ in range(2))
     for name, value in truth.items():
@@ -27,7 +33,7 @@ def closed_loop(truth, *, gain=(1.0, 1.0), rows=600, seed=0, early=0):
     mujoco.mj_setConst(real, mujoco.MjData(real))
     real.opt.timestep = ROW / SUBSTEPS / FINER
     data, helper = mujoco.MjData(real), mujoco.MjData(nominal)
-    omega, phase = rng.uniform(1, 7, (5, 2)), rng.uniform(0, 6, (5, 2))
+    omega, phase = rng.uniform(fastest / 7, fastest, (5, 2)), rng.uniform(0, 6, (5, 2))
     ticks, states, torques = SUBSTEPS * FINER, [], []
     for tick in range(ticks * rows + ticks):
         time = tick * real.opt.timestep
@@ -54,6 +60,9 @@ def closed_loop(truth, *, gain=(1.0, 1.0), rows=600, seed=0, early=0):
         states = states[1:]
     rows = len(states) - 1
     efforts = efforts[:rows] + 0.01 * rng.normal(size=(rows, 2)) * efforts.std(axis=0)
+    if smoothed:
+        taps = signal.butter(8, smoothed, fs=1 / ROW, output="sos")
+        efforts = signal.sosfiltfilt(taps, efforts, axis=0)
     return np.column_stack([states[:-1], efforts]), states[1:], np.zeros(rows, dtype=int)
 
 
@@ -79,6 +88,14 @@ def test_all_that_brakes_the_joints_is_named_and_covered(answer):
         assert cause.value == pytest.approx(MACHINE[cause.name], rel=0.1)
     assert answer.verdict_ in ("named", "ambiguous")
     assert answer.actions_ == "measured"
+
+
+def test_both_frictions_of_a_slow_joint_are_named_from_efforts_that_were_smoothed(simulator):
+    """What parts them is where joints turn back: beyond the motion's frequency, and as far as efforts show."""
+    diagnosis = asked(simulator, closed_loop(BOTH, rows=1200, fastest=2.0, smoothed=3.0))
+    assert {cause.name for cause in diagnosis.causes_} == set(BOTH)
+    for cause in diagnosis.causes_:
+        assert cause.value == pytest.approx(BOTH[cause.name], rel=0.25)
 
 
 @pytest.mark.parametrize("early", [0, -25])

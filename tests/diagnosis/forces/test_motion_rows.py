@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from skat.diagnosis.changes.mixups import _mixed_up
 from skat.diagnosis.forces import force_space
@@ -124,12 +125,12 @@ def test_of_short_stretches_and_of_what_was_not_measured_nothing_is_left():
 
 @pytest.mark.parametrize("frequency", [2.0, 5.0])
 @pytest.mark.parametrize(("share", "seen"), [(0.04, False), (0.06, True)])
-def test_forces_are_compared_up_to_twice_what_holds_most_of_a_motion(frequency, share, seen):
+def test_most_of_a_motion_is_below_its_fastest_part_that_is_not_small(frequency, share, seen):
     time = DT * (np.arange(1000) + 0.5)
     slow, fast = np.cos(2 * np.pi * frequency * time), np.cos(2 * np.pi * 20.0 * time)
     speed = np.sqrt(1 - share) * slow + np.sqrt(share) * fast
     for speeds, episodes in ((speed, np.zeros(1000)), (np.tile(speed, 2), np.repeat([0, 1], 1000))):
-        assert _busy(speeds, episodes, DT, 0.95) == pytest.approx(2 * (20.0 if seen else frequency), rel=1e-6)
+        assert _busy(speeds, episodes, DT, 0.95) == pytest.approx(20.0 if seen else frequency, rel=1e-6)
     assert np.isfinite(_busy(np.zeros(10), np.zeros(10), DT, 0.95))
 
 
@@ -145,7 +146,7 @@ def test_a_joint_is_compared_up_to_where_it_is_kept_and_busy():
     )
     smooth = [smooth_coordinate(one, np.zeros(601), DT) for one in q.T]
     kept = [one.cutoff(KEPT, DT) for one in smooth]
-    busy = [_busy(one.velocity, np.zeros(601), DT, MOTION) for one in smooth]
+    busy = [2 * _busy(one.velocity, np.zeros(601), DT, MOTION) for one in smooth]
     assert kept[0] < busy[0]
     assert kept[1] > busy[1]
     np.testing.assert_allclose(motion.cutoff, np.minimum([kept[0], busy[1]], 0.5 / motion.duration))
@@ -153,6 +154,42 @@ def test_a_joint_is_compared_up_to_where_it_is_kept_and_busy():
     assert motion.rows.shape[1] == max(
         1, min(int(1 / (4 * DT * max(kept[0], busy[1]))), int(1.0 / (16 * DT)))
     )
+
+
+@pytest.mark.parametrize("episodes", [1, 2])
+@pytest.mark.parametrize("filtered", [None, 3.0])
+def test_measured_efforts_are_compared_as_far_as_they_change(filtered, episodes):
+    """Both joints swing once a second; the first motor drives the second joint too, which has none of its own."""
+    rng, time = np.random.default_rng(0), DT * np.arange(2001)
+    q = np.column_stack([np.sin(6 * time), np.sin(6 * time + 1)])
+    q += 1e-3 * rng.normal(size=q.shape)
+    efforts = np.column_stack([np.sign(np.cos(6 * time)), 1e-6 * rng.normal(size=len(time))])
+    if filtered:
+        taps = signal.butter(8, filtered, fs=1 / DT, output="sos")
+        efforts[:, 0] = signal.sosfiltfilt(taps, efforts[:, 0])
+    X, y = (np.column_stack([one, np.full((2000, 2), np.nan)]) for one in (q[:-1], q[1:]))
+    groups = np.repeat(np.arange(episodes), 2000 // episodes)
+    moments = np.array([[2.0, -3.0], [0.0, 0.0]])
+    arm = machine()
+    arm.missing_forces = lambda states, accelerations, commands, values: 1.0 - commands @ moments
+    motion = smooth_motion(
+        arm, np.column_stack([X, efforts[:-1]]), y, groups, window=2.0, measured=True
+    )
+    kept = [one.cutoff(KEPT, DT) for one in _smooth(X, y, groups)]
+    if filtered:
+        assert (motion.cutoff < filtered).all()
+        assert (motion.cutoff > 0.5 * filtered).all()
+    else:
+        np.testing.assert_allclose(motion.cutoff, np.minimum(kept, 0.5 / motion.duration))
+    assert min(kept) > 1.5 * 3.0
+
+
+def _smooth(X, y, groups):
+    """Return both joints' smoothed motion, an instant more in each episode than it has rows."""
+    ends = np.flatnonzero(np.r_[np.diff(groups) != 0, True])
+    instants = np.insert(X[:, :2], ends + 1, y[ends, :2], axis=0)
+    episodes = np.insert(groups, ends + 1, groups[ends])
+    return [smooth_coordinate(one, episodes, DT) for one in instants.T]
 
 
 def test_of_a_long_log_stretches_from_all_over_it_are_compared(monkeypatch):
