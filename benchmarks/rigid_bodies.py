@@ -11,6 +11,8 @@ CUTOFF = 8.0  # Hz
 ENDS = 0.5  # s at either end of a log, where a filter without phase guesses
 # Speeds above which dry friction has its full size, rad/s, in the inverse dynamics alone.
 SLIDING = 0.02
+# What least squares know of a joint's own.
+OWN = ("dry friction", "damping", "rotor", "constant")
 
 
 @dataclass(frozen=True)
@@ -93,23 +95,25 @@ def _moments(x):
     return np.array([[x[0], 0, 0, x[1], x[2], 0], [0, x[1], 0, x[0], 0, x[2]], [0, 0, x[2], 0, x[0], x[1]]])
 
 
-def friction_columns(log, joint):
-    """Return the columns of a joint's own: dry friction, damping, rotor and a constant."""
+def friction_columns(log, joint, without=None):
+    """Return the columns of a joint's own: those of `OWN`, or all of them but one."""
     v = log.speeds[:, joint]
-    return np.column_stack([np.tanh(v / SLIDING), v, log.accelerations[:, joint], np.ones_like(v)])
+    columns = [np.tanh(v / SLIDING), v, log.accelerations[:, joint], np.ones_like(v)]
+    return np.column_stack([one for name, one in zip(OWN, columns, strict=True) if name != without])
 
 
-def fitted_efforts(columns, log, other_columns, other):
+def fitted_efforts(columns, log, other_columns, other, without=None):
     """Return efforts of another log, and the coefficients, by least squares of each joint's own effort.
 
     ``columns`` are of shape (n_rows, n_joints, n_columns); directions that the log does not excite are left out.
     """
     told, coefficients = [], []
     for joint in range(log.efforts.shape[1]):
-        mine = np.column_stack([columns[:, joint], friction_columns(log, joint)])
+        mine = np.column_stack([columns[:, joint], friction_columns(log, joint, without)])
         scale = np.linalg.norm(mine, axis=0)
         scale[scale == 0] = 1.0
         found = np.linalg.lstsq(mine / scale, log.efforts[:, joint], rcond=1e-5)[0] / scale
-        told.append(np.column_stack([other_columns[:, joint], friction_columns(other, joint)]) @ found)
+        theirs = np.column_stack([other_columns[:, joint], friction_columns(other, joint, without)])
+        told.append(theirs @ found)
         coefficients.append(found)
     return np.column_stack(told), np.array(coefficients)

@@ -306,6 +306,7 @@ def each_joint_s(simulator, families):
 
 
 UR10_FAMILIES = ("dry_friction", "damping", "armature", "gain")
+UR10_FEWER = "skat's, asked of friction, rotors and gains alone"
 
 
 def _rows(log, first, last):
@@ -317,13 +318,17 @@ def ur10(kept):
     log, simulator = datasets.fetch_ur10(), make_simulator("ur10")
     n = len(log.data)
     part = partial(_rows, log)
-    effects = each_joint_s(simulator, UR10_FAMILIES)
+    joints = [name.removeprefix("qpos.") for name in log.feature_names[:6]]
+    fewer = each_joint_s(simulator, UR10_FAMILIES)
+    # Motors report with a zero of their own, and what hung on the flange nobody wrote down.
+    effects = [*fewer, *(f"bias[ctrl.{joint}]" for joint in joints), "payload[wrist_3_link]"]
     given = part(0, 2 * n // 3)
-    diagnosis, cost = kept.diagnosis("ur10_measured", simulator, *given, effects=effects, actions="measured")
+    ask = partial(kept.diagnosis, X=given[0], y=given[1], groups=given[2], actions="measured")
+    diagnosis, cost = ask("ur10_measured", simulator, effects=effects)
+    of_fewer, _ = ask("ur10_measured_fewer", simulator, effects=fewer)
     cut = partial(open_loop.stretches_of, n_joints=6, n_rows=31)
     fitted, tested = cut(*given), cut(*part(2 * n // 3, n))
     mjcf, _ = exported(simulator)
-    joints = [name.removeprefix("qpos.") for name in log.feature_names[:6]]
     parameters = [
         *(Parameter(f"dry_friction[{j}]", 1.0, 0, 100, 2.0, open_loop.friction(j)) for j in joints),
         *(Parameter(f"damping[{j}]", 1.0, 0, 100, 2.0, open_loop.damping(j)) for j in joints),
@@ -332,7 +337,8 @@ def ur10(kept):
     ]
     others = peers(kept, "ur10", mjcf, parameters, fitted, 4)
     found = compared(simulator, diagnosis.extended_simulator_, mjcf, parameters, others, tested, 4)
-    found["efforts"] = kept.answer("ur10_efforts_measured", partial(_ur10_efforts, log, diagnosis, mjcf))
+    asked_of = {"skat's extended model": diagnosis, UR10_FEWER: of_fewer}
+    found["efforts"] = kept.answer("ur10_efforts_measured", partial(_ur10_efforts, log, asked_of, mjcf))
     return {
         **found,
         **asked(diagnosis, cost),
@@ -342,27 +348,35 @@ def ur10(kept):
     }
 
 
-def _ur10_efforts(log, diagnosis, mjcf):
+def _ur10_efforts(log, diagnoses, mjcf):
     """Return errors of the efforts that models predict of the rows not used: rms by joint, A, and as a share of all."""
     n = len(log.data)
-    sides = [
+    mine, other = sides = [
         rigid_bodies.smoothed(rows[:, :6], rows[:, 6:12], rows[:, 12:], log.dt)
         for rows in (log.data[: 2 * n // 3], log.data[2 * n // 3 :])
     ]
-    mine, other = sides
     nominal = mujoco.MjModel.from_xml_string(mjcf)
-    extended_mjcf, beside = exported(diagnosis.extended_simulator_)
-    extended = mujoco.MjModel.from_xml_string(extended_mjcf)
-    bodies = [rigid_bodies.regressors(nominal, one) for one in sides]
-    torques = [np.stack([rigid_bodies.efforts_of(nominal, one)], axis=2) for one in sides]
-    told = {
-        "nominal": rigid_bodies.efforts_of(nominal, other),
-        "extended": rigid_bodies.efforts_of(extended, other),
-        "least squares, the model's masses": rigid_bodies.fitted_efforts(torques[0], mine, torques[1], other)[
-            0
-        ],
-        "least squares, all masses": rigid_bodies.fitted_efforts(bodies[0], mine, bodies[1], other)[0],
-    }
+    torques = [rigid_bodies.efforts_of(nominal, one) for one in sides]
+    told, beside = {"nominal": torques[1]}, {}
+    for name, diagnosis in diagnoses.items():
+        extended_mjcf, left = exported(diagnosis.extended_simulator_)
+        told[name] = rigid_bodies.efforts_of(mujoco.MjModel.from_xml_string(extended_mjcf), other)
+        beside |= left
+
+    def squares(columns, **without):
+        return rigid_bodies.fitted_efforts(columns[0], mine, columns[1], other, **without)[0]
+
+    scaled = [one[:, :, None] for one in torques]
+    told["least squares, the model's masses"] = squares(scaled)
+    for name in rigid_bodies.OWN:
+        told[f"... without {name}"] = squares(scaled, without=name)
+    # What the model says stands as it is: least squares of what is left.
+    left = replace(mine, efforts=mine.efforts - torques[0])
+    none = [np.zeros((len(one), 6, 0)) for one in torques]
+    told["... with masses as they are"] = (
+        torques[1] + rigid_bodies.fitted_efforts(none[0], left, none[1], other)[0]
+    )
+    told["least squares, all masses"] = squares([rigid_bodies.regressors(nominal, one) for one in sides])
     spread = other.efforts.std(axis=0)
     errors = {name: np.sqrt(np.mean((one - other.efforts) ** 2, axis=0)) for name, one in told.items()}
     return {

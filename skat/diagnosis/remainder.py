@@ -622,7 +622,7 @@ def word_of(force: Array, frequencies: Array, spectrum: Array, unit: str) -> str
     """Return what a force over time looks like, in a word."""
     squares = np.sort(force**2)[::-1]
     total = float(squares.sum())
-    if not len(frequencies) or total == 0 or not spectrum.sum() > 0:
+    if len(frequencies) < 2 or total == 0 or not spectrum.sum() > 0:
         return "none" if total == 0 else "white"
     if squares[: max(1, int(FEW_ROWS * len(squares)))].sum() > MAJORITY * total:
         return "impacts"

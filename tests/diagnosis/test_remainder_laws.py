@@ -561,4 +561,5 @@ def test_of_no_force_or_too_short_a_log_there_is_no_more_to_say():
     assert word(np.ones(101), np.zeros(200)) == "none"
     assert word(np.zeros(101)) == "white"
     assert word([], frequencies=np.zeros(0)) == "white"
+    assert word([2.0], frequencies=np.zeros(1)) == "white"
     assert word([], np.zeros(5), frequencies=np.zeros(0)) == "none"

@@ -172,9 +172,7 @@ def test_measured_efforts_are_compared_as_far_as_they_change(filtered, episodes)
     moments = np.array([[2.0, -3.0], [0.0, 0.0]])
     arm = machine()
     arm.missing_forces = lambda states, accelerations, commands, values: 1.0 - commands @ moments
-    motion = smooth_motion(
-        arm, np.column_stack([X, efforts[:-1]]), y, groups, window=2.0, measured=True
-    )
+    motion = smooth_motion(arm, np.column_stack([X, efforts[:-1]]), y, groups, window=2.0, measured=True)
     kept = [one.cutoff(KEPT, DT) for one in _smooth(X, y, groups)]
     if filtered:
         assert (motion.cutoff < filtered).all()
