@@ -29,6 +29,7 @@ from open_loop import Parameter
 
 from skat import datasets
 from skat.diagnosis import SimulationDiagnosis, compare_findings
+from skat.diagnosis.forces.motions import half_of
 from skat.diagnosis.report.machine import findings_as_data, plain
 from skat.simulators import MujocoSimulator, make_simulator
 
@@ -222,7 +223,8 @@ def told(cause, neutral):
 def not_named(diagnosis):
     """Return, of each family of which no effect is named, the one that would have been seen smallest."""
     named = {cause.family for cause in diagnosis.causes_}
-    known = {effect.name: effect for effect in diagnosis.simulator.effects()}
+    asked = list(diagnosis.identifiability_.index)
+    known = {effect.name: effect for effect in diagnosis.simulator.effects(also=asked)}
     found = {}
     for name, row in diagnosis.identifiability_.iterrows():
         effect, smallest = known[name], float(row["smallest"])
@@ -306,7 +308,8 @@ def each_joint_s(simulator, families):
 
 
 UR10_FAMILIES = ("dry_friction", "damping", "armature", "gain")
-UR10_FEWER = "skat's, asked of friction, rotors and gains alone"
+UR10_MINE, UR10_FEWER = "skat's extended model", "skat's, asked of friction, rotors and gains alone"
+UR10_SCALED = "least squares, the model's masses"
 
 
 def _rows(log, first, last):
@@ -337,13 +340,23 @@ def ur10(kept):
     ]
     others = peers(kept, "ur10", mjcf, parameters, fitted, 4)
     found = compared(simulator, diagnosis.extended_simulator_, mjcf, parameters, others, tested, 4)
-    asked_of = {"skat's extended model": diagnosis, UR10_FEWER: of_fewer}
+    asked_of = {UR10_MINE: diagnosis, UR10_FEWER: of_fewer}
     found["efforts"] = kept.answer("ur10_efforts_measured", partial(_ur10_efforts, log, asked_of, mjcf))
+    shares = found["efforts"]["share"]
     return {
         **found,
         **asked(diagnosis, cost),
         "rows_tested": n - 2 * n // 3,
-        "numbers": {"n_asked": str(len(effects)), "n_effects": str(len(simulator.effects()))},
+        "numbers": {
+            "n_asked": str(len(effects)),
+            "n_effects": str(len(simulator.effects())),
+            "compared_to": study_pages.shown(
+                float(half_of(simulator, given, "", measured=True).motion.cutoff.max())
+            ),
+            "wrist_scaled": study_pages.shown(found["efforts"]["masses"][3]),
+            "of_least_squares": study_pages.shown(shares[UR10_MINE] / shares[UR10_SCALED]),
+            "fewer_of_least_squares": study_pages.shown(shares[UR10_FEWER] / shares[UR10_SCALED]),
+        },
         "shown": {"joints": joints[:3], "seconds": 2.0},
     }
 
@@ -367,7 +380,7 @@ def _ur10_efforts(log, diagnoses, mjcf):
         return rigid_bodies.fitted_efforts(columns[0], mine, columns[1], other, **without)[0]
 
     scaled = [one[:, :, None] for one in torques]
-    told["least squares, the model's masses"] = squares(scaled)
+    told[UR10_SCALED], coefficients = rigid_bodies.fitted_efforts(scaled[0], mine, scaled[1], other)
     for name in rigid_bodies.OWN:
         told[f"... without {name}"] = squares(scaled, without=name)
     # What the model says stands as it is: least squares of what is left.
@@ -381,6 +394,7 @@ def _ur10_efforts(log, diagnoses, mjcf):
     errors = {name: np.sqrt(np.mean((one - other.efforts) ** 2, axis=0)) for name, one in told.items()}
     return {
         "beside": beside,
+        "masses": coefficients[:, 0].tolist(),
         "by_joint": {name: one.tolist() for name, one in errors.items()},
         "share": {name: float(np.sqrt(np.mean((one / spread) ** 2))) for name, one in errors.items()},
     }
