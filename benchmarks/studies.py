@@ -523,6 +523,10 @@ def pendulum(kept):
             "both_ratio": study_pages.shown(both["ratio"]),
             "ls_mass": study_pages.shown(others[0.5]["least squares"]["values"][0]),
             "ls_friction": study_pages.shown(others[0.5]["least squares"]["values"][1]),
+            "ls_friction_heavier": study_pages.shown(others[1.0]["least squares"]["values"][1]),
+            "each_ratio": study_pages.shown(
+                others[1.0]["least squares"]["values"][0] / others[0.5]["least squares"]["values"][0]
+            ),
             "least_friction": study_pages.shown(
                 diagnosis.identifiability_.loc["dry_friction[hinge]", "smallest"]
             ),
