@@ -344,7 +344,10 @@ class CauseDisplay:
         CauseDisplay
         """
         n_causes = len(self.names)
-        self.ax_, self.figure_ = new_axes(ax, size=(6.8, 0.9 + 0.5 * max(n_causes, 1)))
+        sizes = [self._size_of(row) for row in range(n_causes)]
+        # Names and sizes stand beside what is drawn, and must not take its place.
+        letters = sum(max(map(len, texts), default=0) for texts in (self.names, sizes))
+        self.ax_, self.figure_ = new_axes(ax, size=(3.0 + 0.08 * letters, 0.9 + 0.5 * max(n_causes, 1)))
         values, neutrals = np.asarray(self.values, dtype=float), np.asarray(self.neutrals, dtype=float)
         ends = np.asarray(self.intervals, dtype=float).reshape(n_causes, 2)
         away = np.abs(np.column_stack([values, ends]) - neutrals[:, np.newaxis]).max(axis=1, initial=0)
@@ -357,11 +360,7 @@ class CauseDisplay:
         )
         self.ax_.hlines(rows, low, high, color=AFTER, linewidth=5, alpha=0.45)
         self.ax_.plot(middle, rows, "o", color=AFTER, markersize=7)
-        for row, (least, most) in enumerate(ends):
-            interval = float(least), float(most)
-            unit = "" if self.units[row] in ("", "1") else f" {self.units[row]}"
-            size = f"{size_text(values[row], interval)}{unit}"
-            text = f"{size}  ({interval_text(interval)}; neutral {number(neutrals[row])})"
+        for row, text in enumerate(sizes):
             self.ax_.text(1.12, row, text, va="center", fontsize=9)
         if not n_causes:
             self.ax_.text(0.05, 0, "nothing named", va="center")
@@ -373,6 +372,14 @@ class CauseDisplay:
         self.ax_.spines["bottom"].set_visible(False)
         self.ax_.spines["left"].set_visible(False)
         return self
+
+    def _size_of(self, row: int) -> str:
+        """Return a cause's size with its interval, in words."""
+        least, most = self.intervals[row]
+        interval = float(least), float(most)
+        unit = "" if self.units[row] in ("", "1") else f" {self.units[row]}"
+        size = f"{size_text(float(self.values[row]), interval)}{unit}"
+        return f"{size}  ({interval_text(interval)}; neutral {number(float(self.neutrals[row]))})"
 
 
 def with_unit(text: str, unit: str | None, gap: str = " ") -> str:
