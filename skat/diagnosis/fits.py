@@ -100,10 +100,11 @@ class Fits:
         widths = np.abs(places - origin)
         for turn in range(FIT_TURNS):
             values = {effect.name: value_at(effect, at) for effect, at in zip(chosen, places)}
-            # A memory is looked for once, and again where values were still too far off to show one.
+            # A comparison looks for a memory once, and again where values were still too far off to show one.
             looks = turn == 0 or (bool(near.fitted.memory) and not start.memory)
-            fit_at = self._next if own_slopes else self._compared
-            fitted = fit_at(values, start, memories=looks)
+            fitted = (
+                self._next(values, start) if own_slopes else self._compared(values, start, memories=looks)
+            )
             fit, one = self._weighed(members, fitted, widths)
             moved, deviations = one.values, one.deviations
             # Within its standard errors no step goes too far.
@@ -146,8 +147,8 @@ class Fits:
         slopes = slopes_of(self.space, fitted, chosen, self.priors.scales[list(members)], widths, means=True)
         return gram_of(self.space, fitted, slopes, chosen).gram
 
-    def _next(self, values: Mapping[str, float], start: Fitted, *, memories: bool = True) -> Fitted:
-        return next_fit(self.space, values, start, self.known, memories=memories)
+    def _next(self, values: Mapping[str, float], start: Fitted) -> Fitted:
+        return next_fit(self.space, values, start, self.known)
 
     def _compared(self, values: Mapping[str, float], start: Fitted, *, memories: bool = True) -> Fitted:
         return compared(self.space, values, start, self.known, memories=memories)
