@@ -11,8 +11,8 @@ import pandas as pd
 from scipy.stats import chi2
 
 from skat.diagnosis.causes import Found
+from skat.diagnosis.chains import Array
 from skat.diagnosis.evidence import WIDTH_95, Gram
-from skat.diagnosis.filtering import Array
 from skat.diagnosis.fitting import around, gram_of, slopes_of, value_at
 from skat.diagnosis.report.machine import SCHEMA
 from skat.diagnosis.report.sentences import p_text

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from skat.diagnosis.filtering import Array, Chains, Memory, updated
+from skat.diagnosis.chains import Array, Chains, Memory, Places
+from skat.diagnosis.filtering import updated
 from skat.diagnosis.noise import Estimate, Noise
-from skat.diagnosis.statespace import PAIRS, Linear, Places, StateSpace, moved_path, normal_points
+from skat.diagnosis.statespace import PAIRS, Linear, StateSpace, moved_path, normal_points
 from skat.simulators.tables import episode_starts
 
 # Rows after which a filter has found what was not measured, and hidden states of actuators do not show how they began.

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from skat.diagnosis import (
     causes,
+    chains,
     evidence,
     filtering,
     findings,
@@ -97,7 +98,9 @@ def _classes(*modules: ModuleType) -> dict[str, type]:
 # What a file may hold, by the name that it has there.
 CLASSES: Mapping[str, type] = MappingProxyType(
     {
-        **_classes(causes, evidence, filtering, findings, fits, fitting, log, noise, posterior, prediction),
+        **_classes(
+            causes, chains, evidence, filtering, findings, fits, fitting, log, noise, posterior, prediction
+        ),
         **_classes(remainder, search, smoothing, statespace, content, from_diagnosis),
         "archive.EffectRecord": EffectRecord,
         "source.ModelSource": ModelSource,

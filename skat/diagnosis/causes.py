@@ -7,8 +7,8 @@ from functools import partial
 
 import numpy as np
 
+from skat.diagnosis.chains import Array
 from skat.diagnosis.evidence import Gram, Priors, Weighed, Weigher, weigh
-from skat.diagnosis.filtering import Array
 from skat.diagnosis.fits import Fit, Fits
 from skat.diagnosis.fitting import (
     NOTHING_KNOWN,

@@ -12,10 +12,10 @@ from sklearn.base import clone
 from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted
 
-from skat.diagnosis.filtering import Array, Mask
+from skat.diagnosis.chains import Array, Mask, Places
 from skat.diagnosis.log import Log, check_log, without_channels
 from skat.diagnosis.prediction import FEWEST_PIECES, N_BOOTSTRAP, PIECES
-from skat.diagnosis.statespace import Places, tangent_mask, tangents
+from skat.diagnosis.statespace import tangent_mask, tangents
 from skat.simulators import Simulator
 from skat.transport import (
     CORAL,

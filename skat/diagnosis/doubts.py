@@ -13,7 +13,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from skat.diagnosis.filtering import Array
+from skat.diagnosis.chains import Array
 from skat.diagnosis.log import QUATERNION, Log
 from skat.diagnosis.smoothing import SMOOTHED, smoothed_positions
 from skat.diagnosis.statespace import tangent_mask, tangents

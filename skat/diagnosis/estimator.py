@@ -19,9 +19,9 @@ from sklearn.utils.validation import check_is_fitted
 from skat.diagnosis.agreement import differing, shared_causes
 from skat.diagnosis.ahead import variances_of
 from skat.diagnosis.causes import QUICK_TURNS, TURNS, Found, find_causes, is_held
+from skat.diagnosis.chains import Array
 from skat.diagnosis.changes import find_changes
 from skat.diagnosis.doubts import warn_of_doubts
-from skat.diagnosis.filtering import Array
 from skat.diagnosis.findings import Alias, Cause, Gain
 from skat.diagnosis.fitting import Fitted, Known, coordinate, first_fit, hits, value_at
 from skat.diagnosis.forces.efforts import causes_of_efforts
@@ -296,7 +296,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         told = ", ".join(f"{cause.name} {cause.value:.4g}" for cause in self.causes_)
         progress(f"what is left beside {told or 'no cause'}", 0, 1)
         self.remainder_ = left or find_remainder(
-            whole, found.fitted, horizon=self._rows_ahead(), random_state=random_state
+            whole, found.fitted, known=known, horizon=self._rows_ahead(), random_state=random_state
         )
         self._prediction: Prediction | None = None
         self.gain_ = None

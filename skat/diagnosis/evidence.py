@@ -20,7 +20,7 @@ import numpy as np
 from scipy.linalg.lapack import dposv
 from scipy.special import log_ndtr
 
-from skat.diagnosis.filtering import Array
+from skat.diagnosis.chains import Array
 
 # Of the largest eigenvalue of a scaled Gram matrix: below it there is rounding.
 RANK = 1e-12

@@ -1,16 +1,7 @@
 r"""Kalman filter and disturbance smoother of many short chains at once: pure functions of arrays.
 
-A chain is a piece of an episode. About a path, its deviations follow
-
-.. math::
-
-    \delta_{t+1} = A_t \delta_t + c_t + F_t w_t + v_t, \qquad m_t = H_t \delta_t + e_t,
-
-with :math:`w_t \sim N(0, \mathrm{diag}(q_t))`, :math:`e_t \sim N(0, \mathrm{diag}(r_t))` and
-:math:`v_t \sim N(0, \Omega_t)`, what the linearisation leaves. A channel that was not measured is a row that
-:math:`H_t` lacks. The first state of a chain has a wide prior. Everything is linear in c and m, so that derivatives by
-parameters are further columns of c that run through the same gains. Channels of which none acts on another, such as
-those of a robot's legs where its base is fixed, are filtered apart.
+Everything is linear in c and m, so that derivatives by parameters are further columns of c that run through the same
+gains. Parts of chains are filtered apart.
 
 References
 ----------
@@ -19,181 +10,11 @@ References
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
 from scipy.special import gammaln
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Places = NDArray[np.intp]
-
-
-@dataclass(frozen=True)
-class Memory:
-    """Random forces that remember the ones before, one beside each white force.
-
-    With fresh pushes w and a hidden z, ``z[t+1] = share z[t] + w[t]`` acts as it is and lasts, as a drift does; or
-    ``z[t+1] = share z[t] + (1 - share) w[t]`` takes back from w[t], so that nothing is left of a push in the end, as
-    of a vibration's: spectra that fall off above a frequency, or below it.
-
-    Attributes
-    ----------
-    n_forces : int, default=0
-        0: there are none.
-    share : float, default=0
-        What is left of z a row later.
-    returns : bool, default=False
-        Whether pushes are taken back.
-    """
-
-    n_forces: int = 0
-    share: float = 0.0
-    returns: bool = False
-
-    def __len__(self) -> int:
-        return self.n_forces
-
-    def acting(self, fresh: Array, hidden: Array) -> Array:
-        """Return the forces of pushes (..., n_forces) and of what is hidden beside them."""
-        return fresh - hidden if self.returns else hidden
-
-    def kept(self, fresh: Array) -> Array:
-        """Return what pushes add to what is hidden."""
-        return (1 - self.share) * fresh if self.returns else fresh
-
-    def steady(self, fresh: Array) -> Array:
-        """Return the variance of what is hidden, at any time, from that of the pushes (..., n_forces)."""
-        return self.kept(self.kept(fresh)) / (1 - self.share**2)
-
-    def variance(self, fresh: Array) -> Array:
-        """Return the variance of the forces, at any time."""
-        return self.steady(fresh) + (fresh if self.returns else 0.0)
-
-    @property
-    def predicted(self) -> float:
-        """Share of the forces' variance that is known from those before."""
-        return (1 - self.share) / 2 if self.returns else self.share**2
-
-
-NO_MEMORY = Memory()
-
-
-@dataclass(frozen=True)
-class Chains:
-    """Linear dynamics and measurements of chains, padded to the longest one.
-
-    Attributes
-    ----------
-    transitions : ndarray of shape (n_chains, n_steps, d, d)
-    drive : ndarray of shape (n_chains, n_steps, d)
-        c, what the model adds to the deviation in a step.
-    bends : ndarray of shape (n_chains, n_steps, d, d)
-        Covariance of what the linearisation leaves.
-    carrier : ndarray of shape (n_chains, n_steps, d, n_forces)
-        F, by which random forces enter the state.
-    measured : ndarray of shape (n_chains, n_steps + 1, d)
-        m; any number where nothing was measured.
-    mask : ndarray of bool of shape (n_chains, n_steps + 1, d)
-    prior : ndarray of shape (d,)
-        Variance of a chain's first state about the path.
-    before : ndarray of shape (d, n_forces), optional
-        How forces of the kind of the first step's have made that state beside.
-    """
-
-    transitions: Array
-    drive: Array
-    bends: Array
-    carrier: Array
-    measured: Array
-    mask: Mask
-    prior: Array
-    before: Array | None = None
-
-    def of(self, chosen: Mask | Places) -> "Chains":
-        """Return some of the chains, by a mask of shape (n_chains,) or by their places."""
-        return Chains(
-            self.transitions[chosen],
-            self.drive[chosen],
-            self.bends[chosen],
-            self.carrier[chosen],
-            self.measured[chosen],
-            self.mask[chosen],
-            self.prior,
-            self.before,
-        )
-
-    def with_memory(self, memory: Memory, prior: Array | None = None) -> "Chains":
-        """Return these chains with a force of memory beside each random force, as further, hidden channels.
-
-        Parameters
-        ----------
-        memory : Memory
-        prior : ndarray of shape (n_forces,), optional
-            Variance of what is hidden of each such force where a chain begins. By default it is what all steps before
-            would have made it: what is the same in all chains is not unknown anew in each.
-        """
-        n, steps, d = self.drive.shape
-        k = self.carrier.shape[-1]
-        transitions = np.zeros((n, steps, d + k, d + k))
-        none, one = np.zeros(k), np.ones(k)
-        transitions[..., :d, :d], transitions[..., :d, d:] = (
-            self.transitions,
-            self.carrier * memory.acting(none, one),
-        )
-        transitions[..., d:, d:] = memory.share * np.eye(k)
-        carrier = np.zeros((n, steps, d + k, 2 * k))
-        carrier[..., :d, :k], carrier[..., :d, k:] = self.carrier, self.carrier * memory.acting(one, none)
-        carrier[..., d:, k:] = np.diag(memory.kept(one))
-        before = None
-        if prior is None:
-            prior, before = none, np.zeros((d + k, 2 * k))
-            before[d:, k:] = np.diag(np.sqrt(memory.steady(one)))
-        bends = np.zeros((n, steps, d + k, d + k))
-        bends[..., :d, :d] = self.bends
-        wide = [(0, 0), (0, 0), (0, k)]
-        return Chains(
-            transitions,
-            np.pad(self.drive, wide),
-            bends,
-            carrier,
-            np.pad(self.measured, wide),
-            np.pad(self.mask, wide),
-            np.r_[self.prior, prior],
-            before,
-        )
-
-    @property
-    def n_measured(self) -> int:
-        """Number of values that were measured."""
-        return int(self.mask.sum())
-
-    @cached_property
-    def parts(self) -> tuple[tuple[Places, Places], ...]:
-        """Channels, and the forces on them, of each part; none acts on another in any step."""
-        d, k = self.carrier.shape[-2:]
-        acts = np.zeros((d + k, d + k), dtype=bool)
-        acts[:d, :d] = np.any(self.transitions, axis=(0, 1)) | np.any(self.bends, axis=(0, 1))
-        acts[:d, d:] = np.any(self.carrier, axis=(0, 1))
-        number, label = connected_components(acts, directed=False)
-        parts = [np.flatnonzero(label == one) for one in range(number)]
-        # A force that moves nothing is of no part.
-        return tuple((own[own < d], own[own >= d] - d) for own in parts if own[0] < d)
-
-    def part(self, channels: Places, forces: Places) -> "Chains":
-        """Return some of the channels, with the forces on them."""
-        return Chains(
-            _block(self.transitions, channels),
-            self.drive[..., channels],
-            _block(self.bends, channels),
-            self.carrier[..., channels[:, None], forces],
-            self.measured[..., channels],
-            self.mask[..., channels],
-            self.prior[channels],
-            None if self.before is None else self.before[channels[:, None], forces],
-        )
+from skat.diagnosis.chains import Array, Chains, Places, block
 
 
 @dataclass(frozen=True)
@@ -229,11 +50,11 @@ class Filtered:
         return Filtered(
             self.log_likelihoods,
             self.means[..., channels],
-            _block(self.covariances, channels),
+            block(self.covariances, channels),
             self.innovations[..., channels],
-            _block(self.precisions, channels),
-            _block(self.gains, channels),
-            _block(self.factors, channels),
+            block(self.precisions, channels),
+            block(self.gains, channels),
+            block(self.factors, channels),
         )
 
     @property
@@ -266,7 +87,7 @@ def updated(chains: Chains, filtered: Filtered, error_variances: Array) -> tuple
     own = np.where(chains.mask, error_variances, 0.0)
     covariances = []
     for channels, _ in chains.parts:
-        gains, P = _block(filtered.gains, channels), _block(filtered.covariances, channels)
+        gains, P = block(filtered.gains, channels), block(filtered.covariances, channels)
         kept = np.eye(len(channels)) - gains
         read = (gains * own[:, :, None, channels]) @ gains.swapaxes(2, 3)
         covariances.append(kept @ P @ kept.swapaxes(2, 3) + read)
@@ -378,11 +199,6 @@ def _filtered(chains: Chains, force_variances: Array, error_variances: Array) ->
         factors = _spread_out(rows.swapaxes(2, 3), read, (n, steps + 1, d, d))
     precisions = factors.swapaxes(2, 3) @ factors
     return Filtered(log_likelihoods, means, covariances, innovations, precisions, gains, factors)
-
-
-def _block(matrices: Array, places: Places) -> Array:
-    """Return the rows and columns of matrices at some places."""
-    return matrices[..., places[:, None], places]
 
 
 def together(places: Sequence[Places], parts: Sequence[Array]) -> Array:

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from skat.diagnosis.chains import Array
 from skat.diagnosis.evidence import NO_CAUSE, Gram, Priors, Weighed, weigh
-from skat.diagnosis.filtering import Array
 from skat.diagnosis.fitting import (
     STILL,
     Fitted,

@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from skat.diagnosis.chains import NO_MEMORY, Array, Chains, Mask, Memory
 from skat.diagnosis.evidence import Gram, Priors
-from skat.diagnosis.filtering import NO_MEMORY, Array, Chains, Filtered, Mask, Memory, filter_columns, updated
+from skat.diagnosis.filtering import Filtered, filter_columns, updated
 from skat.diagnosis.noise import TOLERANCE, Estimate, Noise, estimate_noise, normal_noise, passed
 from skat.diagnosis.statespace import (
     Linear,

@@ -7,8 +7,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
+from skat.diagnosis.chains import Array
 from skat.diagnosis.evidence import Gram, Priors, weigh
-from skat.diagnosis.filtering import Array, kalman_filter
+from skat.diagnosis.filtering import kalman_filter
 from skat.diagnosis.fitting import priors_of, response
 from skat.diagnosis.log import Log, check_log, check_matrix, without_channels
 from skat.diagnosis.statespace import StateSpace, derivatives, linearise, state_space, tangents

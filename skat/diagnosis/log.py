@@ -11,8 +11,8 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 from sklearn.utils import check_array
 
-from skat.diagnosis.filtering import Array, Mask
-from skat.diagnosis.statespace import Places, filled_in, in_chains, steps_of, tangent_mask, tangents
+from skat.diagnosis.chains import Array, Mask, Places
+from skat.diagnosis.statespace import filled_in, in_chains, steps_of, tangent_mask, tangents
 from skat.episodes import drawn_episodes
 from skat.simulators import Simulator
 from skat.simulators.tables import refuse_text

@@ -17,14 +17,11 @@ from dataclasses import dataclass, fields, replace
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaln, psi
 
+from skat.diagnosis.chains import Array, Chains, Mask, Places
 from skat.diagnosis.filtering import (
-    Array,
-    Chains,
     Filtered,
-    Mask,
     Smoothed,
     filtered_together,
     kalman_filter,
@@ -41,7 +38,6 @@ TOLERANCE = 0.1
 # In a pass no variance is moved by more than so many times what it is off by, nor by more on its logarithm.
 LONGEST, FURTHEST = 8.0, float(np.log(1e3))
 DEGREES_OF_FREEDOM = (np.inf, 10.0, 5.0, 3.0)
-Places = NDArray[np.intp]
 Part = TypeVar("Part")
 
 

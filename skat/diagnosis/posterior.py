@@ -8,8 +8,8 @@ import numpy as np
 from sklearn.utils import check_random_state
 
 from skat.diagnosis.causes import Found
+from skat.diagnosis.chains import Array
 from skat.diagnosis.evidence import weigh
-from skat.diagnosis.filtering import Array
 from skat.diagnosis.fitting import value_at
 from skat.effects import Effect
 from skat.files import whole, writable

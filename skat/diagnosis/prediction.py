@@ -20,17 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skat.diagnosis.ahead import SETTLED_ROWS, Seen, ahead, before, filtered, steady, variances_of
-from skat.diagnosis.filtering import Array, Mask, kalman_filter, smooth, updated
+from skat.diagnosis.chains import Array, Mask, Places
+from skat.diagnosis.filtering import kalman_filter, smooth, updated
 from skat.diagnosis.findings import Gain
 from skat.diagnosis.fitting import Fitted
 from skat.diagnosis.noise import Estimate, Noise, normal_noise, passed, precisions
-from skat.diagnosis.statespace import (
-    Places,
-    StateSpace,
-    linearise,
-    moved_path,
-    steps_of,
-)
+from skat.diagnosis.statespace import StateSpace, linearise, moved_path, steps_of
 from skat.simulators import Simulator
 
 # By default the horizon is so long, and has at least so many rows.

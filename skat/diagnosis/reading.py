@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skat.diagnosis.filtering import Array
+from skat.diagnosis.chains import Array
 from skat.diagnosis.log import Log, check_log, put_together, tangent_variances
 from skat.simulators import Simulator
 

@@ -27,13 +27,14 @@ from scipy import signal
 from scipy.special import logsumexp
 
 from skat.diagnosis.ahead import Seen, ahead, filtered
+from skat.diagnosis.chains import Array, Chains, Mask, Memory, Places
 from skat.diagnosis.evidence import WIDTH_95
-from skat.diagnosis.filtering import Array, Mask, Memory, kalman_filter, smooth
+from skat.diagnosis.filtering import kalman_filter, smooth
 from skat.diagnosis.findings import Gain
-from skat.diagnosis.fitting import Fitted, response
-from skat.diagnosis.noise import estimate_noise, normal_noise, passed
+from skat.diagnosis.fitting import NOTHING_KNOWN, Fitted, Known, response
+from skat.diagnosis.noise import Estimate, Noise, estimate_noise, normal_noise, passed
 from skat.diagnosis.prediction import ends, horizon_rows, windows
-from skat.diagnosis.statespace import Places, StateSpace, steps_of
+from skat.diagnosis.statespace import StateSpace, steps_of
 
 # Bins of a law of a joint's own coordinate, and of any other.
 OWN_BINS, OTHER_BINS = 12, 5
@@ -194,6 +195,7 @@ def find_remainder(
     space: StateSpace,
     fitted: Fitted,
     *,
+    known: Known = NOTHING_KNOWN,
     horizon: int | None = None,
     random_state: np.random.RandomState,
 ) -> Remainder:
@@ -204,6 +206,8 @@ def find_remainder(
     space : StateSpace
     fitted : Fitted
         On this log, at the values of the causes.
+    known : Known, optional
+        Of the sensors' noise.
     horizon : int, optional
         In rows; as `horizon_rows` by default.
     random_state : numpy.random.RandomState
@@ -217,11 +221,11 @@ def find_remainder(
         rows[:, : len(simulator.state_names)] = filtered(space, seen)[0]
         rows = _turned_back(space, rows)
     white = _white_spectra(space, fitted, directions, random_state)
-    looks = [seen, *_with_normal_noise(space, seen)]
+    looks = [seen, *_with_normal_noise(space, seen, known)]
     runs = _runs(space, looks[-1], fitted.values, h)
     laws = [_likeliest(space, looks, directions, index, rows) for index in range(len(directions.names))]
     # How large it is, is a matter of mean squares: heavy tails would take a law's largest forces for outliers.
-    sized = _without_laws(space, looks[-1], directions, laws)
+    sized = _without_laws(space, looks[-1], directions, laws, known)
     parts = [
         _left(space, seen, sized, directions, index, law, runs, (white[0], white[1][index]))
         for index, law in enumerate(laws)
@@ -264,7 +268,9 @@ def _likeliest(
     )
 
 
-def _without_laws(space: StateSpace, seen: Seen, directions: _Directions, laws: Sequence[_Likeliest]) -> Seen:
+def _without_laws(
+    space: StateSpace, seen: Seen, directions: _Directions, laws: Sequence[_Likeliest], known: Known
+) -> Seen:
     """Return a log with the noise that is left when those laws act that there is more for than against.
 
     What a law explains is no noise: forces of memory would take most of it.
@@ -281,9 +287,14 @@ def _without_laws(space: StateSpace, seen: Seen, directions: _Directions, laws: 
         return seen
     hidden = seen.chains.drive.shape[-1] - space.d
     moved = replace(seen.chains, drive=seen.chains.drive + space.padded(np.pad(shift, [(0, 0), (0, hidden)])))
-    noise = seen.estimate.noise
-    found = estimate_noise(moved, noise, space.real, floor=np.zeros(noise.error.shape), heavy=False).noise
-    return replace(seen, estimate=passed(seen.chains, found, space.real))
+    found = _normal_estimate(moved, seen.estimate.noise, space, known)
+    return replace(seen, estimate=passed(seen.chains, found.noise, space.real))
+
+
+def _normal_estimate(chains: Chains, start: Noise, space: StateSpace, known: Known) -> Estimate:
+    """Return the noise of chains without heavy tails."""
+    floor, held = known.least(chains), known.held(chains)
+    return estimate_noise(chains, start, space.real, floor=floor, held=held, heavy=False)
 
 
 def _fit_of(seen: Seen, response: Array, size: float, chosen: Mask | None = None) -> Array:
@@ -440,14 +451,13 @@ def _past(seen: Seen, index: int) -> float:
     return float(memory.predicted * remembered / total) if total > 0 else 0.0
 
 
-def _with_normal_noise(space: StateSpace, seen: Seen) -> list[Seen]:
+def _with_normal_noise(space: StateSpace, seen: Seen, known: Known) -> list[Seen]:
     """Return the log as normal noise has it, if the noise has heavy tails."""
     noise = seen.estimate.noise
     if not np.isfinite(np.c_[noise.force_nu, noise.error_nu]).any():
         return []
     normal = normal_noise(seen.chains, noise.force, noise.error, noise.law)
-    estimate = estimate_noise(seen.chains, normal, space.real, floor=np.zeros(noise.error.shape), heavy=False)
-    return [replace(seen, estimate=estimate)]
+    return [replace(seen, estimate=_normal_estimate(seen.chains, normal, space, known))]
 
 
 # -- what predicts it -------------------------------------------------------------------------------------------------

@@ -11,11 +11,10 @@ import numpy as np
 
 from skat.diagnosis.archive import EffectRecord, digest, opened, skat_version, write_archive
 from skat.diagnosis.causes import Search
-from skat.diagnosis.filtering import Array
+from skat.diagnosis.chains import Array, Places
 from skat.diagnosis.fitting import Fitted
 from skat.diagnosis.log import Log
 from skat.diagnosis.report.from_diagnosis import DiagnosisReport
-from skat.diagnosis.statespace import Places
 from skat.files import writable
 from skat.simulators import MujocoSimulator, Simulator
 from skat.simulators.puck import PuckSimulator

@@ -11,8 +11,8 @@ from itertools import combinations
 
 import numpy as np
 
+from skat.diagnosis.chains import Array
 from skat.diagnosis.evidence import Gram, SwiftWeigher, Weighed, Weigher
-from skat.diagnosis.filtering import Array
 from skat.effects import EVERY, Effect
 
 # Sets less likely than the best by more than this factor are told from it.

@@ -19,7 +19,7 @@ from typing import Protocol
 import numpy as np
 from scipy import signal
 
-from skat.diagnosis.filtering import Array
+from skat.diagnosis.chains import Array
 from skat.diagnosis.log import Log
 from skat.diagnosis.velocities import motions, power_by_frequency, states_in_time
 from skat.simulators import Simulator

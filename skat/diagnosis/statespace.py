@@ -6,15 +6,12 @@ from itertools import zip_longest
 
 import numpy as np
 from joblib import Parallel, delayed, effective_n_jobs
-from numpy.typing import NDArray
 from scipy.stats import chi2, ortho_group
 
-from skat.diagnosis.filtering import Array, Chains, Mask
+from skat.diagnosis.chains import Array, Chains, Mask, Places
 from skat.simulators import Simulator
 from skat.simulators.base import Past
 from skat.simulators.tables import episode_starts
-
-Places = NDArray[np.intp]
 
 # Transitions filtered one after the other; chains run side by side.
 CHAIN_LENGTH = 64

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from skat.diagnosis.filtering import Array
+from skat.diagnosis.chains import Array
 from skat.simulators import Simulator
 
 # Neighbours to each side that a filter may use.

@@ -347,7 +347,9 @@ class CauseDisplay:
         sizes = [self._size_of(row) for row in range(n_causes)]
         # Names and sizes stand beside what is drawn, and must not take its place.
         letters = sum(max(map(len, texts), default=0) for texts in (self.names, sizes))
-        self.ax_, self.figure_ = new_axes(ax, size=(3.0 + 0.08 * letters, 0.9 + 0.5 * max(n_causes, 1)))
+        self.ax_, self.figure_ = new_axes(
+            ax, size=(max(6.8, 3.0 + 0.08 * letters), 0.9 + 0.5 * max(n_causes, 1))
+        )
         values, neutrals = np.asarray(self.values, dtype=float), np.asarray(self.neutrals, dtype=float)
         ends = np.asarray(self.intervals, dtype=float).reshape(n_causes, 2)
         away = np.abs(np.column_stack([values, ends]) - neutrals[:, np.newaxis]).max(axis=1, initial=0)

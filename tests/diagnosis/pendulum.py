@@ -5,7 +5,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from skat.diagnosis.filtering import NO_MEMORY, Memory
+from skat.diagnosis.chains import NO_MEMORY, Memory
 from skat.diagnosis.fitting import Fitted
 from skat.diagnosis.noise import normal_noise, passed
 from skat.diagnosis.statespace import linearise, state_space

@@ -19,8 +19,8 @@ from skat.diagnosis.causes import (
     readable,
     typical_biases,
 )
+from skat.diagnosis.chains import Memory
 from skat.diagnosis.evidence import Gram, Priors, Weighed, Weigher, weigh
-from skat.diagnosis.filtering import Memory
 from skat.diagnosis.fitting import (
     MEMORIES,
     Columns,

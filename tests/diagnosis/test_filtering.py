@@ -6,14 +6,8 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from skat.diagnosis.filtering import (
-    Chains,
-    Memory,
-    filter_columns,
-    kalman_filter,
-    smooth,
-    student_log_density,
-)
+from skat.diagnosis.chains import Chains, Memory
+from skat.diagnosis.filtering import filter_columns, kalman_filter, smooth, student_log_density
 from skat.diagnosis.noise import Noise, estimate_noise, normal_noise, passed
 
 

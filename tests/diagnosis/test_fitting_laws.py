@@ -6,8 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from skat.diagnosis.chains import Memory
 from skat.diagnosis.evidence import Gram, weigh
-from skat.diagnosis.filtering import Memory, kalman_filter
+from skat.diagnosis.filtering import kalman_filter
 from skat.diagnosis.fits import Fits
 from skat.diagnosis.fitting import (
     MEMORIES,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import integrate, optimize, stats
 
-from skat.diagnosis.filtering import Chains
+from skat.diagnosis.chains import Chains
 from skat.diagnosis.noise import (
     DEGREES_OF_FREEDOM,
     FINEST,

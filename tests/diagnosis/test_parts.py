@@ -5,7 +5,8 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from skat.diagnosis.filtering import Chains, filter_columns, kalman_filter, smooth, updated
+from skat.diagnosis.chains import Chains
+from skat.diagnosis.filtering import filter_columns, kalman_filter, smooth, updated
 from skat.diagnosis.noise import estimate_noise, normal_noise
 from skat.diagnosis.statespace import derivatives, linearise, state_space
 from skat.simulators import MujocoSimulator, make_simulator

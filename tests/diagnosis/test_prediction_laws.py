@@ -8,7 +8,8 @@ import pytest
 from scipy import integrate, stats
 
 from skat.diagnosis.ahead import Seen, _mean_beside, ahead, filtered, variances_of
-from skat.diagnosis.filtering import NO_MEMORY, Memory, updated
+from skat.diagnosis.chains import NO_MEMORY, Memory
+from skat.diagnosis.filtering import updated
 from skat.diagnosis.fitting import Fitted
 from skat.diagnosis.noise import Noise, normal_noise, passed
 from skat.diagnosis.prediction import (

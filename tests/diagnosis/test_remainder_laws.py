@@ -9,9 +9,9 @@ import pytest
 from scipy import special, stats
 
 from skat.diagnosis.ahead import Seen
-from skat.diagnosis.filtering import NO_MEMORY, Memory
+from skat.diagnosis.chains import NO_MEMORY, Memory
 from skat.diagnosis.findings import Gain
-from skat.diagnosis.fitting import Fitted, first_fit
+from skat.diagnosis.fitting import NOTHING_KNOWN, Fitted, Known, first_fit
 from skat.diagnosis.noise import normal_noise, passed
 from skat.diagnosis.remainder import (
     SIZES,
@@ -296,6 +296,19 @@ def test_the_law_of_what_is_read_is_the_mean_in_each_bin_drawn_to_zero_by_its_si
     assert part.tried[0][0] == part.regressor == "a"
 
 
+def test_a_noise_that_was_given_is_that_at_which_a_law_is_sized():
+    error, n = 0.5, 240
+    space, fitted = one_shot(n, 0, bent=1.0, error=error)
+    given = Known(given=np.array([error]))
+    (part,) = find_remainder(space, fitted, known=given, random_state=np.random.RandomState(0)).parts
+    place = np.clip(
+        np.searchsorted(part.law.edges, space.X[:, 0], side="right") - 1, 0, len(part.law.mean) - 1
+    )
+    curvature = (stats.norm.ppf(0.975) / ((part.law.high - part.law.low) / 2)) ** 2
+    sums = np.bincount(place, space.measured[:, 1, 0])
+    np.testing.assert_allclose(part.law.mean, sums / error**2 / curvature, rtol=1e-4)
+
+
 def test_what_is_predictable_is_the_mean_product_of_what_two_halves_of_the_rows_predict():
     """Each half is of every other row here; the mean of a bin is drawn to zero by the law's size."""
     error, n = 0.5, 80
@@ -378,9 +391,9 @@ def test_a_log_with_heavy_tails_is_looked_at_with_normal_noise_too():
     space, fitted = one_shot(40, 0)
     noise = fitted.estimate.noise
     seen = Seen(fitted.linear, fitted.chains, fitted.estimate, fitted.memory)
-    assert _with_normal_noise(space, seen) == []
+    assert _with_normal_noise(space, seen, NOTHING_KNOWN) == []
     heavy = replace(fitted.estimate, noise=replace(noise, error_nu=np.array([[3.0]])))
-    (normal,) = _with_normal_noise(space, replace(seen, estimate=heavy))
+    (normal,) = _with_normal_noise(space, replace(seen, estimate=heavy), NOTHING_KNOWN)
     assert np.isinf(normal.estimate.noise.error_nu).all()
     y = space.measured[:, 1, 0]
     assert normal.estimate.noise.error[0] == pytest.approx(np.mean(y**2), rel=0.05)

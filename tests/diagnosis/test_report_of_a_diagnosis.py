@@ -12,8 +12,8 @@ import pytest
 from matplotlib import pyplot
 
 from skat.diagnosis import Cause, Gain, SimulationDiagnosis
+from skat.diagnosis.chains import Memory
 from skat.diagnosis.comparison import EXTENDED, NOMINAL
-from skat.diagnosis.filtering import Memory
 from skat.diagnosis.findings import Alias
 from skat.diagnosis.prediction import Overlay
 from skat.diagnosis.report.from_diagnosis import _by_error, _rows, _with_breaks

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from skat.diagnosis import SimulationDiagnosis
-from skat.diagnosis.filtering import Chains
+from skat.diagnosis.chains import Chains
 from skat.diagnosis.log import check_log, put_together
 from skat.diagnosis.noise import estimate_noise, normal_noise
 from skat.diagnosis.report.machine import findings_as_data

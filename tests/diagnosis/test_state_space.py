@@ -8,7 +8,8 @@ import pytest
 from scipy import optimize, stats
 
 from skat.diagnosis import statespace
-from skat.diagnosis.filtering import Chains, student_log_density
+from skat.diagnosis.chains import Chains
+from skat.diagnosis.filtering import student_log_density
 from skat.diagnosis.noise import _best_scales, _scales, estimate_noise, normal_noise
 from skat.diagnosis.statespace import (
     _carrier,
@@ -159,6 +160,32 @@ def test_a_force_on_a_joint_enters_by_its_mass():
     dt = simulator.dt
     carrier = linearise(space, space.measured, {}).chains.carrier[space.places]
     np.testing.assert_allclose(carrier[:, :, 0], np.tile([dt**2 * 6 / 10 / 4, dt / 4], (20, 1)), rtol=1e-6)
+
+
+def test_a_force_on_a_joint_that_rests_against_its_friction_is_taken_to_both_sides():
+    """Gravity pulls with nearly all that friction holds: a little more makes the joint slide, a little less not."""
+    text = (
+        "<mujoco><option gravity='{} 0 0'/><worldbody><body><joint name='rail' type='slide' axis='1 0 0' "
+        "frictionloss='1'/><geom size='.1' mass='1'/></body></worldbody></mujoco>"
+    )
+
+    def moved(pull):
+        simulator = MujocoSimulator(text.format(pull), frame_skip=5)
+        (effect, _), *_ = simulator.joint_forces()
+        step = statespace.SMALL_FORCE * effect.bounds[1]
+        states = np.zeros((3, 2))
+        space = state_space(simulator, states[:-1], states[1:], np.zeros(2, int), consecutive=True)
+        carrier = linearise(space, space.measured, {}).chains.carrier[space.places][0, 1, 0]
+        ends = [
+            simulator.predict_many(states[:1], [{effect.name: sign * step}])[0, 0, 1] for sign in (-1, 0, 1)
+        ]
+        return carrier, np.diff(ends) / step
+
+    carrier, sides = moved(0.999)
+    assert sides[1] > 3 * sides[0]
+    assert carrier == pytest.approx(sides.mean(), rel=1e-6)
+    (resting, _), (sliding, _) = moved(0.9), moved(1.1)
+    assert resting < carrier < sliding
 
 
 # -- slopes ----------------------------------------------------------------------------------------------------------

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from skat.diagnosis import search
+from skat.diagnosis.chains import Array
 from skat.diagnosis.evidence import Priors
-from skat.diagnosis.filtering import Array
 from skat.diagnosis.forces.machines import MOTORS, UNSEEN, WEAKEST, Candidate, Model
 from skat.effects import Effect
 from skat.simulators import MujocoSimulator

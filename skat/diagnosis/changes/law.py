@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from skat.diagnosis.chains import Array
 from skat.diagnosis.changes.windows import Quadratic
-from skat.diagnosis.filtering import Array
 from skat.diagnosis.forces.force_space import LEFT_AT_LEAST, NOISE_TURNS, Rows, joined, noise_of
 
 # Effects differ between windows by this share of their typical size, told as by so many windows.

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from skat.diagnosis.chains import Array, Mask
 from skat.diagnosis.changes.question import Question, model_about
 from skat.diagnosis.changes.strengths import Logs
 from skat.diagnosis.changes.windows import Quadratic, Windows
-from skat.diagnosis.filtering import Array, Mask
 from skat.diagnosis.forces.force_space import Rows
 from skat.diagnosis.forces.machines import Model
 from skat.diagnosis.forces.motions import Half, lacking_forces, rows_about, whole_coefficients_of

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from skat.diagnosis.chains import Array, Mask
 from skat.diagnosis.changes.candidates import distinct, offered_candidates, units_of
 from skat.diagnosis.changes.law import Law, settled_law, with_misfit
 from skat.diagnosis.changes.windows import Windows
-from skat.diagnosis.filtering import Array, Mask
 from skat.diagnosis.forces.force_space import Rows, joined
 from skat.diagnosis.forces.machines import MOTORS, UNSEEN, WEAKEST, Candidate, Model
 from skat.diagnosis.forces.motions import (

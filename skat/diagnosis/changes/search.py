@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from skat.diagnosis.chains import Array
 from skat.diagnosis.changes.candidates import priors_of, rivals_of, units_of
 from skat.diagnosis.changes.mixups import mistake_of
 from skat.diagnosis.changes.question import MOST, TURNS, Question, question_of
@@ -12,7 +13,6 @@ from skat.diagnosis.changes.strengths import Logs, OverStrengths
 from skat.diagnosis.changes.telling import Changes, causes_of, detectable_of, gain_of, sizes_of
 from skat.diagnosis.changes.windows import Windows
 from skat.diagnosis.evidence import Priors, Weighed
-from skat.diagnosis.filtering import Array
 from skat.diagnosis.forces.machines import MOTORS, Candidate
 from skat.diagnosis.forces.motions import Log, half_of
 from skat.diagnosis.search import without_weak

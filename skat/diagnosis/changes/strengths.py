@@ -18,10 +18,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import logsumexp
 
+from skat.diagnosis.chains import Array
 from skat.diagnosis.changes.law import Law
 from skat.diagnosis.changes.windows import Quadratic
 from skat.diagnosis.evidence import Gram, Priors, SwiftWeigher, Weighed, gains_alone
-from skat.diagnosis.filtering import Array
 from skat.diagnosis.search import search_sets
 
 # Of the variance of an effect's difference, over that if all misfit looked like it. No misfit exerts more than all of

@@ -5,10 +5,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from skat.diagnosis.chains import Array, Mask
 from skat.diagnosis.changes.question import Question
 from skat.diagnosis.changes.strengths import OverStrengths
 from skat.diagnosis.evidence import SwiftWeigher, Weighed
-from skat.diagnosis.filtering import Array, Mask
 from skat.diagnosis.findings import Alias, Cause, Gain
 from skat.diagnosis.forces.force_space import joined
 from skat.diagnosis.forces.machines import Candidate

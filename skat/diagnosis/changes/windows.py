@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skat.diagnosis.filtering import Array
+from skat.diagnosis.chains import Array
 from skat.diagnosis.forces.force_space import Rows
 
 

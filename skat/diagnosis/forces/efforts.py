@@ -34,8 +34,8 @@ from skat.diagnosis.causes import (
     told,
     typical_biases,
 )
+from skat.diagnosis.chains import Array, Mask
 from skat.diagnosis.evidence import Gram, Priors, Weighed, Weigher, weigh
-from skat.diagnosis.filtering import Array, Mask
 from skat.diagnosis.fits import STANDS_STILL, Fit, Fits
 from skat.diagnosis.fitting import (
     NOTHING_KNOWN,

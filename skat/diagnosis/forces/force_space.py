@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct
 
-from skat.diagnosis.filtering import Array, Mask
+from skat.diagnosis.chains import Array, Mask
 from skat.diagnosis.forces.smoothing import smooth_coordinate
 from skat.simulators import MujocoSimulator
 

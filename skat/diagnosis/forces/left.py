@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import logsumexp
 
+from skat.diagnosis.chains import Array
 from skat.diagnosis.evidence import WIDTH_95
-from skat.diagnosis.filtering import Array
 from skat.diagnosis.forces.force_space import Rows, transformed
 from skat.diagnosis.forces.machines import Model
 from skat.diagnosis.forces.motions import Half, lacking_forces

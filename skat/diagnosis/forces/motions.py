@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from skat.diagnosis.filtering import Array
+from skat.diagnosis.chains import Array
 from skat.diagnosis.forces.force_space import Motion, Rows, smooth_motion, transformed
 from skat.diagnosis.forces.machines import MOTORS, WEAKEST, Candidate, Model
 from skat.effects import Effect

@@ -26,7 +26,7 @@ import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.optimize import minimize
 
-from skat.diagnosis.filtering import Array, Mask
+from skat.diagnosis.chains import Array, Mask
 
 TRANSITION = np.array([[1.0, 1, 1], [0, 1, 2], [0, 0, 1]])
 STEP = np.linalg.inv(np.array([[1 / 20, 1 / 8, 1 / 12], [1 / 8, 1 / 3, 1 / 4], [1 / 12, 1 / 4, 1 / 4]]))
