@@ -118,16 +118,14 @@ class Chains:
             self.before,
         )
 
-    def with_memory(self, memory: Memory, prior: Array | None = None) -> "Chains":
+    def with_memory(self, memory: Memory) -> "Chains":
         """Return these chains with a force of memory beside each random force, as further, hidden channels.
 
-        Parameters
-        ----------
-        memory : Memory
-        prior : ndarray of shape (n_forces,), optional
-            Variance of what is hidden of each such force where a chain begins. By default it is what all steps before
-            would have made it: what is the same in all chains is not unknown anew in each.
+        What is hidden of them where a chain begins is what all steps before would have made it: what is the same in all
+        chains is not unknown anew in each.
         """
+        if not memory:
+            return self
         n, steps, d = self.drive.shape
         k = self.carrier.shape[-1]
         transitions = np.zeros((n, steps, d + k, d + k))
@@ -139,10 +137,8 @@ class Chains:
         carrier[..., :d, :k] = self.carrier
         carrier[..., :d, k:] = self.carrier * memory.acting(one, none)
         carrier[..., d:, k:] = np.diag(memory.kept(one))
-        before = None
-        if prior is None:
-            prior, before = none, np.zeros((d + k, 2 * k))
-            before[d:, k:] = np.diag(np.sqrt(memory.steady(one)))
+        before = np.zeros((d + k, 2 * k))
+        before[d:, k:] = np.diag(np.sqrt(memory.steady(one)))
         bends = np.zeros((n, steps, d + k, d + k))
         bends[..., :d, :d] = self.bends
         wide = [(0, 0), (0, 0), (0, k)]
@@ -153,7 +149,7 @@ class Chains:
             carrier,
             np.pad(self.measured, wide),
             np.pad(self.mask, wide),
-            np.r_[self.prior, prior],
+            np.r_[self.prior, none],
             before,
         )
 

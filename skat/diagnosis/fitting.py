@@ -323,7 +323,7 @@ def _with_memory_of(
     space: StateSpace, values: Mapping[str, float], linear: Linear, noise: Noise, memory: Memory, known: Known
 ) -> Fitted:
     """Return the fit at a memory of forces, from a noise that has such."""
-    chains = _remembering(linear, memory)
+    chains = linear.chains.with_memory(memory)
     return Fitted(dict(values), linear, chains, known.estimated(chains, noise, space.real), memory)
 
 
@@ -411,10 +411,6 @@ def _worth_of_memories(chains: Chains, estimate: Estimate, memories: Sequence[Me
         scores = products.sum(axis=(0, 1)) / np.sqrt(np.maximum(np.sum(products**2, axis=(0, 1)), 1e-300))
         worth.append(float(np.sum(np.maximum(-scores if memory.returns else scores, 0.0) ** 2)) / 2)
     return worth
-
-
-def _remembering(linear: Linear, memory: Memory) -> Chains:
-    return linear.chains.with_memory(memory) if memory else linear.chains
 
 
 def _with_memory(noise: Noise, memory: Memory) -> Noise:
@@ -600,7 +596,7 @@ def noise_without(
     linear = fitted.linear
     moved = replace(linear.chains, drive=linear.chains.drive + space.padded(slopes @ moves))
     found = _estimated(space, fitted.values, replace(linear, chains=moved), fitted, known, memories=True)
-    chains = _remembering(linear, found.memory)
+    chains = linear.chains.with_memory(found.memory)
     estimate = passed(chains, found.estimate.noise, space.real, covariances=True)
     return replace(fitted, chains=chains, estimate=estimate, memory=found.memory)
 

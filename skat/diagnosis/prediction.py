@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from skat.diagnosis.ahead import SETTLED_ROWS, Seen, ahead, before, filtered, steady, variances_of
+from skat.diagnosis.ahead import SETTLED_ROWS, Seen, ahead, before, filtered, variances_of
 from skat.diagnosis.chains import Array, Mask, Places
 from skat.diagnosis.filtering import kalman_filter, smooth, updated
 from skat.diagnosis.findings import Gain
@@ -204,9 +204,7 @@ def look(space: StateSpace, fitted: Fitted, values: Mapping[str, float]) -> Seen
     turns = TURNS if space.simulator.state_names or heavy else 1
     for turn in range(turns):
         linear = linearise(space, path, values, covariances)
-        chains = linear.chains
-        if len(memory):
-            chains = chains.with_memory(memory, steady(noise, memory).max(axis=0))
+        chains = linear.chains.with_memory(memory)
         for _ in range(TURNS if heavy else 0):
             estimate = passed(chains, noise, space.real)
             noise = _weighted(estimate, space.real, chains.mask)
@@ -582,10 +580,7 @@ def _open_loop_variances(
 ) -> Array:
     """Return the variance of what a right model's error would be after each row, (n_rows, d), from states begun in."""
     linear, memory = linearise(space, space.measured, values), fitted.memory
-    chains = linear.chains
-    if len(memory):
-        chains = chains.with_memory(memory, steady(fitted.estimate.noise, memory).max(axis=0))
-    seen = Seen(linear, chains, fitted.estimate, memory)
+    seen = Seen(linear, linear.chains.with_memory(memory), fitted.estimate, memory)
     d = space.d
     errors = variances_of(fitted.estimate.noise.error, fitted.estimate.noise.error_nu)[:, :d]
     out = np.empty((len(space.X), d))

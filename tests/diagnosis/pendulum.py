@@ -63,7 +63,7 @@ def known(space, values, force, *, share=None, nu=np.inf):
     error = SIGMA**2
     if share is not None:
         memory = Memory(1, share)
-        chains = chains.with_memory(memory, np.array([force**2]))
+        chains = chains.with_memory(memory)
         variance, error = [1e-12, force**2 * (1 - share**2)], np.r_[error, 1.0]
     noise = normal_noise(chains, np.array(variance), error)
     noise = replace(noise, error_nu=np.full((1, len(error)), nu))

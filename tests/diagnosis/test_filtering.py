@@ -140,7 +140,7 @@ def test_a_force_with_memory_is_told_from_a_white_one_by_the_bound():
         chains = random_walk(np.random.default_rng(4), memory=memory, error=0.5)
         real = np.ones(chains.drive.shape[:2], dtype=bool)
         white = estimate_noise(chains, normal_noise(chains, [0.3], [0.3]), real, floor=np.zeros(1))
-        both = chains.with_memory(Memory(1, 0.9), np.array([10.0]))
+        both = chains.with_memory(Memory(1, 0.9))
         start = normal_noise(both, [0.1, 0.1], [0.3, 1.0])
         gains.append(estimate_noise(both, start, real, floor=np.zeros(2)).bound - white.bound)
     assert gains[0] > 20
@@ -209,7 +209,7 @@ def test_forces_with_memory_have_the_likelihood_of_their_dense_covariance(return
         np.ones((1, rows + 1, 1), bool), np.array([4.0]),
     )  # fmt: skip
     steady = memory.steady(np.array([fresh]))
-    both = chains.with_memory(memory, steady)
+    both = chains.with_memory(memory)
     force, errors = np.tile([0.0, fresh], (1, rows, 1)), np.tile([error, 1.0], (1, rows + 1, 1))
     found = kalman_filter(both, force, errors).log_likelihood
     # Columns: the first place, what is hidden at first, and the pushes.

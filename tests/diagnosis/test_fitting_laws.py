@@ -118,7 +118,7 @@ def test_scores_are_of_whitened_rows_in_blocks_of_time():
 def test_responses_are_what_steps_take_from_innovations_beside_forces_of_memory():
     """Of linear dynamics: the difference of two passes, one with more added in each step to the places alone."""
     space, rng = walks(), np.random.default_rng(1)
-    chains = linearise(space, space.measured, {}).chains.with_memory(Memory(2, 0.8), np.ones(2))
+    chains = linearise(space, space.measured, {}).chains.with_memory(Memory(2, 0.8))
     slopes = rng.normal(size=(len(space.X), 2, 1))
     drive = chains.drive.copy()
     drive[..., :2] += space.padded(slopes[..., 0])
@@ -176,7 +176,7 @@ def test_turns_show_no_noise_of_their_own():
 
 
 def test_of_forces_with_memory_nothing_is_known():
-    chains = linearise(walks(), walks().measured, {}).chains.with_memory(Memory(2, 0.8), np.ones(2))
+    chains = linearise(walks(), walks().measured, {}).chains.with_memory(Memory(2, 0.8))
     known = Known(np.array([0.1, 0.2]), np.array([0.3, 0.4]))
     assert known.least(chains).tolist() == [0.1, 0.2, 0.0, 0.0]
     assert known.held(chains).tolist() == [True, True, False, False]
@@ -204,7 +204,7 @@ def test_a_memory_is_sought_from_the_last_one_on(last, bounds, best, monkeypatch
         Memory(2, float(np.exp(-1 / rows)), returns) for returns in (False, True) for rows in MEMORIES[:3]
     ]
     worth = [bounds.get(place, 0.0) for place in range(6)]
-    monkeypatch.setattr("skat.diagnosis.fitting._remembering", lambda linear, memory: memory)
+    monkeypatch.setattr("skat.diagnosis.chains.Chains.with_memory", lambda chains, memory: memory)
     monkeypatch.setattr("skat.diagnosis.fitting._worth_of_memories", lambda chains, estimate, memories: worth)
 
     def estimated(memory, noise, real):

@@ -79,7 +79,7 @@ def known(space, error, force=0.0, share=None):
     forces, errors = [force / float(space.carrier[0, 0]) ** 2], [error**2]
     if share is not None:
         memory = Memory(1, share)
-        chains = chains.with_memory(memory, np.array(forces) / (1 - share**2))
+        chains = chains.with_memory(memory)
         forces, errors = [0.0, *forces], [*errors, 1.0]
     noise = normal_noise(chains, np.array(forces), np.array(errors))
     return Fitted(

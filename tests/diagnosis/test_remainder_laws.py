@@ -436,7 +436,7 @@ def test_a_force_that_sensors_hide_is_as_large_as_its_law_says_lasting_part_and_
     white, fresh, share = 0.04, 0.09, 0.8
     carrier = space.carrier[0, 0]
     steady = fresh / (1 - share**2)
-    chains = fitted.linear.chains.with_memory(Memory(1, share), np.array([steady / carrier**2]))
+    chains = fitted.linear.chains.with_memory(Memory(1, share))
     noise = normal_noise(chains, np.array([white, fresh]) / carrier**2, np.array([1e8, 1.0]))
     estimate = passed(chains, noise, space.real, covariances=True)
     lasting = replace(fitted, chains=chains, estimate=estimate, memory=Memory(1, share))
