@@ -572,13 +572,16 @@ def _is_servo(model: mujoco.MjModel, actuator: int) -> bool:
 
 
 def _control_unit(anatomy: Anatomy, actuator: int) -> str:
-    """Return the unit of a servo's control, as far as its transmission tells."""
+    """Return the unit of a control: of what a servo follows, or of a motor's force, as far as transmissions tell."""
     model, joint = anatomy.model, int(anatomy.model.actuator_trnid[actuator, 0])
     kind = anatomy.joint_kind(joint) if actuator in anatomy.joint_driven else None
-    if kind not in (HINGE, SLIDE) or model.actuator_gear[actuator, 0] != 1:
-        return f"unit of ctrl.{actuator_name(model, actuator)}"
-    is_of_position = model.actuator_biasprm[actuator, 1] != 0
-    return ("m" if kind == SLIDE else "rad") + ("" if is_of_position else "/s")
+    if kind in (HINGE, SLIDE) and model.actuator_gear[actuator, 0] == 1:
+        if _is_servo(model, actuator):
+            is_of_position = model.actuator_biasprm[actuator, 1] != 0
+            return ("m" if kind == SLIDE else "rad") + ("" if is_of_position else "/s")
+        if model.actuator_gainprm[actuator, 0] == 1 and model.actuator_dyntype[actuator] == NO_DYNAMICS:
+            return "N" if kind == SLIDE else "N m"
+    return f"unit of ctrl.{actuator_name(model, actuator)}"
 
 
 def _simple(anatomy: Anatomy) -> list[int]:
@@ -609,10 +612,8 @@ def _late_effects(anatomy: Anatomy, dt: float) -> Found:
     if filtered:
         yield _effect("lag", "all", longest, partial(edits.filter_commands, tuple(filtered))), True
     for index in _simple(anatomy):
-        unit, limit = f"unit of ctrl.{name(index)}", LARGEST_CONTROL
         servo = _is_servo(model, index)
-        if servo:
-            unit, limit = _control_unit(anatomy, index), LARGEST_OFFSET
+        unit, limit = _control_unit(anatomy, index), LARGEST_OFFSET if servo else LARGEST_CONTROL
         if model.actuator_ctrllimited[index]:
             low, high = model.actuator_ctrlrange[index]
             limit = float(high - low) / 2

@@ -337,6 +337,23 @@ def test_a_servos_command_has_the_unit_of_what_it_follows(actuator, kind, unit):
 
 
 @pytest.mark.parametrize(
+    ("motor", "kind", "unit"),
+    [
+        ('<motor name="drive"', "hinge", "N m"),
+        ('<motor name="drive"', "slide", "N"),
+        ('<motor name="drive"', "ball", "unit of ctrl.drive"),
+        ('<motor gear="2" name="drive"', "hinge", "unit of ctrl.drive"),
+        ('<general gainprm="2" name="drive"', "hinge", "unit of ctrl.drive"),
+        ('<general gainprm="1" dyntype="integrator" name="drive"', "hinge", "unit of ctrl.drive"),
+    ],
+)
+def test_a_motors_command_has_the_unit_of_its_force(motor, kind, unit):
+    text = turning(f'{motor} joint="spin"/>', joint=f'type="{kind}"', option=">")
+    for effect in ("bias[ctrl.drive]", "dead_zone[drive]"):
+        assert entries(text, effect.partition("[")[0])[effect][0] == unit
+
+
+@pytest.mark.parametrize(
     ("parts", "has_length"),
     [
         ('<joint axis="0 1 0"/><geom size=".1"/>', False),
