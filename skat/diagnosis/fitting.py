@@ -11,6 +11,7 @@ from skat.diagnosis.evidence import Gram, Priors
 from skat.diagnosis.filtering import Filtered, filter_columns, updated
 from skat.diagnosis.noise import TOLERANCE, Estimate, Noise, estimate_noise, normal_noise, passed
 from skat.diagnosis.statespace import (
+    Forces,
     Linear,
     StateSpace,
     derivatives,
@@ -209,18 +210,31 @@ def next_fit(
         Whether the memory of random forces is looked for; otherwise it is that of `start`.
     """
     means, covariances = _so_far(space, start)
-    path = moved_path(space, start.linear.path, means)
-    slopes = None if afresh else start.linear
-    linear = linearise(space, path, values, covariances, slopes=slopes, renewed=True)
+    path = moved_path(space, start.linear.path, means[..., : space.d])
+    forces = known_forces(space, start.memory, start.estimate.noise, means, covariances)
+    slopes, known_states = None if afresh else start.linear, covariances[..., : space.d, : space.d]
+    linear = linearise(space, path, values, known_states, forces=forces, slopes=slopes, renewed=True)
     return _estimated(space, values, linear, start, known, memories=memories)
 
 
 def _so_far(space: StateSpace, fitted: Fitted) -> tuple[Array, Array]:
-    """Return means and covariances of the states' deviations given what was measured until then."""
-    means, covariances = updated(
-        fitted.chains, fitted.estimate.filtered, fitted.estimate.noise.error_variances
-    )
-    return means[..., : space.d], covariances[..., : space.d, : space.d]
+    """Return means and covariances of the states' deviations, hidden forces with them, by what was measured so far."""
+    return updated(fitted.chains, fitted.estimate.filtered, fitted.estimate.noise.error_variances)
+
+
+def known_forces(space: StateSpace, memory: Memory, noise: Noise, means: Array, covariances: Array) -> Forces:
+    """Return what is known of random forces as rows begin.
+
+    ``means`` and ``covariances`` are those of chains with this memory by what was measured until then, see `updated`.
+    """
+    k = len(space.simulator.joint_forces())
+    fresh = noise.force[noise.law][space.places[0]]
+    known, variances = np.zeros((len(space.X), k)), fresh[:, :k].copy()
+    if memory and k:
+        known = memory.acting(known, means[:, :-1, space.d :][space.places])
+        hidden = np.diagonal(covariances, axis1=-2, axis2=-1)[:, :-1, space.d :][space.places]
+        variances += hidden + (fresh[:, k:] if memory.returns else 0.0)
+    return Forces(known, np.sqrt(variances))
 
 
 def bends(space: StateSpace, fitted: Fitted) -> bool:
@@ -228,8 +242,9 @@ def bends(space: StateSpace, fitted: Fitted) -> bool:
     if not space.simulator.state_names:
         return False
     chains, places = fitted.linear.chains, space.places
-    _, covariances = _so_far(space, fitted)
-    return bool(is_bent(chains.transitions[places], chains.bends[places], covariances[:, :-1][places]).any())
+    covariances = _so_far(space, fitted)[1][..., : space.d, : space.d]
+    bent = is_bent(chains.transitions[places], fitted.linear.bends(places), covariances[:, :-1][places])
+    return bool(bent.any())
 
 
 def compared(
@@ -468,7 +483,7 @@ def slopes_of(
     least = SMALL_SHARE * sizes
     widths = least if widths is None else np.maximum(widths, least)
     steps = _steps(fitted.values, effects, widths)
-    known = _so_far(space, fitted)[1][:, :-1][space.places] if means else None
+    known = _so_far(space, fitted)[1][:, :-1, : space.d, : space.d][space.places] if means else None
     wide = _steps(fitted.values, effects, np.maximum(widths, BENT_SHARE * sizes))
     slopes = derivatives(space, fitted.linear, fitted.values, steps, known, wide)
     for column, effect in enumerate(effects):

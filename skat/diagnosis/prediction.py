@@ -23,7 +23,7 @@ from skat.diagnosis.ahead import SETTLED_ROWS, Seen, ahead, before, filtered, va
 from skat.diagnosis.chains import Array, Mask, Places
 from skat.diagnosis.filtering import kalman_filter, smooth, updated
 from skat.diagnosis.findings import Gain
-from skat.diagnosis.fitting import Fitted
+from skat.diagnosis.fitting import Fitted, known_forces
 from skat.diagnosis.noise import Estimate, Noise, normal_noise, passed, precisions
 from skat.diagnosis.statespace import StateSpace, linearise, moved_path, steps_of
 from skat.simulators import Simulator
@@ -199,11 +199,11 @@ def look(space: StateSpace, fitted: Fitted, values: Mapping[str, float]) -> Seen
     Where heavy tails were found, each sample's weight is found anew in turns with the variances held.
     """
     noise, memory = _with_even_weights(fitted.estimate.noise, space), fitted.memory
-    path, covariances = space.measured, None
+    path, covariances, forces = space.measured, None, None
     heavy = bool(np.isfinite(np.c_[noise.force_nu, noise.error_nu]).any())
     turns = TURNS if space.simulator.state_names or heavy else 1
     for turn in range(turns):
-        linear = linearise(space, path, values, covariances)
+        linear = linearise(space, path, values, covariances, forces=forces)
         chains = linear.chains.with_memory(memory)
         for _ in range(TURNS if heavy else 0):
             estimate = passed(chains, noise, space.real)
@@ -213,6 +213,7 @@ def look(space: StateSpace, fitted: Fitted, values: Mapping[str, float]) -> Seen
             means, known = updated(chains, estimate.filtered, noise.error_variances)
             path = moved_path(space, linear.path, means[..., : space.d])
             covariances = known[..., : space.d, : space.d]
+            forces = known_forces(space, memory, noise, means, known)
     return Seen(linear, chains, estimate, memory)
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import zip_longest
 
 import numpy as np
@@ -19,7 +20,7 @@ CHAIN_LENGTH = 64
 FIRST_STEP = 1e-4
 # Values that the simulations of one block of derivatives return.
 VALUES_AT_ONCE = 2e7
-# Of the largest force on a joint, for the derivative by it.
+# Of the largest force on a joint, the least step of a slope by it.
 SMALL_FORCE = 1e-3
 # Smallest step of a derivative, where the state is known better than that.
 SMALLEST_STEP = 1e-7
@@ -110,15 +111,17 @@ class StateSpace:
             X[:, : path.shape[-1]] = path[:, :-1][self.places]
         return X
 
-    def simulated(self, rows: Array, candidates: Sequence[Mapping[str, float]]) -> Array:
-        """Return the outputs of rows under each candidate, (n_candidates, n_rows, n_outputs)."""
+    def simulated(
+        self, rows: Array, candidates: Sequence[Mapping[str, float]], forces: Array | None = None
+    ) -> Array:
+        """Return the outputs of rows under each candidate, (n_candidates, n_rows, n_outputs); see `Linear.forces`."""
+        run = partial(self.simulator.predict_many, rows, groups=self.groups, forces=forces)
         jobs = effective_n_jobs(self.n_jobs)
         if jobs == 1 or len(candidates) < 2:
-            return self.simulator.predict_many(rows, candidates, groups=self.groups)
+            return run(candidates)
         parts = np.array_split(np.arange(len(candidates)), min(jobs, len(candidates)))
         outputs = Parallel(n_jobs=self.n_jobs)(
-            delayed(self.simulator.predict_many)(rows, [candidates[one] for one in part], groups=self.groups)
-            for part in parts
+            delayed(run)([candidates[one] for one in part]) for part in parts
         )
         return np.concatenate(outputs)
 
@@ -131,6 +134,22 @@ class StateSpace:
         out = np.zeros((*self.real.shape, *rows.shape[1:]))
         out[self.places] = rows
         return out
+
+
+@dataclass(frozen=True)
+class Forces:
+    """What is known of random forces as rows begin.
+
+    A joint that a lasting force moves does not rest against its friction, as it would without.
+
+    Attributes
+    ----------
+    means, deviations : ndarray of shape (n_rows, n_forces)
+        Of their laws given what was measured until then.
+    """
+
+    means: Array
+    deviations: Array
 
 
 @dataclass(frozen=True)
@@ -149,6 +168,11 @@ class Linear:
         By how much the mean over what is not known of a row's state is beyond the simulation on the path.
     origins, ends : ndarray of shape (n_rows, n_states), (n_rows, n_outputs)
         States about which the slopes of each row were taken, and what the simulation made of them.
+    forces, about : ndarray of shape (n_rows, n_forces)
+        Random forces with which rows are simulated, what was measured until then has them for; and those with which
+        their slopes were taken.
+    kinks : ndarray of shape (n_rows, d, d)
+        Share of forces in what the linearisation leaves, `Chains.bends`.
     """
 
     path: Array
@@ -158,6 +182,13 @@ class Linear:
     beyond: Array
     origins: Array
     ends: Array
+    forces: Array
+    about: Array
+    kinks: Array
+
+    def bends(self, places: tuple[Places, Places]) -> Array:
+        """Return the covariance of what is left where slopes by the state are taken, row by row, (n_rows, d, d)."""
+        return self.chains.bends[places] - self.kinks
 
 
 def state_space(
@@ -266,6 +297,7 @@ def linearise(
     values: Mapping[str, float],
     covariances: Array | None = None,
     *,
+    forces: Forces | None = None,
     slopes: Linear | None = None,
     renewed: bool = False,
 ) -> Linear:
@@ -278,6 +310,8 @@ def linearise(
     values : mapping from name to value
     covariances : ndarray of shape (n_chains, n_steps + 1, d, d), optional
         What is not known of the states; without it, slopes are those at a point.
+    forces : Forces, optional
+        What is known of random forces as a row begins; by default they are those of `slopes`, or zero.
     slopes : Linear, optional
         Take slopes, and what is beyond them, of this one, which is near: a simulation of each row is all it costs.
     renewed : bool, default=False
@@ -297,21 +331,26 @@ def linearise(
     simulator, places = space.simulator, space.places
     rows, after = space.rows(path), space.path_ends(path)
     known = None if covariances is None else covariances[:, :-1][places]
-    past = simulator.past(rows, [values], groups=space.groups)
+    if forces is None:
+        nothing = np.zeros((len(rows), len(simulator.joint_forces())))
+        forces = Forces(nothing if slopes is None else slopes.forces, nothing)
+    acting, unsure = forces.means, forces.deviations
+    past = simulator.past(rows, [values], groups=space.groups, forces=acting)
     if simulator.state_names and slopes is None:
-        return _assembled(space, path, _sloped(space, rows, after, values, known, past))
+        return _assembled(space, path, acting, _sloped(space, rows, after, values, known, unsure, past))
     (outputs,) = simulator.predict_many(rows, [values], past=past)
     if not simulator.state_names or slopes is None:
-        return _assembled(space, path, _without_states(outputs, space.d))
+        return _assembled(space, path, acting, _without_states(outputs, space.d))
     found = _kept(space, slopes, np.where(slopes.valid[:, None], outputs, np.nan))
     if not renewed or covariances is None:
-        return _assembled(space, path, found)
-    anew = ~(slopes.valid & _as_expected(space, slopes, path, outputs, covariances))
+        return _assembled(space, path, acting, found)
+    anew = ~(slopes.valid & _as_expected(space, slopes, path, acting, outputs, covariances))
     if anew.any():
         part = covariances[:, :-1][places][anew]
         own = past.of(np.flatnonzero(anew))
-        found = found.with_rows(anew, _sloped(space, rows[anew], after[anew], values, part, own))
-    return _assembled(space, path, found)
+        there = _sloped(space, rows[anew], after[anew], values, part, unsure[anew], own)
+        found = found.with_rows(anew, there)
+    return _assembled(space, path, acting, found)
 
 
 @dataclass(frozen=True)
@@ -327,6 +366,8 @@ class _ByRow:
     beyond: Array
     origins: Array
     ends: Array
+    about: Array
+    kinks: Array
     carrier: Array | None
 
     def with_rows(self, chosen: Mask, other: "_ByRow") -> "_ByRow":
@@ -340,7 +381,9 @@ class _ByRow:
         return replace(self, **filled)
 
 
-def _as_expected(space: StateSpace, slopes: Linear, path: Array, outputs: Array, covariances: Array) -> Mask:
+def _as_expected(
+    space: StateSpace, slopes: Linear, path: Array, forces: Array, outputs: Array, covariances: Array
+) -> Mask:
     """Return of which rows slopes still say where they end, as far as the states there are known, and are all there is.
 
     The simulation is as good as linear between the states about which they were taken and those of the path.
@@ -348,9 +391,12 @@ def _as_expected(space: StateSpace, slopes: Linear, path: Array, outputs: Array,
     simulator, places = space.simulator, space.places
     moved = simulator.residual(path[:, :-1][places], slopes.origins)
     expected = (slopes.chains.transitions[places] @ moved[..., None])[..., 0]
+    if forces.shape[1]:
+        expected += (slopes.chains.carrier[places] @ (forces - slopes.about)[..., None])[..., 0]
     safe = _finite(slopes.ends, space.path_ends(path))
     off = np.abs(simulator.residual(_finite(outputs, safe), safe) - expected)
-    bent = np.sqrt(np.diagonal(slopes.chains.bends[places], axis1=-2, axis2=-1))
+    left = np.diagonal(slopes.bends(places), axis1=-2, axis2=-1)
+    bent = np.sqrt(np.maximum(left, 0.0))
     unknown = np.sqrt(np.maximum(np.diagonal(covariances, axis1=-2, axis2=-1), 0.0))[:, 1:][places]
     as_said: Mask = np.all(np.maximum(off, bent) < UNSEEN * unknown, axis=1)
     return as_said & np.isfinite(outputs).all(axis=1)
@@ -360,14 +406,23 @@ def _kept(space: StateSpace, slopes: Linear, outputs: Array) -> _ByRow:
     """Return rows that have other slopes' own, and end where they do."""
     chains, places = slopes.chains, space.places
     carrier = chains.carrier[places] if space.simulator.joint_forces() else None
-    transitions, bends = chains.transitions[places], chains.bends[places]
-    return _ByRow(outputs, transitions, bends, slopes.beyond, slopes.origins, slopes.ends, carrier)
+    return _ByRow(
+        outputs,
+        chains.transitions[places],
+        slopes.bends(places),
+        slopes.beyond,
+        slopes.origins,
+        slopes.ends,
+        slopes.about,
+        slopes.kinks,
+        carrier,
+    )
 
 
 def _without_states(outputs: Array, d: int) -> _ByRow:
     n = len(outputs)
     flat, nothing = np.zeros((n, d, d)), np.zeros((n, 0))
-    return _ByRow(outputs, flat, flat, np.zeros((n, d)), nothing, nothing, None)
+    return _ByRow(outputs, flat, flat, np.zeros((n, d)), nothing, nothing, nothing, flat, None)
 
 
 def _sloped(
@@ -376,6 +431,7 @@ def _sloped(
     after: Array,
     values: Mapping[str, float],
     covariances: Array | None,
+    unsure: Array,
     past: Past,
 ) -> _ByRow:
     """Return rows with slopes taken over what is not known of the states that they start from, (n_rows, d, d)."""
@@ -391,7 +447,7 @@ def _sloped(
     far = np.any(np.maximum(np.abs(up), np.abs(down)) > FAR * units[:, None], axis=(1, 2))
     base = np.where(far[:, None], np.nan, base)
     bends, beyond = np.zeros((n, d, d)), np.zeros((n, d))
-    carrier = _joint_carrier(space, rows, values, base, after, past)
+    carrier, kinks = _joint_carrier(space, rows, values, base, after, unsure, past)
     if covariances is not None:
         second = _by_part(up + down, parts)
         beyond = second.sum(axis=-1) / (2 * OUTER**2)
@@ -402,9 +458,11 @@ def _sloped(
             many = _averaged(space, rows[bent], after[bent], values, roots[bent], own)
             transitions[bent], bends[bent], beyond[bent] = many
             transitions[bent] = transitions[bent] @ inverse[bent]
-    return _ByRow(
-        base, transitions, bends, beyond, rows[:, : len(space.simulator.state_names)], base, carrier
-    )
+        beyond += kinks.sum(axis=-1) / (2 * OUTER**2)
+    left = kinks @ kinks.swapaxes(1, 2) / (2 * OUTER**4)
+    origins = rows[:, : len(space.simulator.state_names)]
+    about = np.zeros((n, 0)) if past.forces is None else past.forces
+    return _ByRow(base, transitions, bends, beyond, origins, base, about, left, carrier)
 
 
 def _at_once(columns: Array, parts: Sequence[Places]) -> Array:
@@ -500,27 +558,40 @@ def is_bent(transitions: Array, bends: Array, covariances: Array, share: float =
 
 
 def _joint_carrier(
-    space: StateSpace, rows: Array, values: Mapping[str, float], base: Array, safe: Array, past: Past
-) -> Array | None:
-    """Return the derivative of the next state by a force on each joint, (n_rows, d, n_forces)."""
+    space: StateSpace,
+    rows: Array,
+    values: Mapping[str, float],
+    base: Array,
+    safe: Array,
+    unsure: Array,
+    past: Past,
+) -> tuple[Array | None, Array]:
+    """Return the slope of the next state by a force on each joint, and second differences, both (n_rows, d, n_forces).
+
+    Over what is not known of the force, as slopes by the state are: a joint that rests against its friction gives way
+    to a large force, and to one side before the other. Slopes are None where the simulator has no forces on joints.
+    """
     forces = [effect for effect, _ in space.simulator.joint_forces()]
+    columns, kinks = np.zeros((2, len(rows), space.d, len(forces)))
     if not forces:
-        return None
-    sizes = {effect.name: SMALL_FORCE * effect.bounds[1] for effect in forces}
-    groups = _told_apart(space, list(sizes))
-    # To both sides: a joint that rests against its friction gives way to one of them alone.
-    candidates = [
-        {**values, **{name: sign * sizes[name] for name in group}} for group in groups for sign in (1, -1)
-    ]
-    outputs = space.simulator.predict_many(rows, candidates, past=past.under([0] * len(candidates)))
+        return None, kinks
+    largest = np.array([effect.bounds[1] for effect in forces])
+    steps = np.clip(OUTER * unsure, SMALL_FORCE * largest, largest)
+    names = [effect.name for effect in forces]
     base = _finite(base, safe)
-    columns = np.zeros((len(rows), space.d, len(forces)))
-    for group, up, down in zip(groups, outputs[::2], outputs[1::2]):
-        difference = space.simulator.residual(_finite(up, base), _finite(down, base))
+    for group in _told_apart(space, names):
+        own = np.isin(names, group)
+        ends = []
+        for sign in (1, -1):
+            moved = replace(past, forces=np.where(own, sign * steps, 0.0) + past.forces)
+            (after,) = space.simulator.predict_many(rows, [values], past=moved)
+            ends.append(space.simulator.residual(_finite(after, base), base))
         for name in group:
-            own = space.channels_of(name)
-            columns[:, own, list(sizes).index(name)] = difference[:, own] / (2 * sizes[name])
-    return columns
+            channels, place = space.channels_of(name), names.index(name)
+            up, down = (end[:, channels] for end in ends)
+            columns[:, channels, place] = (up - down) / (2 * steps[:, place, None])
+            kinks[:, channels, place] = np.where(unsure[:, place, None] > 0, up + down, 0.0)
+    return columns, kinks
 
 
 def _told_apart(space: StateSpace, names: Sequence[str]) -> list[list[str]]:
@@ -568,7 +639,8 @@ def derivatives(
             for group in part
             for end in (0, 1)
         ]
-        outputs = iter(space.simulated(rows, [{**values, **moved} for moved in moves if moved]))
+        moved_values = [{**values, **moved} for moved in moves if moved]
+        outputs = iter(space.simulated(rows, moved_values, linear.forces))
         reached = [next(outputs) if moved else base for moved in moves]
         for place, group in enumerate(part):
             for name in group:
@@ -583,12 +655,12 @@ def derivatives(
                 columns[:, own, names.index(name)] = difference[:, own] / width
     if known is not None and simulator.state_names:
         chains, places = linear.chains, space.places
-        bent = is_bent(chains.transitions[places], chains.bends[places], known)
+        bent = is_bent(chains.transitions[places], linear.bends(places), known)
         for start in range(0, len(names) if bent.any() else 0, together):
             ends = {name: (wide or steps)[name] for name in names[start : start + together]}
             centres = columns[bent, :, start : start + together]
             columns[bent, :, start : start + together] = _mean_derivatives(
-                space, rows, values, ends, known, bent, centres
+                space, rows, values, ends, known, bent, centres, linear.forces
             )
     columns[~linear.valid] = 0.0
     return columns
@@ -602,6 +674,7 @@ def _mean_derivatives(
     known: Array,
     bent: Mask,
     centres: Array,
+    forces: Array,
 ) -> Array:
     """Return derivatives by k parameters in bent rows, means over what is not known of where they start.
 
@@ -610,7 +683,7 @@ def _mean_derivatives(
     """
     simulator, units = space.simulator, space.spread
     candidates = [{**values, name: end} for name, both in ends.items() for end in both]
-    past = simulator.past(rows, candidates, groups=space.groups).of(np.flatnonzero(bent))
+    past = simulator.past(rows, candidates, groups=space.groups, forces=forces).of(np.flatnonzero(bent))
     roots, rows = _roots(known[bent], units, space.parts), rows[bent]
     # Of one turn of the axes so many points are as good as any.
     points = normal_points(space.d, SLOPE_PAIRS)[:, :SLOPE_PAIRS].T
@@ -655,9 +728,12 @@ def moved_path(space: StateSpace, path: Array, deviations: Array) -> Array:
     return space.simulator.displace(path, deviations)
 
 
-def _assembled(space: StateSpace, path: Array, found: _ByRow) -> Linear:
+def _assembled(space: StateSpace, path: Array, forces: Array, found: _ByRow) -> Linear:
     after = space.path_ends(path)
     drive = space.simulator.residual(_finite(found.outputs, after), after) + found.beyond
+    if found.carrier is not None:
+        # Forces of a chain are whole ones, and begin at zero.
+        drive -= (found.carrier @ forces[..., None])[..., 0]
     finite = [
         np.isfinite(one).reshape(len(one), -1).all(axis=1)
         for one in (found.outputs, found.transitions, drive)
@@ -666,7 +742,8 @@ def _assembled(space: StateSpace, path: Array, found: _ByRow) -> Linear:
     wide = np.diag(space.spread**2)
     transitions = np.where(valid[:, None, None], found.transitions, 0.0)
     drive = np.where(valid[:, None], drive, 0.0)
-    bends = np.where(valid[:, None, None], found.bends, wide)
+    kinks = np.where(valid[:, None, None], found.kinks, 0.0)
+    bends = np.where(valid[:, None, None], found.bends, wide) + kinks
     measured = space.simulator.residual(space.measured, path)
     if found.carrier is None:
         carrier = np.broadcast_to(space.carrier, (*space.real.shape, *space.carrier.shape))
@@ -684,7 +761,18 @@ def _assembled(space: StateSpace, path: Array, found: _ByRow) -> Linear:
         space.mask,
         space.spread**2,
     )
-    return Linear(path, chains, found.outputs, valid, found.beyond, found.origins, found.ends)
+    return Linear(
+        path,
+        chains,
+        found.outputs,
+        valid,
+        found.beyond,
+        found.origins,
+        found.ends,
+        forces,
+        found.about,
+        kinks,
+    )
 
 
 def _finite(values: Array, otherwise: Array) -> Array:

@@ -175,6 +175,7 @@ class Simulator(BaseEstimator, ABC):
         *,
         groups: ArrayLike | None = None,
         past: "Past | None" = None,
+        forces: Array | None = None,
     ) -> Array:
         """Simulate each row under each candidate set of effect values.
 
@@ -186,6 +187,8 @@ class Simulator(BaseEstimator, ABC):
             As in `predict`.
         past : Past, optional
             What these rows have of those before them, as `past` returns it, in place of what `groups` says.
+        forces : ndarray of shape (n_rows, n_forces), optional
+            Forces on joints besides, in the order of `joint_forces`, N or N m; those of `past`, if that is given.
 
         Returns
         -------
@@ -199,7 +202,7 @@ class Simulator(BaseEstimator, ABC):
             return outputs
         times = None
         if past is None:
-            past, times = self._begun(inputs, totals, groups)
+            past, times = self._begun(inputs, totals, groups, forces)
         for kind, which in self._by_memory(totals):
             some, before = [totals[index] for index in which], past.under(which)
             true = self._true(inputs, some)
@@ -208,25 +211,29 @@ class Simulator(BaseEstimator, ABC):
             elif kind:
                 found = _Carried(self, some, before).step(true, before.acting, np.arange(len(inputs)))
             else:
-                found = self._outputs(true, [self._physical(one) for one in some], before.acting, None)[0]
+                physical = [self._physical(one) for one in some]
+                found = self._outputs(true, physical, before.acting, None, before.forces)[0]
             outputs[which] = self._measured(found, some)
         return outputs
 
     def past(
-        self, X: ArrayLike, candidates: Sequence[Mapping[str, float]], *, groups: ArrayLike | None = None
+        self,
+        X: ArrayLike,
+        candidates: Sequence[Mapping[str, float]],
+        *,
+        groups: ArrayLike | None = None,
+        forces: Array | None = None,
     ) -> "Past":
         """Return what each row has of the rows before it under each candidate: with it, rows do not need each other.
 
         Parameters
         ----------
-        X, candidates, groups
+        X, candidates, groups, forces
             As in `predict_many`.
         """
         inputs = checked_columns(X, self.input_names, "X")
-        return self._past(inputs, [self._total(values) for values in candidates], groups)
-
-    def _past(self, inputs: Array, totals: Sequence[Mapping[str, float]], groups: ArrayLike | None) -> "Past":
-        found, times = self._begun(inputs, totals, groups)
+        totals = [self._total(values) for values in candidates]
+        found, times = self._begun(inputs, totals, groups, forces)
         for kind, which in self._by_memory(totals):
             if kind:
                 some = [totals[index] for index in which]
@@ -234,12 +241,17 @@ class Simulator(BaseEstimator, ABC):
         return found
 
     def _begun(
-        self, inputs: Array, totals: Sequence[Mapping[str, float]], groups: ArrayLike | None
+        self,
+        inputs: Array,
+        totals: Sequence[Mapping[str, float]],
+        groups: ArrayLike | None,
+        forces: Array | None,
     ) -> tuple["Past", NDArray[np.intp]]:
         """Return the past of rows as if each were an episode's first but for commands, and the time of each."""
         starts = episode_starts(groups, len(inputs))
         acting = self._acting(self._actions(inputs), starts, [self._physical(one) for one in totals])
-        return self._steady(totals, len(inputs), acting), np.arange(len(inputs)) - starts
+        begun = self._steady(totals, len(inputs), acting)
+        return replace(begun, forces=forces), np.arange(len(inputs)) - starts
 
     def _steady(
         self, totals: Sequence[Mapping[str, float]], n_rows: int, acting: Sequence[Acting] = ()
@@ -452,6 +464,7 @@ class Simulator(BaseEstimator, ABC):
         candidates: Sequence[Mapping[str, float]],
         acting: Sequence[Acting],
         hidden: Sequence[Array] | None,
+        forces: Array | None = None,
     ) -> tuple[Array, list[Array]]:
         """Return the outputs of each row of each candidate, NaN where the simulation diverged, and the hidden states.
 
@@ -465,6 +478,8 @@ class Simulator(BaseEstimator, ABC):
             For each candidate these rows of what `_acting` returned.
         hidden : sequence of ndarrays of shape (n_rows, n_hidden), or None
             For each candidate the hidden states as the rows begin, NaN for steady states. None: all are steady.
+        forces : ndarray of shape (n_rows, n_forces), optional
+            What acts on joints besides, in the order of `joint_forces`.
         """
 
     def _courses(
@@ -473,13 +488,14 @@ class Simulator(BaseEstimator, ABC):
         candidates: Sequence[Mapping[str, float]],
         acting: Sequence[Acting],
         hidden: Sequence[Array] | None,
+        forces: Array | None = None,
     ) -> tuple[Array, list[Array], list[Courses]]:
         """Return what `_outputs` does, and how each candidate's state changes within the rows.
 
         A course, (n_parts, n_rows, n_states), holds the states at the ends of equal parts of the rows' time. Where the
         outputs are between those of two simulations, both are there, the second with its share.
         """
-        outputs, after = self._outputs(inputs, candidates, acting, hidden)
+        outputs, after = self._outputs(inputs, candidates, acting, hidden, forces)
         return outputs, after, [[(1.0, one[None].copy())] for one in outputs]
 
     def _acting(
@@ -658,21 +674,25 @@ class Past:
         States that the rows do not hold, as each begins; NaN: steady.
     ahead : tuple of ndarray of shape (n_rows, n_lagging)
         By how much the truth is ahead of what a sensor's filter shows; NaN: steady.
+    forces : ndarray of shape (n_rows, n_forces), optional
+        What acts on joints besides, under each candidate, in the order of `Simulator.joint_forces`.
     """
 
     acting: tuple["Acting", ...]
     hidden: tuple[Array, ...]
     ahead: tuple[Array, ...]
+    forces: Array | None = None
 
     def of(self, rows: NDArray[np.intp]) -> "Past":
         """Return that of some rows, in their order; a row may be there more than once."""
         acting = tuple(None if one is None else tuple(part[rows] for part in one) for one in self.acting)
-        return Past(acting, tuple(one[rows] for one in self.hidden), tuple(one[rows] for one in self.ahead))
+        hidden, ahead = (tuple(one[rows] for one in part) for part in (self.hidden, self.ahead))
+        return Past(acting, hidden, ahead, None if self.forces is None else self.forces[rows])
 
     def under(self, candidates: Sequence[int] | NDArray[np.intp]) -> "Past":
         """Return that under some candidates, in their order."""
         acting, hidden = [self.acting[one] for one in candidates], [self.hidden[one] for one in candidates]
-        return Past(tuple(acting), tuple(hidden), tuple(self.ahead[one] for one in candidates))
+        return Past(tuple(acting), tuple(hidden), tuple(self.ahead[one] for one in candidates), self.forces)
 
 
 class _Carried:
@@ -686,19 +706,21 @@ class _Carried:
         self._physical = [simulator._physical(total) for total in totals]
         self._lagging = [simulator._lagging(total) for total in totals]
         self.hidden, self.ahead = ([one.copy() for one in part] for part in (begin.hidden, begin.ahead))
+        self._forces = begin.forces
 
     def step(self, inputs: Array, acting: Sequence[Acting], episodes: NDArray[np.intp]) -> Array:
         """Return the outputs of one row of each of these episodes, as sensors without a bias read them."""
         simulator, dt = self._simulator, float(self._simulator.dt or math.nan)
         before = [hidden[episodes] for hidden in self.hidden]
+        forces = None if self._forces is None else self._forces[episodes]
         if not any(self._lagging):
-            outputs, after = simulator._outputs(inputs, self._physical, acting, before)
+            outputs, after = simulator._outputs(inputs, self._physical, acting, before, forces)
         else:
             read, true = inputs, np.array(inputs)
             ahead = [one[episodes] for one in self.ahead]
             if any(np.isnan(one).any() for one in ahead):
                 # A steady state: the filter lags what moves at a constant speed by its time constant.
-                ended = simulator._outputs(true, self._physical, acting, before)[0]
+                ended = simulator._outputs(true, self._physical, acting, before, forces)[0]
                 for index, lags in enumerate(self._lagging):
                     for place, (column, lag) in enumerate(lags.items()):
                         steady = np.nan_to_num(ended[index, :, column] - read[index, :, column]) * lag / dt
@@ -706,7 +728,7 @@ class _Carried:
                         ahead[index][:, place] = np.where(np.isnan(known), steady, known)
             for index, lags in enumerate(self._lagging):
                 true[index][:, list(lags)] += ahead[index]
-            outputs, after, courses = simulator._courses(true, self._physical, acting, before)
+            outputs, after, courses = simulator._courses(true, self._physical, acting, before, forces)
             for index, lags in enumerate(self._lagging):
                 if lags:
                     columns, times = list(lags), np.array(list(lags.values()))

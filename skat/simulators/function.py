@@ -160,6 +160,7 @@ class FunctionSimulator(Simulator):
         candidates: Sequence[Mapping[str, float]],
         acting: Sequence[Acting],
         hidden: Sequence[Array] | None,
+        forces: Array | None = None,
     ) -> tuple[Array, list[Array]]:
         n_states = len(self.state_names)
         outputs = np.empty((*inputs.shape[:2], len(self.output_names)))

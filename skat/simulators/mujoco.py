@@ -681,10 +681,11 @@ class MujocoSimulator(Simulator):
         candidates: Sequence[Mapping[str, float]],
         acting: Sequence[Acting],
         hidden: Sequence[Array] | None,
+        forces: Array | None = None,
     ) -> tuple[Array, list[Array]]:
         inputs = self._layout.normalised(inputs, "X")
         jobs, shares = self._jobs(candidates, acting, hidden)
-        states, left = self._cached("stepper", Stepper).run(jobs, inputs)
+        states, left = self._cached("stepper", Stepper).run(jobs, inputs, forces)
         return self._mixed(jobs, shares, states, left, inputs)
 
     def _courses(
@@ -693,10 +694,11 @@ class MujocoSimulator(Simulator):
         candidates: Sequence[Mapping[str, float]],
         acting: Sequence[Acting],
         hidden: Sequence[Array] | None,
+        forces: Array | None = None,
     ) -> tuple[Array, list[Array], list[Courses]]:
         inputs = self._layout.normalised(inputs, "X")
         jobs, shares = self._jobs(candidates, acting, hidden)
-        found, left = self._cached("stepper", Stepper).courses(jobs, inputs)
+        found, left = self._cached("stepper", Stepper).courses(jobs, inputs, forces)
         outputs, after = self._mixed(jobs, shares, np.stack([one[-1] for one in found]), left, inputs)
         courses: list[Courses] = [[] for _ in candidates]
         for job, share, course in zip(jobs, shares, found):

@@ -165,6 +165,7 @@ class PuckSimulator(Simulator):
         candidates: Sequence[Mapping[str, float]],
         acting: Sequence[Acting],
         hidden: Sequence[Array] | None,
+        forces: Array | None = None,
     ) -> tuple[Array, list[Array]]:
         starts, jobs = [], []
         for index, values in enumerate(candidates):

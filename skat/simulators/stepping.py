@@ -171,7 +171,7 @@ class Stepper:
         self._process = os.getpid()
 
     def run(
-        self, jobs: Sequence[Job], inputs: Array, *, rest: Rest | None = None
+        self, jobs: Sequence[Job], inputs: Array, forces: Array | None = None, *, rest: Rest | None = None
     ) -> tuple[Array, list[Array]]:
         """Return the states after each job, after its substeps or once they are at rest, and the hidden states.
 
@@ -179,6 +179,8 @@ class Stepper:
         ----------
         jobs : sequence of Job
         inputs : ndarray of shape (n_candidates, n_rows, n_states + nu)
+        forces : ndarray of shape (n_rows, nv), optional
+            Applied to the degrees of freedom of each row, those of plays apart, under every candidate, N or N m.
         rest : Rest, optional
             Repeat the substeps until each row is at rest.
 
@@ -195,11 +197,14 @@ class Stepper:
         with self._lock, _quiet():
             self._forget_batches_of_parent()
             for members in _alike(jobs):
-                self._run_together([jobs[index] for index in members], members, inputs, states, hidden, rest)
+                together = [jobs[index] for index in members]
+                self._run_together(together, members, inputs, forces, states, hidden, rest)
         _mark_diverged(states)
         return states, hidden
 
-    def courses(self, jobs: Sequence[Job], inputs: Array) -> tuple[list[Array], list[Array]]:
+    def courses(
+        self, jobs: Sequence[Job], inputs: Array, forces: Array | None = None
+    ) -> tuple[list[Array], list[Array]]:
         """Return the states after each substep of each job, (n_substeps, n_rows, n_states), and the hidden states.
 
         Parameters, and what diverges, as in `run`.
@@ -211,7 +216,7 @@ class Stepper:
             self._forget_batches_of_parent()
             for members in _alike(jobs):
                 together = [jobs[index] for index in members]
-                for pool, which, row, controls, laws in self._loaded(together, inputs, n_rows):
+                for pool, which, row, controls, laws in self._loaded(together, inputs, n_rows, forces):
                     seen: list[Array] = []
                     pool.step(together[0].n_substeps, controls, laws, seen)
                     after = pool.hidden()
@@ -267,13 +272,14 @@ class Stepper:
         jobs: list[Job],
         slots: list[int],
         inputs: Array,
+        forces: Array | None,
         states: Array,
         hidden: list[Array],
         rest: Rest | None,
     ) -> None:
         n_rows = states.shape[1]
         destinations = np.array(slots)
-        for pool, which, row, controls, laws in self._loaded(jobs, inputs, n_rows):
+        for pool, which, row, controls, laws in self._loaded(jobs, inputs, n_rows, forces):
             if rest is not None:
                 states[destinations[which], row] = pool.settle(jobs[0].n_substeps, rest, laws)
                 continue
@@ -283,7 +289,9 @@ class Stepper:
             for job in np.unique(which):
                 hidden[slots[job]][row[which == job]] = after[which == job]
 
-    def _loaded(self, jobs: list[Job], inputs: Array, n_rows: int) -> Iterator[tuple[Any, ...]]:
+    def _loaded(
+        self, jobs: list[Job], inputs: Array, n_rows: int, forces: Array | None = None
+    ) -> Iterator[tuple[Any, ...]]:
         """Yield a pool with the next rows in it, the job and the row of each, controls of substeps, laws."""
         total, n_states = len(jobs) * n_rows, inputs.shape[2] - jobs[0].model.nu
         forced = jobs[0].forces.changes_within_transition
@@ -292,9 +300,11 @@ class Stepper:
         winds = np.array([job.forces.wind for job in jobs])
         generalised = np.zeros((len(jobs), jobs[0].model.nv))
         laws = _Laws(jobs) if forced else None
-        for forces, job in zip(generalised, jobs):
+        for own, job in zip(generalised, jobs):
             for dof, force in job.forces.joints:
-                forces[dof] = force
+                own[dof] = force
+        plays = {play.play_dof for play in jobs[0].plays}
+        seen = [dof for dof in range(jobs[0].model.nv) if dof not in plays]
         for start in range(0, total, CHUNK):
             flat = np.arange(start, min(start + CHUNK, total))
             which, row = np.divmod(flat, n_rows)
@@ -312,6 +322,8 @@ class Stepper:
             pool.xfrc[: len(flat)] = 0
             pool.xfrc[: len(flat), jobs[0].forces.body, :3] = winds[which]
             pool.qfrc[: len(flat)] = generalised[which]
+            if forces is not None:
+                pool.qfrc[: len(flat), seen] += forces[row]
             pool.load(source[:, :n_states], first, before, jobs[0].plays, widths)
             yield pool, which, row, controls, None if laws is None else laws.of(which)
 

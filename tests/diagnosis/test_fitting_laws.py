@@ -3,6 +3,7 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -239,3 +240,38 @@ def test_values_to_both_sides_are_as_far_off_as_they_count_and_within_bounds():
     assert around(gain, 1.0, np.log(2)) == pytest.approx((0.5, 2.0))
     assert around(gain, 3.0, np.log(2)) == pytest.approx((1.5, 4.0))
     assert around(EFFECTS[0], 1.0, 0.25) == pytest.approx((0.75, 1.25))
+
+
+# -- lasting forces and friction -------------------------------------------------------------------------------------
+
+CART = """<mujoco><option timestep='0.002'/><worldbody><body><geom size='.1' mass='1'/>
+<joint name='rail' type='slide' axis='1 0 0' frictionloss='2'/></body></worldbody>
+<actuator><motor name='push' joint='rail'/></actuator></mujoco>"""
+
+
+def pushed_cart(seed, n=600, dt=0.02, memory=0.2):
+    """A log of plain MuJoCo: a cart that turns back at times, under a force of 1 N that lasts 0.2 s."""
+    rng, model = np.random.default_rng(seed), mujoco.MjModel.from_xml_string(CART)
+    data, keep, force = mujoco.MjData(model), np.exp(-dt / memory), rng.standard_normal()
+    times = dt * np.arange(n)
+    commands = 3 * np.sin(2 * np.pi * 0.7 * times) + np.sin(2 * np.pi * 1.9 * times)
+    states = np.zeros((n + 1, 2))
+    for row, command in enumerate(commands):
+        data.ctrl[:], data.qfrc_applied[:] = command, force
+        mujoco.mj_step(model, data, nstep=10)
+        states[row + 1] = np.r_[data.qpos, data.qvel]
+        force = keep * force + np.sqrt(1 - keep**2) * rng.standard_normal()
+    states += rng.standard_normal(states.shape) * [0.002, 0.01]
+    return np.c_[states[:-1], commands], states[1:]
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_the_likeliest_friction_under_a_lasting_force_is_about_the_true_one(seed):
+    """A joint that a force slides, though the model without the force has it rest, is no sign of less friction."""
+    X, y = pushed_cart(seed)
+    simulator = MujocoSimulator(CART, frame_skip=10)
+    space = state_space(simulator, X, y, np.zeros(len(X), int), consecutive=True)
+    offs = (-0.6, -0.3, 0.0, 0.3)
+    bounds = [first_fit(space, {"dry_friction[rail]": off} if off else {}).bound for off in offs]
+    assert bounds[2] > max(bounds) - 3
+    assert bounds[2] > bounds[0] + 10

@@ -12,6 +12,7 @@ from skat.diagnosis.chains import Chains
 from skat.diagnosis.filtering import student_log_density
 from skat.diagnosis.noise import _best_scales, _scales, estimate_noise, normal_noise
 from skat.diagnosis.statespace import (
+    Forces,
     _carrier,
     derivatives,
     guessed,
@@ -186,6 +187,56 @@ def test_a_force_on_a_joint_that_rests_against_its_friction_is_taken_to_both_sid
     assert carrier == pytest.approx(sides.mean(), rel=1e-6)
     (resting, _), (sliding, _) = moved(0.9), moved(1.1)
     assert resting < carrier < sliding
+
+
+RAIL = (
+    "<mujoco><option gravity='{} 0 0'/><worldbody><body><joint name='rail' type='slide' axis='1 0 0' "
+    "frictionloss='1'/><geom size='.1' mass='2'/></body></worldbody></mujoco>"
+)
+
+
+def on_a_rail(pull=0.0):
+    """A slider of 2 kg at rest, with friction of 1 N, and its log of four rows."""
+    simulator = MujocoSimulator(RAIL.format(pull), frame_skip=5)
+    states = np.zeros((5, 2))
+    return simulator, state_space(simulator, states[:-1], states[1:], np.zeros(4, int), consecutive=True)
+
+
+def test_a_lasting_force_that_is_known_slides_a_joint_that_would_rest():
+    simulator, space = on_a_rail()
+    force = np.array([[0.0], [0.5], [2.0], [-3.0]])
+    linear = linearise(space, space.measured, {}, forces=Forces(force, np.zeros((4, 1))))
+    ends = [simulator.predict(np.zeros((1, 2)), effects={"force[rail]": one})[0] for (one,) in force]
+    np.testing.assert_allclose(linear.outputs, ends, atol=1e-15)
+    assert abs(linear.outputs[1, 1]) < 0.05 * linear.outputs[2, 1]
+    slope = linear.chains.carrier[space.places][..., 0]
+    np.testing.assert_allclose(slope[2:], np.tile([0.01**2 * 6 / 10 / 2, 0.01 / 2], (2, 1)), rtol=1e-6)
+    assert np.all(slope[:2, 1] < 0.1 * slope[2:, 1])
+    # The forces of chains are whole ones: where those that are known act, chains end where the simulation does.
+    drive = linear.chains.drive[space.places]
+    np.testing.assert_allclose(drive + slope * force, ends, atol=1e-15)
+
+
+def test_a_slope_by_a_force_is_taken_over_what_is_not_known_of_it():
+    """At rest a kink lies to both sides: the larger the force that may act, the more of it moves the joint."""
+    simulator, space = on_a_rail()
+    deviations = np.array([[0.0], [0.3], [2.0], [20.0]])
+    known = np.broadcast_to(1e-12 * np.eye(2), (*space.mask.shape, 2))
+    linear = linearise(space, space.measured, {}, known, forces=Forces(np.zeros((4, 1)), deviations))
+    slope = linear.chains.carrier[space.places][:, 1, 0]
+    reach = np.sqrt(3) * deviations[2:, 0]
+    ends = [simulator.predict(np.zeros((1, 2)), effects={"force[rail]": one})[0, 1] for one in reach]
+    np.testing.assert_allclose(slope[2:], ends / reach, rtol=1e-9)
+    assert slope[1] < 0.1 * slope[2] < 0.1 * slope[3] < 0.1 * 0.01 / 2
+    # To one side of a kink there are a mean beyond the simulation, and what no slope explains.
+    pulled, there = on_a_rail(0.9 / 2)
+    linear = linearise(there, there.measured, {}, known, forces=Forces(np.zeros((4, 1)), deviations))
+    up, down = (
+        pulled.predict(np.zeros((1, 2)), effects={"force[rail]": sign * reach[0]})[0, 1] for sign in (1, -1)
+    )
+    bent = up + down - 2 * linear.outputs[2, 1]
+    assert linear.beyond[2, 1] == pytest.approx(bent / 6, rel=1e-6)
+    assert linear.chains.bends[there.places][2, 1, 1] == pytest.approx(bent**2 / 18, rel=1e-6)
 
 
 # -- slopes ----------------------------------------------------------------------------------------------------------
