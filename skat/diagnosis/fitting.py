@@ -8,12 +8,13 @@ from numpy.typing import NDArray
 
 from skat.diagnosis.chains import NO_MEMORY, Array, Chains, Mask, Memory
 from skat.diagnosis.evidence import Gram, Priors
-from skat.diagnosis.filtering import Filtered, filter_columns, updated
+from skat.diagnosis.filtering import Filtered, filter_columns, kalman_filter, updated
 from skat.diagnosis.noise import TOLERANCE, Estimate, Noise, estimate_noise, normal_noise, passed
 from skat.diagnosis.statespace import (
     Forces,
     Linear,
     StateSpace,
+    about_forces,
     derivatives,
     is_bent,
     linearise,
@@ -30,6 +31,8 @@ STILL = 1.0
 HIT = 0.5
 # How often path and slopes are taken anew at most.
 TURNS = 16
+# Simulations in which the forces that are known come to rest, where another set's were known before.
+FORCE_TURNS = 2
 # Of an effect's typical size: slopes are taken over no less; means of slopes, in rows that are bent, over no less than
 # five times as much: over less, what jumps seems to be known too well.
 SMALL_SHARE, BENT_SHARE = 0.05, 0.25
@@ -210,6 +213,8 @@ def next_fit(
         Whether the memory of random forces is looked for; otherwise it is that of `start`.
     """
     means, covariances = _so_far(space, start)
+    if start.memory and values != start.values:
+        means, covariances = _filtered(space, _about_own_forces(space, values, start), start)
     path = moved_path(space, start.linear.path, means[..., : space.d])
     forces = known_forces(space, start.memory, start.estimate.noise, means, covariances)
     slopes, known_states = None if afresh else start.linear, covariances[..., : space.d, : space.d]
@@ -220,6 +225,13 @@ def next_fit(
 def _so_far(space: StateSpace, fitted: Fitted) -> tuple[Array, Array]:
     """Return means and covariances of the states' deviations, hidden forces with them, by what was measured so far."""
     return updated(fitted.chains, fitted.estimate.filtered, fitted.estimate.noise.error_variances)
+
+
+def _filtered(space: StateSpace, linear: Linear, start: Fitted) -> tuple[Array, Array]:
+    """Return what `_so_far` does of another simulation, at the noise and memory of a fit."""
+    chains, noise = linear.chains.with_memory(start.memory), start.estimate.noise
+    filtered = kalman_filter(chains, noise.force_variances, noise.error_variances)
+    return updated(chains, filtered, noise.error_variances)
 
 
 def known_forces(space: StateSpace, memory: Memory, noise: Noise, means: Array, covariances: Array) -> Forces:
@@ -255,9 +267,10 @@ def compared(
     *,
     memories: bool = True,
 ) -> Fitted:
-    """Return the fit at given values about the path of another and with its slopes: a simulation of each row.
+    """Return the fit at given values about the path of another and with its slopes: few simulations of each row.
 
-    Of two sets about one path, with the same slopes, what these differ by is not between them.
+    Of two sets about one path, with the same slopes, what these differ by is not between them. But lasting forces that
+    are known are its own, and slopes by these: to one set a force is what to another is friction.
 
     Parameters
     ----------
@@ -266,10 +279,19 @@ def compared(
     memories : bool, default=True
         Whether random forces may be given a memory that they do not have in `start`.
     """
-    linear = linearise(space, start.linear.path, values, slopes=start.linear)
+    linear = _about_own_forces(space, values, start)
     # Forces have the memory that they have there, if any.
     climbs = not len(start.memory)
     return _estimated(space, values, linear, start, known, memories=memories or not climbs, climbs=climbs)
+
+
+def _about_own_forces(space: StateSpace, values: Mapping[str, float], start: Fitted) -> Linear:
+    """Return the simulation about another fit's path, with the lasting forces that its noise has at these values."""
+    linear = linearise(space, start.linear.path, values, slopes=start.linear)
+    for _ in range(FORCE_TURNS if start.memory else 0):
+        forces = known_forces(space, start.memory, start.estimate.noise, *_filtered(space, linear, start))
+        linear = about_forces(space, linear, values, forces)
+    return linear
 
 
 def _estimated(

@@ -170,9 +170,9 @@ class Linear:
         States about which the slopes of each row were taken, and what the simulation made of them.
     forces, about : ndarray of shape (n_rows, n_forces)
         Random forces with which rows are simulated, what was measured until then has them for; and those with which
-        their slopes were taken.
-    kinks : ndarray of shape (n_rows, d, d)
-        Share of forces in what the linearisation leaves, `Chains.bends`.
+        their slopes by the state were taken.
+    kinks : ndarray of shape (n_rows, d, n_forces)
+        Second differences by each force over what is not known of it.
     """
 
     path: Array
@@ -188,7 +188,7 @@ class Linear:
 
     def bends(self, places: tuple[Places, Places]) -> Array:
         """Return the covariance of what is left where slopes by the state are taken, row by row, (n_rows, d, d)."""
-        return self.chains.bends[places] - self.kinks
+        return self.chains.bends[places] - _left_by(self.kinks)
 
 
 def state_space(
@@ -353,6 +353,20 @@ def linearise(
     return _assembled(space, path, acting, found)
 
 
+def about_forces(space: StateSpace, linear: Linear, values: Mapping[str, float], forces: Forces) -> Linear:
+    """Return the simulation about a path that it was about, with other forces and its own slopes by them.
+
+    Slopes by the state, and what is beyond them, stay: see `linearise`.
+    """
+    rows, after = space.rows(linear.path), space.path_ends(linear.path)
+    past = space.simulator.past(rows, [values], groups=space.groups, forces=forces.means)
+    (outputs,) = space.simulator.predict_many(rows, [values], past=past)
+    outputs = np.where(linear.valid[:, None], outputs, np.nan)
+    carrier, kinks = _joint_carrier(space, rows, values, outputs, after, forces.deviations, past)
+    found = replace(_kept(space, linear, outputs), carrier=carrier, kinks=kinks)
+    return _assembled(space, linear.path, forces.means, found)
+
+
 @dataclass(frozen=True)
 class _ByRow:
     """What `Linear` is made of, row by row: see there, and `Chains`.
@@ -421,8 +435,8 @@ def _kept(space: StateSpace, slopes: Linear, outputs: Array) -> _ByRow:
 
 def _without_states(outputs: Array, d: int) -> _ByRow:
     n = len(outputs)
-    flat, nothing = np.zeros((n, d, d)), np.zeros((n, 0))
-    return _ByRow(outputs, flat, flat, np.zeros((n, d)), nothing, nothing, nothing, flat, None)
+    flat, nothing, unbent = np.zeros((n, d, d)), np.zeros((n, 0)), np.zeros((n, d, 0))
+    return _ByRow(outputs, flat, flat, np.zeros((n, d)), nothing, nothing, nothing, unbent, None)
 
 
 def _sloped(
@@ -450,19 +464,27 @@ def _sloped(
     carrier, kinks = _joint_carrier(space, rows, values, base, after, unsure, past)
     if covariances is not None:
         second = _by_part(up + down, parts)
-        beyond = second.sum(axis=-1) / (2 * OUTER**2)
-        bends = second @ second.swapaxes(1, 2) / (2 * OUTER**4)
+        bends, beyond = _left_by(second), _mean_of(second)
         bent = is_bent(transitions, bends, covariances) & ~far
         if bent.any():
             own = past.of(np.flatnonzero(bent))
             many = _averaged(space, rows[bent], after[bent], values, roots[bent], own)
             transitions[bent], bends[bent], beyond[bent] = many
             transitions[bent] = transitions[bent] @ inverse[bent]
-        beyond += kinks.sum(axis=-1) / (2 * OUTER**2)
-    left = kinks @ kinks.swapaxes(1, 2) / (2 * OUTER**4)
     origins = rows[:, : len(space.simulator.state_names)]
     about = np.zeros((n, 0)) if past.forces is None else past.forces
-    return _ByRow(base, transitions, bends, beyond, origins, base, about, left, carrier)
+    return _ByRow(base, transitions, bends, beyond, origins, base, about, kinks, carrier)
+
+
+def _mean_of(second: Array) -> Array:
+    """Return the mean that second differences (n_rows, d, k) at the outer points of `linearise` stand for."""
+    means: Array = second.sum(axis=-1) / (2 * OUTER**2)
+    return means
+
+
+def _left_by(second: Array) -> Array:
+    """Return the covariance that they do, (n_rows, d, d)."""
+    return second @ second.swapaxes(1, 2) / (2 * OUTER**4)
 
 
 def _at_once(columns: Array, parts: Sequence[Places]) -> Array:
@@ -730,7 +752,9 @@ def moved_path(space: StateSpace, path: Array, deviations: Array) -> Array:
 
 def _assembled(space: StateSpace, path: Array, forces: Array, found: _ByRow) -> Linear:
     after = space.path_ends(path)
-    drive = space.simulator.residual(_finite(found.outputs, after), after) + found.beyond
+    drive = (
+        space.simulator.residual(_finite(found.outputs, after), after) + found.beyond + _mean_of(found.kinks)
+    )
     if found.carrier is not None:
         # Forces of a chain are whole ones, and begin at zero.
         drive -= (found.carrier @ forces[..., None])[..., 0]
@@ -743,7 +767,7 @@ def _assembled(space: StateSpace, path: Array, forces: Array, found: _ByRow) -> 
     transitions = np.where(valid[:, None, None], found.transitions, 0.0)
     drive = np.where(valid[:, None], drive, 0.0)
     kinks = np.where(valid[:, None, None], found.kinks, 0.0)
-    bends = np.where(valid[:, None, None], found.bends, wide) + kinks
+    bends = np.where(valid[:, None, None], found.bends, wide) + _left_by(kinks)
     measured = space.simulator.residual(space.measured, path)
     if found.carrier is None:
         carrier = np.broadcast_to(space.carrier, (*space.real.shape, *space.carrier.shape))

@@ -9,7 +9,17 @@ import pytest
 from skat.diagnosis.causes import Comparison, _as_one, _first_guess, _likeliest
 from skat.diagnosis.evidence import Weighed, Weigher
 from skat.diagnosis.fits import Fit, Fits
-from skat.diagnosis.fitting import Known, _blocks, bends, compared, first_fit, hits, next_fit, priors_of
+from skat.diagnosis.fitting import (
+    FORCE_TURNS,
+    Known,
+    _blocks,
+    bends,
+    compared,
+    first_fit,
+    hits,
+    next_fit,
+    priors_of,
+)
 from skat.diagnosis.search import rivals_of
 from skat.diagnosis.statespace import state_space
 from skat.effects import Effect
@@ -256,7 +266,8 @@ def test_a_set_is_fitted_to_where_its_slopes_move_it_no_more(fits, nothing):
 
 
 @pytest.mark.parametrize("members", [(0,), ()])
-def test_beside_another_fit_a_row_is_simulated_once(fits, nothing, members, monkeypatch):
+def test_beside_another_fit_a_row_is_simulated_few_times(fits, nothing, members, monkeypatch):
+    """Once as it is; and where forces last twice more with those known then, and with more and less of each."""
     asked = []
     monkeypatch.setattr(
         SIMULATOR,
@@ -265,7 +276,8 @@ def test_beside_another_fit_a_row_is_simulated_once(fits, nothing, members, monk
     )
     values = {fits.effects[one].name: 0.1 for one in members}
     fit = compared(fits.space, values, nothing.fitted, fits.known)
-    assert asked == [len(fits.space.X)]
+    times = 1 + FORCE_TURNS * (1 + 2) if nothing.fitted.memory else 1
+    assert asked == times * [len(fits.space.X)]
     np.testing.assert_array_equal(fit.linear.path, nothing.fitted.linear.path)
 
 

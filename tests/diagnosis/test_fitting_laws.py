@@ -17,8 +17,10 @@ from skat.diagnosis.fitting import (
     _rough,
     _with_best_memory,
     around,
+    compared,
     first_fit,
     gram_of,
+    next_fit,
     noise_without,
     priors_of,
     response,
@@ -275,3 +277,18 @@ def test_the_likeliest_friction_under_a_lasting_force_is_about_the_true_one(seed
     bounds = [first_fit(space, {"dry_friction[rail]": off} if off else {}).bound for off in offs]
     assert bounds[2] > max(bounds) - 3
     assert bounds[2] > bounds[0] + 10
+
+
+def test_a_set_beside_another_has_the_lasting_forces_that_are_known_at_its_own_values():
+    """About the path of a model without friction the lasting force is the friction: with both, nothing would slide."""
+    X, y = pushed_cart(0)
+    simulator = MujocoSimulator(CART.replace(" frictionloss='2'", ""), frame_skip=10)
+    space = state_space(simulator, X, y, np.zeros(len(X), int), consecutive=True)
+    nothing = first_fit(space, {})
+    assert nothing.memory
+    less, right = {"dry_friction[rail]": 1.0}, {"dry_friction[rail]": 2.0}
+    beside = [compared(space, values, nothing).bound for values in (less, right)]
+    own = [first_fit(space, values).bound for values in (less, right)]
+    assert own[1] > own[0] + 50
+    assert beside[1] > beside[0] + 30 > nothing.bound + 100
+    assert next_fit(space, right, nothing).bound > own[1] - 15
