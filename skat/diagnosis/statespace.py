@@ -168,9 +168,10 @@ class Linear:
         By how much the mean over what is not known of a row's state is beyond the simulation on the path.
     origins, ends : ndarray of shape (n_rows, n_states), (n_rows, n_outputs)
         States about which the slopes of each row were taken, and what the simulation made of them.
-    forces, about : ndarray of shape (n_rows, n_forces)
-        Random forces with which rows are simulated, what was measured until then has them for; and those with which
-        their slopes by the state were taken.
+    forces : Forces
+        With whose means rows are simulated.
+    about : ndarray of shape (n_rows, n_forces)
+        Random forces with which slopes by the state were taken.
     kinks : ndarray of shape (n_rows, d, n_forces)
         Second differences by each force over what is not known of it.
     """
@@ -182,7 +183,7 @@ class Linear:
     beyond: Array
     origins: Array
     ends: Array
-    forces: Array
+    forces: Forces
     about: Array
     kinks: Array
 
@@ -333,24 +334,24 @@ def linearise(
     known = None if covariances is None else covariances[:, :-1][places]
     if forces is None:
         nothing = np.zeros((len(rows), len(simulator.joint_forces())))
-        forces = Forces(nothing if slopes is None else slopes.forces, nothing)
+        forces = Forces(nothing, nothing) if slopes is None else slopes.forces
     acting, unsure = forces.means, forces.deviations
     past = simulator.past(rows, [values], groups=space.groups, forces=acting)
     if simulator.state_names and slopes is None:
-        return _assembled(space, path, acting, _sloped(space, rows, after, values, known, unsure, past))
+        return _assembled(space, path, forces, _sloped(space, rows, after, values, known, unsure, past))
     (outputs,) = simulator.predict_many(rows, [values], past=past)
     if not simulator.state_names or slopes is None:
-        return _assembled(space, path, acting, _without_states(outputs, space.d))
+        return _assembled(space, path, forces, _without_states(outputs, space.d))
     found = _kept(space, slopes, np.where(slopes.valid[:, None], outputs, np.nan))
     if not renewed or covariances is None:
-        return _assembled(space, path, acting, found)
+        return _assembled(space, path, forces, found)
     anew = ~(slopes.valid & _as_expected(space, slopes, path, acting, outputs, covariances))
     if anew.any():
         part = covariances[:, :-1][places][anew]
         own = past.of(np.flatnonzero(anew))
         there = _sloped(space, rows[anew], after[anew], values, part, unsure[anew], own)
         found = found.with_rows(anew, there)
-    return _assembled(space, path, acting, found)
+    return _assembled(space, path, forces, found)
 
 
 def about_forces(space: StateSpace, linear: Linear, values: Mapping[str, float], forces: Forces) -> Linear:
@@ -364,7 +365,7 @@ def about_forces(space: StateSpace, linear: Linear, values: Mapping[str, float],
     outputs = np.where(linear.valid[:, None], outputs, np.nan)
     carrier, kinks = _joint_carrier(space, rows, values, outputs, after, forces.deviations, past)
     found = replace(_kept(space, linear, outputs), carrier=carrier, kinks=kinks)
-    return _assembled(space, linear.path, forces.means, found)
+    return _assembled(space, linear.path, forces, found)
 
 
 @dataclass(frozen=True)
@@ -648,7 +649,7 @@ def derivatives(
     simulator, rows, base = space.simulator, space.rows(linear.path), linear.outputs
     neutral = {effect.name: effect.neutral for effect in simulator.effects(also="all")}
     safe = _finite(base, linear.path[:, 1:][space.places])
-    columns = np.zeros((len(rows), space.d, len(steps)))
+    columns, forced = np.zeros((2, len(rows), space.d, len(steps)))
     names = list(steps)
     here = {name: values.get(name, neutral[name]) for name in names}
     together = max(1, int(VALUES_AT_ONCE // max(1, 2 * base.size)))
@@ -662,19 +663,27 @@ def derivatives(
             for end in (0, 1)
         ]
         moved_values = [{**values, **moved} for moved in moves if moved]
-        outputs = iter(space.simulated(rows, moved_values, linear.forces))
+        outputs = iter(space.simulated(rows, moved_values, linear.forces.means))
         reached = [next(outputs) if moved else base for moved in moves]
+        exerted = _exerted(space, rows, [values, *moved_values], linear.forces, safe)
+        others = iter(exerted[1:])
+        lasting = [next(others) if moved else exerted[0] for moved in moves]
         for place, group in enumerate(part):
             for name in group:
                 low, high = (
                     reached[2 * place + end] if name in moves[2 * place + end] else base for end in (0, 1)
                 )
                 difference = simulator.residual(_finite(high, safe), _finite(low, safe))
+                exerts = [
+                    lasting[2 * place + end] if name in moves[2 * place + end] else exerted[0]
+                    for end in (0, 1)
+                ]
                 bad = ~(np.isfinite(high).all(axis=1) & np.isfinite(low).all(axis=1))
-                difference[bad] = 0.0
-                own = space.channels_of(name)
+                own, column = space.channels_of(name), names.index(name)
                 width = steps[name][1] - steps[name][0]
-                columns[:, own, names.index(name)] = difference[:, own] / width
+                for slopes, change in ((columns, difference), (forced, exerts[1] - exerts[0])):
+                    change[bad] = 0.0
+                    slopes[:, own, column] = change[:, own] / width
     if known is not None and simulator.state_names:
         chains, places = linear.chains, space.places
         bent = is_bent(chains.transitions[places], linear.bends(places), known)
@@ -682,10 +691,32 @@ def derivatives(
             ends = {name: (wide or steps)[name] for name in names[start : start + together]}
             centres = columns[bent, :, start : start + together]
             columns[bent, :, start : start + together] = _mean_derivatives(
-                space, rows, values, ends, known, bent, centres, linear.forces
+                space, rows, values, ends, known, bent, centres, linear.forces.means
             )
+    # Of another machine the lasting forces are those that do the same to it.
+    columns -= forced
     columns[~linear.valid] = 0.0
     return columns
+
+
+def _exerted(
+    space: StateSpace, rows: Array, candidates: Sequence[Mapping[str, float]], forces: Forces, safe: Array
+) -> list[Array]:
+    """Return what the lasting forces that are known do to the ends of rows under each candidate, (n_rows, d).
+
+    By what more and less of them would do, by as much as is not known of them.
+    """
+    known = forces.means
+    if not known.any():
+        return [np.zeros((len(rows), space.d)) for _ in candidates]
+    largest = np.array([effect.bounds[1] for effect, _ in space.simulator.joint_forces()])
+    sizes, unsure = (np.linalg.norm(one / largest, axis=1) for one in (known, forces.deviations))
+    share = (OUTER * np.maximum(unsure, SMALL_FORCE) / np.maximum(sizes, SMALL_FORCE**2))[:, None]
+    ends = [space.simulated(rows, candidates, (1 + sign * share) * known) for sign in (1, -1)]
+    return [
+        space.simulator.residual(_finite(more, safe), _finite(less, safe)) / (2 * share)
+        for more, less in zip(*ends)
+    ]
 
 
 def _mean_derivatives(
@@ -750,14 +781,14 @@ def moved_path(space: StateSpace, path: Array, deviations: Array) -> Array:
     return space.simulator.displace(path, deviations)
 
 
-def _assembled(space: StateSpace, path: Array, forces: Array, found: _ByRow) -> Linear:
+def _assembled(space: StateSpace, path: Array, forces: Forces, found: _ByRow) -> Linear:
     after = space.path_ends(path)
     drive = (
         space.simulator.residual(_finite(found.outputs, after), after) + found.beyond + _mean_of(found.kinks)
     )
     if found.carrier is not None:
         # Forces of a chain are whole ones, and begin at zero.
-        drive -= (found.carrier @ forces[..., None])[..., 0]
+        drive -= (found.carrier @ forces.means[..., None])[..., 0]
     finite = [
         np.isfinite(one).reshape(len(one), -1).all(axis=1)
         for one in (found.outputs, found.transitions, drive)

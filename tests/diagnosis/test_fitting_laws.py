@@ -292,3 +292,21 @@ def test_a_set_beside_another_has_the_lasting_forces_that_are_known_at_its_own_v
     assert own[1] > own[0] + 50
     assert beside[1] > beside[0] + 30 > nothing.bound + 100
     assert next_fit(space, right, nothing).bound > own[1] - 15
+
+
+@pytest.mark.parametrize(("friction", "off"), [(0.0, 0.3), (2.0, 3.5)])
+def test_slopes_under_a_lasting_force_say_what_fits_do(friction, off):
+    """A heavier cart needs more of the force to move as it does: what is kept is what the force does."""
+    X, y = pushed_cart(0)
+    simulator = MujocoSimulator(CART.replace(" frictionloss='2'", ""), frame_skip=10)
+    space = state_space(simulator, X, y, np.zeros(len(X), int), consecutive=True)
+    effect = next(one for one in simulator.effects() if one.name == "armature[rail]")
+    heavier = {"dry_friction[rail]": friction, "armature[rail]": 1.0}
+    fitted = first_fit(space, heavier)
+    assert fitted.memory
+    slopes = slopes_of(space, fitted, [effect], np.ones(1), np.array([0.05]), means=True)
+    gram = gram_of(space, fitted, slopes, [effect]).gram
+    for step in (-0.2, 0.2):
+        said = gram.projections[0] * step - gram.products[0, 0] * step**2 / 2
+        gained = first_fit(space, {**heavier, "armature[rail]": 1.0 + step}).bound - fitted.bound
+        assert said == pytest.approx(gained, abs=off)
