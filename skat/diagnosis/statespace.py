@@ -652,7 +652,9 @@ def derivatives(
     columns, forced = np.zeros((2, len(rows), space.d, len(steps)))
     names = list(steps)
     here = {name: values.get(name, neutral[name]) for name in names}
-    together = max(1, int(VALUES_AT_ONCE // max(1, 2 * base.size)))
+    # Both ends of each, and under known forces those with more and with less of them.
+    ends_of_one = 6 if linear.forces.means.any() else 2
+    together = max(1, int(VALUES_AT_ONCE // max(1, ends_of_one * base.size)))
     groups = _told_apart(space, sorted(names, key=lambda name: here[name] not in steps[name]))
     for start in range(0, len(groups), together):
         part = groups[start : start + together]

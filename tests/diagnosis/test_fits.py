@@ -267,7 +267,7 @@ def test_a_set_is_fitted_to_where_its_slopes_move_it_no_more(fits, nothing):
 
 @pytest.mark.parametrize("members", [(0,), ()])
 def test_beside_another_fit_a_row_is_simulated_few_times(fits, nothing, members, monkeypatch):
-    """Once as it is; and where forces last twice more with those known then, and with more and less of each."""
+    """Once as it is; and, as forces last there, twice more with those known then, and with more and less of each."""
     asked = []
     monkeypatch.setattr(
         SIMULATOR,
@@ -276,8 +276,8 @@ def test_beside_another_fit_a_row_is_simulated_few_times(fits, nothing, members,
     )
     values = {fits.effects[one].name: 0.1 for one in members}
     fit = compared(fits.space, values, nothing.fitted, fits.known)
-    times = 1 + FORCE_TURNS * (1 + 2) if nothing.fitted.memory else 1
-    assert asked == times * [len(fits.space.X)]
+    assert nothing.fitted.memory
+    assert asked == (1 + FORCE_TURNS * (1 + 2)) * [len(fits.space.X)]
     np.testing.assert_array_equal(fit.linear.path, nothing.fitted.linear.path)
 
 
