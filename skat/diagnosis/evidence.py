@@ -194,7 +194,7 @@ def posterior_mode(G: Array, b: Array, scales: Array, low: Array, high: Array) -
     values = np.zeros(len(b))
     weights = 1.0 / scales**2  # 2 / (s^2 + theta^2) at theta = s
     for _ in range(STEPS):
-        new = _bounded_solution(G + np.diag(weights), b, low, high, values)
+        new = bounded_solution(G + np.diag(weights), b, low, high, values)
         moved = np.max(np.abs(new - values) * np.sqrt(np.diag(G) + weights), initial=0.0)
         values = new
         weights = 2.0 / (scales**2 + values**2)
@@ -211,7 +211,7 @@ def _bent(scales: Array, values: Array) -> Array:
     return 2 * (scales**2 - values**2) / (scales**2 + values**2) ** 2
 
 
-def _bounded_solution(H: Array, b: Array, low: Array, high: Array, start: Array) -> Array:
+def bounded_solution(H: Array, b: Array, low: Array, high: Array, start: Array) -> Array:
     """Return the minimum of x'Hx/2 - b'x within bounds, by an active set: at first the bounds that a start lies on."""
     unit = 1 / np.sqrt(np.diag(H))
     scaled = H * unit * unit[:, None]

@@ -11,8 +11,8 @@ from skat.diagnosis.evidence import (
     SwiftWeigher,
     Weigher,
     _bounded_at_once,
-    _bounded_solution,
     _log_share,
+    bounded_solution,
     posterior_mode,
     weigh,
 )
@@ -160,7 +160,7 @@ def test_where_the_log_posterior_is_not_concave_its_curvature_is_that_of_normal_
     assert curvature[0, 0] == pytest.approx(0.01 + 2 / (scale[0] ** 2 + 1))
 
 
-@pytest.mark.parametrize("solve", [_bounded_solution, _bounded_at_once])
+@pytest.mark.parametrize("solve", [bounded_solution, _bounded_at_once])
 @pytest.mark.parametrize("seed", range(8))
 def test_a_quadratic_within_bounds_has_its_least_value_there(solve, seed):
     rng = np.random.default_rng(seed)

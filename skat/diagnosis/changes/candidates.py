@@ -26,9 +26,11 @@ FAINTEST = 1e-6
 LATER = (0.5, 1.0, 2.0, 3.0, 4.0)
 
 
-def units_of(candidates: Sequence[Candidate], base: Model) -> Array:
+def units_of(candidates: Sequence[Candidate], machine: Model) -> Array:
     """Return in which units of their effects differences are told: of a factor, what it is in both logs; (n,)."""
-    return np.array([base.values.get(one.effect.name, 1.0) if one.is_factor else 1.0 for one in candidates])
+    return np.array(
+        [machine.values.get(one.effect.name, 1.0) if one.is_factor else 1.0 for one in candidates]
+    )
 
 
 def offered_candidates(

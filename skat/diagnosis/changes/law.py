@@ -7,6 +7,7 @@ import numpy as np
 
 from skat.diagnosis.chains import Array
 from skat.diagnosis.changes.windows import Quadratic
+from skat.diagnosis.evidence import bounded_solution
 from skat.diagnosis.forces.force_space import LEFT_AT_LEAST, NOISE_TURNS, Rows, joined, noise_of
 
 # Effects differ between windows by this share of their typical size, told as by so many windows.
@@ -30,9 +31,9 @@ class Law:
     weights : ndarray of shape (n_effects,)
         Precision of what is common.
     value : ndarray of shape (n_effects,)
-        What is common, if nothing changed.
+        What is common, if nothing changed, of what a machine may have.
     second : ndarray of shape (n_effects,)
-        What the second log tells if every effect changed.
+        What the second log tells if every effect changed, of the same.
     alike : ndarray of shape (n_joints, n_effects)
         Precision with which each joint, or speed that was measured, tells an effect if all of its noise looks like it.
     """
@@ -45,7 +46,7 @@ class Law:
     alike: Array
 
 
-def settled_law(sides: Sequence[Rows]) -> Law:
+def settled_law(sides: Sequence[Rows], possible: tuple[Array, Array] | None = None) -> Law:
     """Return noise of each row, variances of effects between windows, and what is common; by turns.
 
     The second log has effects of its own, so that a change makes no variance. Logs are not apart in what is returned.
@@ -54,8 +55,11 @@ def settled_law(sides: Sequence[Rows]) -> Law:
     ----------
     sides : sequence of Rows
         Of the first log and of the second, with the same columns: of effects that may be wrong in both.
+    possible : tuple of two ndarray of shape (n_effects,), optional
+        Between which values a machine may have effects, in units of their typical sizes.
     """
     k = sides[0].columns.shape[1]
+    low, high = possible or (np.full(k, -np.inf), np.full(k, np.inf))
     # Both logs have one noise: with one each, a fit may give one of them up.
     together = joined(sides)
     first = np.arange(len(together.target)) < len(sides[0].target)
@@ -101,9 +105,12 @@ def settled_law(sides: Sequence[Rows]) -> Law:
         for (_, own), *of_window in zip(windows, *last):
             squares[own] = _squares(together.target[own], together.columns[own], noise[own], *of_window)
         noise = noise_of(together, squares, flat=turn < NOISE_TURNS)
-    return Law(
-        (noise[first], noise[~first]), spread, weights[:k], solved[:k], maps[1] @ solved, np.zeros((0, k))
+    precisions = np.linalg.inv(covers)
+    value, changed = (
+        bounded_solution(precision, precision @ one, low, high, np.zeros(k))
+        for one, precision in zip(values, precisions)
     )
+    return Law((noise[first], noise[~first]), spread, weights[:k], value, changed, np.zeros((0, k)))
 
 
 def _squares(

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skat.diagnosis.chains import Array, Mask
-from skat.diagnosis.changes.question import Question, model_about
+from skat.diagnosis.changes.question import Question
 from skat.diagnosis.changes.strengths import Logs
 from skat.diagnosis.changes.windows import Quadratic, Windows
 from skat.diagnosis.forces.force_space import Rows
@@ -19,7 +19,7 @@ from skat.simulators import MujocoSimulator
 MIXED_UP = 1e-3
 
 
-def mistake_of(question: Question, differences: Array, alone: Array, *, price: float, needed: float) -> str:
+def mistake_of(question: Question, differences: Array, *, price: float, needed: float) -> str:
     """Return how columns of the second log seem to be mixed up, if that explains it better than all changes.
 
     The likeliest mix-up, by what it leaves of the second log about the first log's model, is weighed as changes are:
@@ -30,8 +30,6 @@ def mistake_of(question: Question, differences: Array, alone: Array, *, price: f
     question : Question
     differences : ndarray of shape (n_candidates,)
         That were found, in units of scales.
-    alone : ndarray of shape (n_effects,)
-        What is wrong by the first log alone, in units of sizes.
     price : float
         Of the changes: by how much their evidence is less than what they explain, nats.
     needed : float
@@ -46,7 +44,7 @@ def mistake_of(question: Question, differences: Array, alone: Array, *, price: f
     mixed = _mixed_up(simulator, own)
     if not mixed:
         return ""
-    model = model_about(question.base, question.effects, question.sizes, alone)
+    model = question.machine
 
     def left(half: Half) -> Array:
         """Return what the first log's model leaves, NaN where nothing was measured or a joint was not fast."""
@@ -70,6 +68,8 @@ def mistake_of(question: Question, differences: Array, alone: Array, *, price: f
     others = [left(half)[measured] for _, half in mixed]
     mended = [misfit(as_is[measured], np.isfinite(one)) - misfit(one, np.isfinite(one)) for one in others]
     best = int(np.argmax(mended))
+    if mended[best] <= 0:
+        return ""
     name, half = mixed[best]
     otherwise, seen = _in_another_order(question, 1, half, model)
     explained = rows.columns[:, len(question.effects) :] @ differences

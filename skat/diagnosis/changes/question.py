@@ -26,11 +26,13 @@ from skat.effects import Effect
 from skat.simulators import MujocoSimulator
 
 # Rows by which commands may come late, or early: of a row that a smoothed motion and a time step blur.
-LATE_IN_BOTH = tuple(0.25 * one for one in range(-4, 33))
+LATE_IN_BOTH = tuple(0.25 * one for one in range(-16, 33))
 # Of what something is to explain, that it explains at least.
 MOST = 0.5
 # Turns of the machines about which forces are linear, and of what is wrong in both logs or was found to differ.
 TURNS = 3
+# Of the way to where slopes lead, so far machines may move.
+SHARES = np.r_[0.0, np.power(2.0, np.arange(-5, 1))]
 
 
 @dataclass(frozen=True)
@@ -43,13 +45,15 @@ class Question:
     halves : tuple of Half
         The first log and the second.
     base : Model
-        About which forces are taken.
+        From which effects are counted.
     effects : tuple of Effect
         That may be wrong in both logs.
     candidates : tuple of Candidate
         That may have changed.
     sizes, scales : ndarray of shape (n_effects,) and (n_candidates,)
         Typical sizes of effects and of candidates, each in its effect's unit: units of the columns.
+    here : ndarray of shape (n_effects,)
+        The first log's machine, about which its forces are linear, in units of sizes from the base.
     sides : tuple of Rows
         Of both logs. Columns are those of effects; in the second log, then those of candidates.
     law : Law
@@ -64,26 +68,15 @@ class Question:
     candidates: tuple[Candidate, ...]
     sizes: Array
     scales: Array
+    here: Array
     sides: tuple[Rows, Rows]
     law: Law
     held_out: Mask
 
-    def describes_a_machine(self) -> bool:
-        """Return whether the first log's machine may be the model with all that is common in it.
-
-        It is none where most of the missing force is said to be explained by what no machine has, as damping below
-        zero, or by effects so large that their slopes say nothing of them: with as much of it as there can be in it the
-        model then lacks more force than it does as it is.
-        """
-        rows, noise, value = self.sides[0], self.law.noise[0], self.law.value
-        about = model_about(self.base, self.effects, self.sizes, value)
-        forces = lacking_forces(self.simulator, self.halves[0], [about])
-        within = coefficients_of(self.halves[0], forces)[0][:, 0]
-        as_it_is, promised, kept = (
-            float(np.sum((left / noise) ** 2))
-            for left in (rows.nominal, rows.target - rows.columns @ value, within)
-        )
-        return kept < as_it_is or as_it_is - promised < MOST * as_it_is
+    @property
+    def machine(self) -> Model:
+        """The first log's machine, of which factors are told as multiples."""
+        return model_about(self.base, self.effects, self.sizes, self.here)
 
     def about(self, value: Array, differences: Array) -> "Question":
         """Return the same regression, linear about what the second log's machine is with such differences in it.
@@ -91,29 +84,50 @@ class Question:
         Parameters
         ----------
         value : ndarray of shape (n_effects,)
-            What is common, in units of sizes.
+            What is common, in units of sizes: so far from the first log's machine as the second lacks less by.
         differences : ndarray of shape (n_candidates,)
             In units of scales.
         """
         simulator, half, rows = self.simulator, self.halves[1], self.sides[1]
-        scales = self.scales * units_of(self.candidates, self.base)
-        machine = moved = model_about(self.base, self.effects, self.sizes, value)
-        further = np.zeros(len(differences))
-        for place in np.flatnonzero(differences):
-            one, step = self.candidates[place], differences[place] * scales[place]
-            moved = one.moved(moved, step, simulator.dt) or moved
-            # Forces are linear in a weight; of how late commands come a chord tells, no slope.
-            if not one.late and not one.beside and (more := one.moved(machine, step, simulator.dt)):
-                machine = more
-                further[place] = 0.0 if one.effect in self.effects else differences[place]
+        scales = self.scales * units_of(self.candidates, self.machine)
+        path = self.here + np.multiply.outer(SHARES, value - self.here)
+        starts = [model_about(self.base, self.effects, self.sizes, one) for one in path]
+        ends = [self._moved(start, differences) for start in starts]
+        best = np.argmin(self._lacking_of(ends) + np.sum(self.law.weights * path**2, axis=1))
+        # Forces are linear in a weight; of how late commands come a chord tells, no slope.
+        bent = np.array([not one.late and not one.beside for one in self.candidates], dtype=bool)
+        machine = self._moved(starts[best], differences * bent)
         new = rows_about(
-            simulator, half, self.base, self.effects, self.sizes, machine=machine, driven_by=moved
+            simulator, half, self.base, self.effects, self.sizes, machine=machine, driven_by=ends[best]
         )
-        columns = columns_of(simulator, half, machine, self.candidates, scales, driven_by=moved)
-        second = replace(
-            rows, target=new.target + columns @ further, columns=np.column_stack([new.columns, columns])
-        )
+        columns = columns_of(simulator, half, machine, self.candidates, scales, driven_by=ends[best])
+        # Of effects that may be wrong in both logs it is counted from the base already.
+        further = [
+            one.effect not in self.effects and one.effect.name in machine.values for one in self.candidates
+        ]
+        target = new.target + columns @ (differences * bent * further)
+        second = replace(rows, target=target, columns=np.column_stack([new.columns, columns]))
         return replace(self, sides=(self.sides[0], second))
+
+    def _moved(self, machine: Model, differences: Array) -> Model:
+        """Return a machine with differences in it, those that it may have."""
+        scales = self.scales * units_of(self.candidates, self.machine)
+        for place in np.flatnonzero(differences):
+            step = differences[place] * scales[place]
+            machine = self.candidates[place].moved(machine, step, self.simulator.dt) or machine
+        return machine
+
+    def lacking(self, sets: Sequence[tuple[Array, Array]]) -> Array:
+        """Return what the second log's machine lacks at values and differences, (n_sets,), see `_squares_lacking`."""
+        abouts = [model_about(self.base, self.effects, self.sizes, value) for value, _ in sets]
+        return self._lacking_of(
+            [self._moved(one, differences) for one, (_, differences) in zip(abouts, sets)]
+        )
+
+    def _lacking_of(self, machines: Sequence[Model]) -> Array:
+        return _squares_lacking(
+            self.simulator, self.halves[1], self.sides[1], self.law.noise[1], self.effects, machines
+        )
 
     def left(self, value: Array, differences: Array) -> tuple[Array, Array]:
         """Return what values (n_effects,) and differences (n_candidates,) leave of the rows of both logs, (n_rows,)."""
@@ -163,11 +177,12 @@ def question_of(
     sizes = sizes * units
     sides = [replace(side, columns=side.columns[:, shown] * units) for side in sides]
     sides = [with_friction(simulator, *one, common, sizes) for one in zip(halves, sides)]
-    bases = _bases(simulator, halves, sides, common, sizes, needed)
-    base, machine, sides, law = _about_machines(simulator, halves, *bases, common, sizes)
+    base, late = _bases(simulator, halves, sides, common, sizes, needed)
+    (here, there), sides, law = _about_machines(simulator, halves, base, late, common, sizes)
+    first, second = (model_about(base, common, sizes, value) for value in (here, there))
     offered, scales = offered_candidates(simulator, effects, common, sizes, typical)
-    units = scales * units_of(offered, base)
-    columns = columns_of(simulator, halves[1], machine, offered, units, driven_by=machine)
+    units = scales * units_of(offered, first)
+    columns = columns_of(simulator, halves[1], second, offered, units, driven_by=second)
     noise = law.noise[1]
     whitened = columns / noise[:, None]
     offered, kept = distinct(offered, whitened)
@@ -182,6 +197,7 @@ def question_of(
         candidates=tuple(offered),
         sizes=sizes,
         scales=scales[kept],
+        here=here,
         sides=(sides[0], sides[1]),
         law=law,
         held_out=_held_out(sides[1].stretch, test_size),
@@ -195,26 +211,54 @@ def _about_machines(
     late: float,
     effects: Sequence[Effect],
     sizes: Array,
-) -> tuple[Model, Model, list[Rows], Law]:
-    """Return the machines of the first log and the second, and rows about them, and their law.
+) -> tuple[tuple[Array, Array], list[Rows], Law]:
+    """Return machines of the first log and the second, (n_effects,) in units of sizes, rows about them, and their law.
 
     ``late`` is by how many rows commands come late in the second log, if nothing else differs.
     """
-    machines = base, base
+    values = np.zeros((2, len(effects)))
+    lates, ends = (base.late, late), possible(base, effects, sizes)
     for _ in range(TURNS):
-        base, second = machines
-        asked = [(halves[0], base), (halves[1], second), (halves[1], replace(second, late=late))]
+        about = values.copy()
+        first, second = (model_about(base, effects, sizes, value) for value in about)
+        asked = [(halves[0], first), (halves[1], second), (halves[1], replace(second, late=late))]
         rows = [
             rows_about(simulator, half, base, effects, sizes, machine=machine, driven_by=machine)
             for half, machine in asked[: 2 if second.late == late else 3]
         ]
         own = [rows[0], rows[-1]]
-        law = settled_law(own)
-        machines = (
-            model_about(base, effects, sizes, law.value),
-            model_about(base, effects, sizes, law.second),
-        )
-    return base, machines[1], rows[:2], with_misfit(own, law)
+        law = settled_law(own, ends)
+        for place, there in enumerate((law.value, law.second)):
+            path = values[place] + np.multiply.outer(SHARES, there - values[place])
+            machines = [
+                replace(model_about(base, effects, sizes, value), late=lates[place]) for value in path
+            ]
+            lacking = _squares_lacking(
+                simulator, halves[place], own[place], law.noise[place], effects, machines
+            )
+            values[place] = path[np.argmin(lacking + np.sum(law.weights * path**2, axis=1))]
+    return (about[0], about[1]), rows[:2], with_misfit(own, law)
+
+
+def _squares_lacking(
+    simulator: MujocoSimulator,
+    half: Half,
+    rows: Rows,
+    noise: Array,
+    effects: Sequence[Effect],
+    machines: Sequence[Model],
+) -> Array:
+    """Return the squares of what machines lack, over the noise and in units of what their motors exert, (n_machines,).
+
+    Else those lacked least whose motors do nothing.
+    """
+    left = coefficients_of(half, lacking_forces(simulator, half, machines))[0] / noise[:, None]
+    for place, effect in enumerate(effects):
+        if effect.family in MOTORS:
+            driven = np.isin(rows.joint, rows.joint[rows.columns[:, place] != 0])
+            factors = np.abs([machine.values.get(effect.name, 1.0) for machine in machines])
+            left[driven] /= np.maximum(factors, WEAKEST)
+    return np.asarray(np.sum(left**2, axis=0))
 
 
 def _bases(
@@ -284,16 +328,23 @@ def model_about(base: Model, effects: Sequence[Effect], sizes: Array, value: Arr
     """Return a model with what is common, (n_effects,) in units of sizes, in it, as far as a machine may have it."""
     values = dict(base.values)
     for effect, size, one in zip(effects, sizes, value):
-        values[effect.name] = _within(effect, values.get(effect.name, effect.neutral) + size * one)
+        whole = values.get(effect.name, effect.neutral) + size * one
+        values[effect.name] = float(np.clip(whole, *_bounds(effect)))
     return replace(base, values=values)
 
 
-def _within(effect: Effect, value: float) -> float:
-    """Return a value within the bounds; no factor so small that a machine would not be one."""
+def possible(base: Model, effects: Sequence[Effect], sizes: Array) -> tuple[Array, Array]:
+    """Return between which values, (n_effects,) in units of sizes from a model, a machine may have effects."""
+    ends = np.array([_bounds(effect) for effect in effects])
+    here = np.array([base.values.get(effect.name, effect.neutral) for effect in effects])
+    low, high = (ends - here[:, None]).T / sizes
+    return low, high
+
+
+def _bounds(effect: Effect) -> tuple[float, float]:
+    """Return the bounds of an effect; no factor is so small that a machine would not be one."""
     low, high = effect.bounds
-    if effect.neutral == 1 and effect.family not in MOTORS:
-        low = max(low, WEAKEST)
-    return float(np.clip(value, low, high))
+    return max(low, WEAKEST) if effect.neutral == 1 and effect.family not in MOTORS else low, high
 
 
 def _held_out(stretch: NDArray[np.intp], share: float) -> Mask:

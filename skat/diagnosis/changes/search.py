@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skat.diagnosis.chains import Array
-from skat.diagnosis.changes.candidates import priors_of, rivals_of, units_of
+from skat.diagnosis.changes.candidates import LATER, priors_of, rivals_of, units_of
 from skat.diagnosis.changes.mixups import mistake_of
-from skat.diagnosis.changes.question import MOST, TURNS, Question, question_of
+from skat.diagnosis.changes.question import MOST, TURNS, Question, possible, question_of
 from skat.diagnosis.changes.strengths import Logs, OverStrengths
 from skat.diagnosis.changes.telling import Changes, causes_of, detectable_of, gain_of, sizes_of
 from skat.diagnosis.changes.windows import Windows
-from skat.diagnosis.evidence import Priors, Weighed
+from skat.diagnosis.evidence import Priors, Weighed, bounded_solution
 from skat.diagnosis.forces.machines import MOTORS, Candidate
 from skat.diagnosis.forces.motions import Log, half_of
 from skat.diagnosis.search import without_weak
@@ -74,25 +74,25 @@ def find_changes(
     question = question_of(
         simulator, halves, effects, typical=typical or {}, test_size=test_size, needed=needed
     )
-    if not question.describes_a_machine():
-        return Changes((), "unexplained", None, sizes_of(question, question.law.value), far_off=True)
     found = _searched(question, needed)
     price = found.worth.price(found.best.members)
-    mistake = mistake_of(question, found.differences, found.common.alone, price=price, needed=needed)
+    mistake = mistake_of(question, found.differences, price=price, needed=needed)
     if mistake:
         return Changes((), "unexplained", None, sizes_of(question, found.common.level), mistake)
     for _ in range(TURNS):
         if not found.best.members:
             break
-        about = question.about(found.value, found.differences)
-        last, again = found.best, _searched(about, needed)
-        if not set(again.best.members) <= set(last.members) and again.best.evidence <= last.evidence:
-            # Another set, about which the logs are less likely: the step to it goes too far.
-            break
+        about = question.about(found.common.value, found.differences)
+        last, again = found, _searched(about, needed)
+        if not set(again.best.members) <= set(last.best.members):
+            now, then = question.lacking([(one.common.value, one.differences) for one in (again, last)])
+            if now > then:
+                # Another set, with which the machine lacks more.
+                break
         question, found = about, again
-        if again.best.members == last.members:
+        if again.best.members == last.best.members:
             break
-    best, worth, differences, value = found.best, found.worth, found.differences, found.value
+    best, worth, differences, value = found.best, found.worth, found.differences, found.common.value
     causes = causes_of(question, best, worth, found.nats)
     verdict = "nothing changed" if not causes else "named"
     if any(cause.aliases for cause in causes):
@@ -121,8 +121,6 @@ class _Found:
     differences : ndarray of shape (n_candidates,)
         In units of scales.
     common : _Common
-    value : ndarray of shape (n_effects,)
-        What is common beside the differences, in units of sizes.
     """
 
     best: Weighed
@@ -130,7 +128,6 @@ class _Found:
     nats: Mapping[int, float]
     differences: Array
     common: "_Common"
-    value: Array
 
 
 def _searched(question: Question, needed: float) -> _Found:
@@ -141,11 +138,11 @@ def _searched(question: Question, needed: float) -> _Found:
         best, nats = without_weak(worth.best(needed), worth, needed)
         differences = np.zeros(len(question.candidates))
         differences[list(best.members)] = best.values
-        common = _common(logs, worth.strength(best.members))
-        value = common.level - common.slopes @ differences
-        absurd = [*_at_bounds(best, question.candidates, priors), *_impossible(best, question, value)]
+        ends = possible(question.base, question.effects, question.sizes)
+        common = _common(logs, worth.strength(best.members), differences, ends)
+        absurd = [*_at_bounds(best, question.candidates, priors), *_impossible(best, question, common.value)]
         if not absurd:
-            return _Found(best, worth, nats, differences, common, value)
+            return _Found(best, worth, nats, differences, common)
         log_odds = priors.log_odds.copy()
         log_odds[absurd] = NEVER
         priors = replace(priors, log_odds=log_odds)
@@ -153,20 +150,16 @@ def _searched(question: Question, needed: float) -> _Found:
 
 @dataclass(frozen=True)
 class _Common:
-    """What is common: beside differences from neutral it is ``level - slopes @ differences``.
+    """What is common, of what a machine may have, in units of typical sizes.
 
     Attributes
     ----------
-    level : ndarray of shape (n_effects,)
-        In units of typical sizes, as are all.
-    slopes : ndarray of shape (n_effects, n_candidates)
-    alone : ndarray of shape (n_effects,)
-        By the first log alone.
+    level, value : ndarray of shape (n_effects,)
+        If nothing changed, and beside the differences.
     """
 
     level: Array
-    slopes: Array
-    alone: Array
+    value: Array
 
 
 def _logs(question: Question) -> Logs:
@@ -174,24 +167,35 @@ def _logs(question: Question) -> Logs:
     law, kept = question.law, ~question.held_out
     sides = (question.sides[0], law.noise[0]), (question.sides[1].part(kept), law.noise[1][kept])
     first, second = (Windows.of(*side).without(law.spread) for side in sides)
-    return Logs(first.whole(), second.whole(), law, first.parts, second.parts)
+    return Logs(first.whole(), second.whole(), law)
 
 
-def _common(logs: Logs, strength: float) -> _Common:
-    k, first, both = len(logs.law.weights), logs.first, logs.both(strength)
-    H = both.products[:k, :k] + np.diag(logs.law.weights)
-    solved = np.linalg.solve(H, np.column_stack([both.projections[:k], both.products[:k, k:]]))
-    alone = np.linalg.solve(first.products + np.diag(logs.law.weights), first.projections)
-    return _Common(*(np.asarray(one, dtype=float) for one in (solved[:, 0], solved[:, 1:], alone)))
+def _common(logs: Logs, strength: float, differences: Array, ends: tuple[Array, Array]) -> _Common:
+    """Return what is common where logs differ by a strength and by differences; ``ends`` as of `possible`."""
+    weights, both = logs.law.weights, logs.both(strength)
+    k = len(weights)
+    H, given = both.products[:k, :k] + np.diag(weights), both.products[:k, k:] @ differences
+    level, value = (
+        bounded_solution(H, right, *ends, np.zeros(k))
+        for right in (both.projections[:k], both.projections[:k] - given)
+    )
+    return _Common(level, value)
 
 
 def _at_bounds(best: Weighed, candidates: Sequence[Candidate], priors: Priors) -> list[int]:
-    """Return the members at an end of what is possible: a sign that something else is behind them."""
-    return [
-        place
-        for place, value in zip(best.members, best.values)
-        if not candidates[place].late and not priors.low[place] * INSIDE < value < priors.high[place] * INSIDE
-    ]
+    """Return the members at an end of what is possible: a sign that something else is behind them.
+
+    Where commands come later the grid goes on, but for its last.
+    """
+    found = []
+    for place, value in zip(best.members, best.values):
+        late, low, high = candidates[place].late, priors.low[place], priors.high[place]
+        if late:
+            low = low if late == -LATER[-1] else -np.inf
+            high = high if late == LATER[-1] else np.inf
+        if not low * INSIDE < value < high * INSIDE:
+            found.append(place)
+    return found
 
 
 def _impossible(best: Weighed, question: Question, value: Array) -> list[int]:
@@ -200,7 +204,7 @@ def _impossible(best: Weighed, question: Question, value: Array) -> list[int]:
     Beyond their errors; ``value`` (n_effects,) is what is common, in units of sizes. Motors may turn the other way, and
     of a weight that is taken off the model knows nothing.
     """
-    found, scales = [], question.scales * units_of(question.candidates, question.base)
+    found, scales = [], question.scales * units_of(question.candidates, question.machine)
     for place, difference, half in zip(best.members, best.values, best.half_widths):
         one, scale = question.candidates[place], scales[place]
         if one.late or one.effect.family in MOTORS:

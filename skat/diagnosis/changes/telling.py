@@ -39,8 +39,6 @@ class Changes:
         and what is left with all that is common in it, N or N m.
     mistake : str
         How columns of the second log seem to be mixed up; empty if they do not.
-    far_off : bool
-        Whether the model is so far off that nothing was searched for: no machine is as the first log says.
     detectable : dict of str to float
         Where nothing changed: of each effect by how much it would have had to change, either way, to be named; of
         factors the share of what it is. Infinite where no possible change would have been.
@@ -51,7 +49,6 @@ class Changes:
     gain: Gain | None
     common: dict[str, tuple[float, float]]
     mistake: str = ""
-    far_off: bool = False
     detectable: Mapping[str, float] = field(default_factory=dict)
 
 

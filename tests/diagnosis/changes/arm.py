@@ -36,6 +36,7 @@ def question_about(simulator, before, after, *, effects=(), candidates=(), base=
         simulator=simulator,
         halves=halves,
         base=base,
+        here=np.zeros(len(effects)),
         effects=effects,
         candidates=tuple(candidates),
         sizes=sizes,

@@ -29,21 +29,29 @@ def question_of_rows(simulator, *, windows=5, n=8, differences=(0.0, 0.0, 0.0)):
     law = Law(noise, SPREAD, WEIGHTS, np.zeros(K), np.zeros(K), ALIKE)
     held_out = sides[1].stretch == 2
     return Question(
-        simulator, (), Model({}), effects, candidates, np.ones(K), np.ones(M), tuple(sides), law, held_out
+        simulator=simulator,
+        halves=(),
+        base=Model({}),
+        effects=effects,
+        candidates=candidates,
+        sizes=np.ones(K),
+        scales=np.ones(M),
+        here=np.zeros(K),
+        sides=tuple(sides),
+        law=law,
+        held_out=held_out,
     )
 
 
-def dense(question, apart, *, gone=(None, None)):
+def dense(question, apart):
     """Return target, columns of differences and of what is common, and covariance of both logs, over the noise.
 
     What windows and logs have of their own, of variances SPREAD and ``apart``, is in the covariance; the windows that
-    are held out are not there, nor is the window of each log that is ``gone``. The last is how many rows are the
-    first log's.
+    are held out are not there. The last is how many rows are the first log's.
     """
     target, columns, common, blocks = [], [], [], []
     for place, (rows, noise) in enumerate(zip(question.sides, question.law.noise, strict=True)):
         kept = ~question.held_out if place else np.ones(len(rows.target), bool)
-        kept &= rows.stretch != (-1 if gone[place] is None else gone[place])
         z, N = rows.part(kept).whitened(noise[kept])
         window = rows.stretch[kept]
         own = (N[:, :K] * SPREAD) @ N[:, :K].T * (window[:, None] == window)

@@ -43,7 +43,7 @@ def unmeasured(log, columns):
 def told(before, after, **options):
     question = question_about(arm(), before, after, effects=DAMPING)
     options = {"price": 0.0, "needed": np.log(100.0), **options}
-    return mistake_of(question, np.zeros(0), np.zeros(2), **options)
+    return mistake_of(question, np.zeros(0), **options)
 
 
 @pytest.mark.parametrize(

@@ -5,9 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from skat.diagnosis.changes.law import settled_law
 from skat.diagnosis.changes.question import (
+    _about_machines,
     _bases,
     _held_out,
+    _squares_lacking,
     model_about,
     question_of,
 )
@@ -176,23 +179,6 @@ def test_a_model_about_what_is_common_is_one_that_a_machine_may_have(simulator, 
     assert found == Model({name: pytest.approx(has)}, 2.0)
 
 
-def test_it_is_no_machine_whose_missing_force_is_mostly_explained_by_what_none_has(simulator):
-    logs = (log_of(seed, damping=(0.0, 0.3), rows=400) for seed in (4, 5))
-    question = question_about(simulator, *logs, effects=("damping[elbow]",))
-    assert question.describes_a_machine()
-
-    def told(value, target):
-        first, second = question.sides
-        missing = first.columns @ target
-        sides = replace(first, target=missing, nominal=missing), second
-        return replace(question, sides=sides, law=replace(question.law, value=value))
-
-    # Its joint is driven by what it rubs at.
-    driven = -0.9 * question.law.value
-    assert not told(driven, driven).describes_a_machine()
-    assert told(0.2 * driven, driven).describes_a_machine()
-
-
 DT = 0.01
 CHANGED = ("mass[lower]", "damping[all]", "gain[elbow]")
 PLACE = {"payload[lower.x]": 0.0, "payload[lower.y]": 0.0, "payload[lower.z]": -0.3}
@@ -245,14 +231,63 @@ def test_a_weight_that_was_found_drives_the_machine_and_is_left_to_its_column(si
     np.testing.assert_allclose(about.target, question.sides[1].target, atol=1e-9)
 
 
-def test_no_machine_is_where_nothing_was_found_but_that_of_both_logs(simulator):
+def test_the_machine_has_what_is_common_to_both_logs(simulator):
     logs = [log_of(seed, rows=600, damping=(0.1, 0.05), gain=(1.3, 0.8)) for seed in (4, 5)]
     halves = [half_of(simulator, log, "log") for log in logs]
     names = ["damping[shoulder]", "damping[elbow]", "gain[shoulder]", "gain[elbow]"]
     effects = [effect_of(simulator, name) for name in names]
     question = question_of(simulator, halves, effects, typical={}, test_size=0.3, needed=np.log(100))
-    # What is common is in the model, and little is left of it.
-    base = question.base.values
+    assert question.base == Model({})
     for name, truth in zip(names, (0.1, 0.05, 1.3, 0.8), strict=True):
-        assert base[name] == pytest.approx(truth, rel=0.05), name
-    assert np.abs(question.law.value * question.sizes).max() < 0.03
+        assert question.machine.values[name] == pytest.approx(truth, rel=0.05), name
+    # About it slopes lead nowhere else.
+    assert np.abs((question.law.value - question.here) * question.sizes).max() < 0.03
+
+
+GAINS = ("gain[shoulder]", "gain[elbow]", "mass[lower]")
+
+
+@pytest.mark.parametrize(
+    ("led", "found"),
+    [((0.3, -0.2, 0.0), 1.0), ((0.6, -0.4, 0.0), 0.5), ((2.4, -1.6, 0.0), 0.125), ((-0.9, 0.9, 0.0), 0.0)],
+)
+def test_a_machine_goes_as_far_as_slopes_lead_to_where_less_is_lacking(simulator, monkeypatch, led, found):
+    halves = [half_of(simulator, log_of(seed, rows=600, gain=(1.3, 0.8)), "log") for seed in (4, 5)]
+    effects, sizes = [effect_of(simulator, name) for name in GAINS], np.array([0.2, 0.2, 0.2])
+    base = Model({})
+    values = np.array(led) / sizes
+
+    def led_there(sides, ends):
+        return replace(settled_law(sides, ends), value=values, second=values)
+
+    monkeypatch.setattr("skat.diagnosis.changes.question.settled_law", led_there)
+    monkeypatch.setattr("skat.diagnosis.changes.question.TURNS", 2)
+    about, _, _ = _about_machines(simulator, halves, base, 0.0, effects, sizes)
+    np.testing.assert_allclose(about, [found * values] * 2)
+
+
+def test_forces_are_lacking_in_units_of_what_motors_exert(simulator):
+    half = half_of(simulator, log_of(4, rows=400), "log")
+    effects, sizes = [effect_of(simulator, name) for name in GAINS], np.array([0.2, 0.2, 0.2])
+    rows = rows_about(simulator, half, Model({}), effects, sizes)
+    noise = np.linspace(0.5, 2.0, len(rows.target))
+    models = [Model({"gain[shoulder]": one, "mass[lower]": 1.2}) for one in (1.0, -0.5, 0.01)]
+    forces = coefficients_of(half, lacking_forces(simulator, half, models))[0] / noise[:, None]
+    for column, one in enumerate((1.0, 0.5, WEAKEST)):
+        forces[rows.joint == 0, column] /= one
+    found = _squares_lacking(simulator, half, rows, noise, effects, models)
+    np.testing.assert_allclose(found, np.sum(forces**2, axis=0))
+
+
+def test_the_second_machine_lacks_least_with_what_changed(simulator):
+    before, after = log_of(4, rows=600), log_of(5, rows=600, gain=(1.0, 1.25), damping=(0.0, 0.05))
+    names = ("gain[elbow]", "damping[elbow]")
+    candidates = [Candidate(effect_of(simulator, name), 1.0, {}) for name in names]
+    question = question_about(simulator, before, after, effects=names, candidates=candidates)
+    sets = [np.zeros(2), np.array([0.25, 0.0]), np.array([0.0, 0.05]), np.array([0.25, 0.05])]
+    lacking = question.lacking([(np.zeros(2), one / question.scales) for one in sets])
+    assert np.argmin(lacking) == 3
+    assert np.argmax(lacking) == 0
+    # Beside what is common a difference counts from there.
+    beside = (np.array([0.25, 0.0]) / question.sizes, sets[2] / question.scales)
+    assert question.lacking([beside])[0] == pytest.approx(lacking[3])

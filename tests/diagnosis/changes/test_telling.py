@@ -25,7 +25,17 @@ def made_up(simulator, names, scales, *, sides=(None, None), noise=(None, None),
     law = Law(noise, np.zeros(k), np.ones(k), np.zeros(k), np.zeros(k), np.zeros((0, k)))
     effects = tuple(effect_of(simulator, "damping[elbow]") for _ in range(k))
     return Question(
-        simulator, (), Model({}), effects, candidates, np.ones(k), np.array(scales), sides, law, held_out
+        simulator=simulator,
+        halves=(),
+        base=Model({}),
+        effects=effects,
+        candidates=candidates,
+        sizes=np.ones(k),
+        scales=np.array(scales),
+        here=np.zeros(k),
+        sides=sides,
+        law=law,
+        held_out=held_out,
     )
 
 

@@ -30,9 +30,20 @@ JOINTS = ("shoulder", "elbow")
 
 
 def log_of(
-    seed, *, friction=(0.0, 0.0), damping=(0.0, 0.0), gain=(1.0, 1.0), mass=1.0, rows=1200, noise=0.002
+    seed,
+    *,
+    friction=(0.0, 0.0),
+    damping=(0.0, 0.0),
+    gain=(1.0, 1.0),
+    mass=1.0,
+    rows=1200,
+    noise=0.002,
+    held=((), 0, 0.0),
 ):
-    """Return (X, y, groups) of the arm by plain MuJoCo, with noise of positions, ten times of speeds, rows of 10 ms."""
+    """Return (X, y, groups) of the arm by plain MuJoCo, with noise of positions, ten times of speeds, rows of 10 ms.
+
+    ``held`` are rows in which somebody holds a joint back, by so many N m s/rad.
+    """
     model = mujoco.MjModel.from_xml_string(ARM)
     model.dof_frictionloss[:], model.dof_damping[:] = friction, damping
     model.actuator_gainprm[:, 0] = gain
@@ -46,6 +57,7 @@ def log_of(
         states.append(np.r_[data.qpos, data.qvel])
         commands.append(command)
         data.ctrl[:] = command
+        data.qfrc_applied[held[1]] = -held[2] * data.qvel[held[1]] if row in held[0] else 0.0
         mujoco.mj_step(model, data, 5)
     states = np.array(states) + noise * rng.normal(size=(rows + 1, 4)) * [1, 1, 10, 10]
     return np.column_stack([states[:-1], commands[:-1]]), states[1:], np.zeros(rows, dtype=int)
