@@ -84,7 +84,7 @@ class Question:
         Parameters
         ----------
         value : ndarray of shape (n_effects,)
-            What is common, in units of sizes: so far from the first log's machine as the second lacks less by.
+            What is common, in units of sizes: machines go as far there as both logs lack less by.
         differences : ndarray of shape (n_candidates,)
             In units of scales.
         """
@@ -93,7 +93,8 @@ class Question:
         path = self.here + np.multiply.outer(SHARES, value - self.here)
         starts = [model_about(self.base, self.effects, self.sizes, one) for one in path]
         ends = [self._moved(start, differences) for start in starts]
-        best = np.argmin(self._lacking_of(ends) + np.sum(self.law.weights * path**2, axis=1))
+        lacking = self._lacking_of(0, starts) + self._lacking_of(1, ends)
+        best = np.argmin(lacking + np.sum(self.law.weights * path**2, axis=1))
         # Forces are linear in a weight; of how late commands come a chord tells, no slope.
         bent = np.array([not one.late and not one.beside for one in self.candidates], dtype=bool)
         machine = self._moved(starts[best], differences * bent)
@@ -119,15 +120,12 @@ class Question:
 
     def lacking(self, sets: Sequence[tuple[Array, Array]]) -> Array:
         """Return what the second log's machine lacks at values and differences, (n_sets,), see `_squares_lacking`."""
-        abouts = [model_about(self.base, self.effects, self.sizes, value) for value, _ in sets]
-        return self._lacking_of(
-            [self._moved(one, differences) for one, (_, differences) in zip(abouts, sets)]
-        )
+        starts = [model_about(self.base, self.effects, self.sizes, value) for value, _ in sets]
+        return self._lacking_of(1, [self._moved(one, step) for one, (_, step) in zip(starts, sets)])
 
-    def _lacking_of(self, machines: Sequence[Model]) -> Array:
-        return _squares_lacking(
-            self.simulator, self.halves[1], self.sides[1], self.law.noise[1], self.effects, machines
-        )
+    def _lacking_of(self, log: int, machines: Sequence[Model]) -> Array:
+        half, rows, law = self.halves[log], self.sides[log], self.law
+        return _squares_lacking(self.simulator, half, rows, law, law.noise[log], self.effects, machines)
 
     def left(self, value: Array, differences: Array) -> tuple[Array, Array]:
         """Return what values (n_effects,) and differences (n_candidates,) leave of the rows of both logs, (n_rows,)."""
@@ -234,7 +232,7 @@ def _about_machines(
                 replace(model_about(base, effects, sizes, value), late=lates[place]) for value in path
             ]
             lacking = _squares_lacking(
-                simulator, halves[place], own[place], law.noise[place], effects, machines
+                simulator, halves[place], own[place], law, law.noise[place], effects, machines
             )
             values[place] = path[np.argmin(lacking + np.sum(law.weights * path**2, axis=1))]
     return (about[0], about[1]), rows[:2], with_misfit(own, law)
@@ -244,21 +242,26 @@ def _squares_lacking(
     simulator: MujocoSimulator,
     half: Half,
     rows: Rows,
+    law: Law,
     noise: Array,
     effects: Sequence[Effect],
     machines: Sequence[Model],
 ) -> Array:
-    """Return the squares of what machines lack, over the noise and in units of what their motors exert, (n_machines,).
+    """Return the squares of what machines lack, over the noise and what windows have of their own, (n_machines,).
 
-    Else those lacked least whose motors do nothing.
+    In units of what their motors exert: else those lacked least whose motors do nothing. ``noise`` (n_rows,) is that of
+    this log.
     """
-    left = coefficients_of(half, lacking_forces(simulator, half, machines))[0] / noise[:, None]
+    left = coefficients_of(half, lacking_forces(simulator, half, machines))[0]
+    columns = rows.columns[:, : len(effects)]
     for place, effect in enumerate(effects):
         if effect.family in MOTORS:
-            driven = np.isin(rows.joint, rows.joint[rows.columns[:, place] != 0])
+            driven = np.isin(rows.joint, rows.joint[columns[:, place] != 0])
             factors = np.abs([machine.values.get(effect.name, 1.0) for machine in machines])
             left[driven] /= np.maximum(factors, WEAKEST)
-    return np.asarray(np.sum(left**2, axis=0))
+    stacked = replace(rows, target=np.zeros(len(left)), columns=np.column_stack([columns, left]))
+    products = Windows.of(stacked, noise).without(law.spread).whole().products
+    return np.diag(products)[len(effects) :]
 
 
 def _bases(

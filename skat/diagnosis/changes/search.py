@@ -98,11 +98,10 @@ def find_changes(
     if any(cause.aliases for cause in causes):
         verdict = "ambiguous"
     gain = gain_of(question, value, differences)
-    if causes and gain is not None and gain.nominal > gain.floor and gain.explained < MOST:
-        # On windows that were not used the logs differ by something else.
+    # On windows that were not used the logs differ by something else, or they differ by more than misfit and changes.
+    elsewhere = causes and gain is not None and gain.nominal > gain.floor and gain.explained < MOST
+    if elsewhere or worth.logs.differ_beyond_misfit(best.evidence, needed):
         causes, verdict = (), "unexplained"
-    if not causes and worth.logs.differ_beyond_misfit(needed):
-        verdict = "unexplained"
     detectable = detectable_of(question, worth, needed) if verdict == "nothing changed" else {}
     return Changes(causes, verdict, gain, sizes_of(question, value), detectable=detectable)
 
@@ -144,7 +143,7 @@ def _searched(question: Question, needed: float) -> _Found:
         if not absurd:
             return _Found(best, worth, nats, differences, common)
         log_odds = priors.log_odds.copy()
-        log_odds[absurd] = NEVER
+        log_odds[_with_those_beside(absurd, question.candidates)] = NEVER
         priors = replace(priors, log_odds=log_odds)
 
 
@@ -196,6 +195,12 @@ def _at_bounds(best: Weighed, candidates: Sequence[Candidate], priors: Priors) -
         if not low * INSIDE < value < high * INSIDE:
             found.append(place)
     return found
+
+
+def _with_those_beside(places: Sequence[int], candidates: Sequence[Candidate]) -> list[int]:
+    """Return places, with all that let commands come later, or earlier, where one of them does."""
+    ways = {np.sign(candidates[place].late) for place in places} - {0}
+    return [*places, *(place for place, one in enumerate(candidates) if np.sign(one.late) in ways)]
 
 
 def _impossible(best: Weighed, question: Question, value: Array) -> list[int]:

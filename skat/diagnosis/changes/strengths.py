@@ -63,9 +63,12 @@ class Logs:
         levels = [self.left(strength).level for strength in self.strengths]
         return float(logsumexp(levels) - np.log(len(levels)))
 
-    def differ_beyond_misfit(self, needed: float) -> bool:
-        """Return whether logs are likelier by so many nats if they may differ by more than all misfit exerts."""
-        return replace(self, strengths=np.r_[STRENGTHS, BEYOND]).level() - self.level() > needed
+    def differ_beyond_misfit(self, evidence: float, needed: float) -> bool:
+        """Return whether logs are likelier by so many nats if all may differ by more than all misfit exerts.
+
+        ``evidence`` is that of the changes that else are behind it, as of `OverStrengths`, nats.
+        """
+        return replace(self, strengths=np.r_[STRENGTHS, BEYOND]).level() - evidence > needed
 
 
 class OverStrengths(SwiftWeigher):

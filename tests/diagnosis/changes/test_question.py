@@ -266,17 +266,23 @@ def test_a_machine_goes_as_far_as_slopes_lead_to_where_less_is_lacking(simulator
     np.testing.assert_allclose(about, [found * values] * 2)
 
 
-def test_forces_are_lacking_in_units_of_what_motors_exert(simulator):
+def test_what_is_lacking_is_over_what_windows_have_of_their_own_in_units_of_what_motors_exert(simulator):
     half = half_of(simulator, log_of(4, rows=400), "log")
     effects, sizes = [effect_of(simulator, name) for name in GAINS], np.array([0.2, 0.2, 0.2])
     rows = rows_about(simulator, half, Model({}), effects, sizes)
     noise = np.linspace(0.5, 2.0, len(rows.target))
-    models = [Model({"gain[shoulder]": one, "mass[lower]": 1.2}) for one in (1.0, -0.5, 0.01)]
-    forces = coefficients_of(half, lacking_forces(simulator, half, models))[0] / noise[:, None]
-    for column, one in enumerate((1.0, 0.5, WEAKEST)):
-        forces[rows.joint == 0, column] /= one
-    found = _squares_lacking(simulator, half, rows, noise, effects, models)
-    np.testing.assert_allclose(found, np.sum(forces**2, axis=0))
+    law = replace(settled_law([rows, rows]), spread=np.array([0.3, 0.1, 2.0]))
+    gains = (1.0, -0.5, 0.01)
+    models = [Model({"gain[shoulder]": one, "mass[lower]": 1.2}) for one in gains]
+    window = rows.stretch[:, None] == rows.stretch
+    covariance = np.diag(noise**2) + (rows.columns * law.spread) @ rows.columns.T * window
+    expected = []
+    for model, gain in zip(models, gains, strict=True):
+        left = coefficients_of(half, lacking_forces(simulator, half, [model]))[0][:, 0]
+        left = np.where(rows.joint == 0, left / max(abs(gain), WEAKEST), left)
+        expected.append(left @ np.linalg.solve(covariance, left))
+    found = _squares_lacking(simulator, half, rows, law, noise, effects, models)
+    np.testing.assert_allclose(found, expected)
 
 
 def test_the_second_machine_lacks_least_with_what_changed(simulator):

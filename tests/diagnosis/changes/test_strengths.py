@@ -78,7 +78,14 @@ def test_logs_that_differ_by_more_than_misfit_could_are_told(simulator, moved, b
     step = moved * np.random.default_rng(3).normal(size=(WINDOWS, EFFECTS)) * (np.arange(EFFECTS) < EACH)
     extra = np.sum(rows.columns[:, :EFFECTS] * step.mean(axis=0), axis=1)
     logs = _logs(replace(question, sides=(question.sides[0], replace(rows, target=rows.target + extra))))
-    assert logs.differ_beyond_misfit(NEEDED) == beyond
+    assert logs.differ_beyond_misfit(logs.level(), NEEDED) == beyond
+
+
+def test_a_change_of_one_effect_is_likelier_than_that_all_differ(simulator):
+    question = misfit_question(simulator, 0, apart=0.0, change=30.0)
+    logs = _logs(question)
+    assert logs.differ_beyond_misfit(logs.level(), NEEDED)
+    assert not logs.differ_beyond_misfit(named(question).evidence, NEEDED)
 
 
 def at(logs, strength, members):
