@@ -166,7 +166,7 @@ def _logs(question: Question) -> Logs:
     law, kept = question.law, ~question.held_out
     sides = (question.sides[0], law.noise[0]), (question.sides[1].part(kept), law.noise[1][kept])
     first, second = (Windows.of(*side).without(law.spread) for side in sides)
-    return Logs(first.whole(), second.whole(), law)
+    return Logs(first.whole(), second.whole(), law, first.parts, second.parts)
 
 
 def _common(logs: Logs, strength: float, differences: Array, ends: tuple[Array, Array]) -> _Common:

@@ -11,7 +11,7 @@ References
 .. [1] Higgins, Thompson, Spiegelhalter (2009). A re-evaluation of random-effects meta-analysis. J. R. Stat. Soc. A 172.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -39,6 +39,8 @@ class Logs:
     first, second : Quadratic
         In (n_effects,) and (n_effects + n_candidates,) values, in units of typical sizes.
     law : Law
+    firsts, seconds : tuple of Quadratic
+        The windows of each, one of which may be left out.
     strengths : ndarray of shape (n_strengths,)
         By which logs may differ, each as likely.
     """
@@ -46,6 +48,8 @@ class Logs:
     first: Quadratic
     second: Quadratic
     law: Law
+    firsts: tuple[Quadratic, ...] = ()
+    seconds: tuple[Quadratic, ...] = ()
     strengths: Array = field(default_factory=lambda: STRENGTHS)
 
     def both(self, strength: float) -> Quadratic:
@@ -58,6 +62,13 @@ class Logs:
         """Return the same in candidates alone, with what is common integrated out."""
         return self.both(strength).integrated(self.law.weights).without(len(self.law.weights))
 
+    def shortened(self) -> Iterator["Logs"]:
+        """Yield both logs without each of their windows."""
+        for one in self.firsts:
+            yield replace(self, first=self.first - one)
+        for one in self.seconds:
+            yield replace(self, second=self.second - one)
+
     def level(self) -> float:
         """Return the log density of both logs if nothing changed, nats."""
         levels = [self.left(strength).level for strength in self.strengths]
@@ -66,9 +77,16 @@ class Logs:
     def differ_beyond_misfit(self, evidence: float, needed: float) -> bool:
         """Return whether logs are likelier by so many nats if all may differ by more than all misfit exerts.
 
-        ``evidence`` is that of the changes that else are behind it, as of `OverStrengths`, nats.
+        Than with the changes of an ``evidence``, as of `OverStrengths`, nats; and, whichever window of either is left
+        out, than if nothing changed.
         """
-        return replace(self, strengths=np.r_[STRENGTHS, BEYOND]).level() - evidence > needed
+
+        def beyond(logs: Logs) -> float:
+            return replace(logs, strengths=np.r_[STRENGTHS, BEYOND]).level()
+
+        return beyond(self) - evidence > needed and all(
+            beyond(logs) - logs.level() > needed for logs in self.shortened()
+        )
 
 
 class OverStrengths(SwiftWeigher):
@@ -87,6 +105,7 @@ class OverStrengths(SwiftWeigher):
         super().__init__(nothing, priors, rivals)
         self.logs = logs
         self._at = [self._weigher(logs, strength) for strength in logs.strengths]
+        self._short: list[list[tuple[SwiftWeigher, float]]] = []
         tops = [search_sets(worth) for worth, _ in self._at]
         best = int(np.argmax([top.evidence + level for top, (_, level) in zip(tops, self._at)]))
         self.gram = self._at[best][0].gram
@@ -125,23 +144,53 @@ class OverStrengths(SwiftWeigher):
         one = self._at[int(np.argmax(self._worths(members)))][0](members)
         return one.likelihood - one.evidence
 
+    def losses(self, whole: Weighed) -> dict[int, float]:
+        """Return what each member of a set is worth, nats, whichever window of either log is left out."""
+        found = super().losses(whole)
+        if found and not self._short:
+            self._short = [
+                [self._weigher(logs, strength) for strength in logs.strengths]
+                for logs in self.logs.shortened()
+            ]
+        for at in self._short:
+
+            def worth(members: Sequence[int], at: list[tuple[SwiftWeigher, float]] = at) -> float:
+                return float(logsumexp([one(members).evidence + level for one, level in at]))
+
+            ours = worth(whole.members)
+            for gone, loss in found.items():
+                found[gone] = min(loss, ours - worth([one for one in whole.members if one != gone]))
+        return found
+
+    def _shortened(self) -> list[list[tuple[SwiftWeigher, float]]]:
+        """Return for both logs without each of their windows what weighs sets at each strength."""
+        if not self._short:
+            self._short = [
+                [self._weigher(logs, strength) for strength in logs.strengths]
+                for logs in self.logs.shortened()
+            ]
+        return self._short
+
     def gains_of(self, differences: Array) -> Array:
         """Return what each candidate alone would be worth, nats, had the second log differed by so much more in it.
 
-        About.
+        About, and whichever window of either log is left out.
 
         Parameters
         ----------
         differences : ndarray of shape (..., n_candidates)
             Of each candidate, in units of its scale, where no other changes.
         """
-        none, alone = [], []
-        for worth, level in self._at:
-            h, G = worth.gram.projections, np.diag(worth.gram.products)
-            # A difference moves the quadratic, and bends it no otherwise.
-            none.append(level - h * differences - 0.5 * G * differences**2)
-            alone.append(none[-1] + gains_alone(h + G * differences, G, self.priors))
-        return np.asarray(logsumexp(alone, axis=0) - logsumexp(none, axis=0))
+        least = np.full(differences.shape, np.inf)
+        for at in (self._at, *self._shortened()):
+            none, alone = [], []
+            for worth, level in at:
+                h, G = worth.gram.projections, np.diag(worth.gram.products)
+                # A difference moves the quadratic, and bends it no otherwise.
+                none.append(level - h * differences - 0.5 * G * differences**2)
+                alone.append(none[-1] + gains_alone(h + G * differences, G, self.priors))
+            least = np.minimum(least, logsumexp(alone, axis=0) - logsumexp(none, axis=0))
+        return least
 
     def best(self, needed: float) -> Weighed:
         """Return the set that is worth most, where of any two that with more names must be worth so much more, nats."""

@@ -37,6 +37,10 @@ class Quadratic:
             self.products + other.products, self.projections + other.projections, self.level + other.level
         )
 
+    def __sub__(self, other: "Quadratic") -> "Quadratic":
+        """Return that of the rows without those of another."""
+        return self + Quadratic(-other.products, -other.projections, -other.level)
+
     def widened(self, k: int) -> "Quadratic":
         """Return the same of so many effects, of which the further ones do nothing."""
         more = k - len(self.projections)

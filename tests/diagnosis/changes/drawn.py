@@ -43,15 +43,17 @@ def question_of_rows(simulator, *, windows=5, n=8, differences=(0.0, 0.0, 0.0)):
     )
 
 
-def dense(question, apart):
+def dense(question, apart, *, gone=(None, None)):
     """Return target, columns of differences and of what is common, and covariance of both logs, over the noise.
 
     What windows and logs have of their own, of variances SPREAD and ``apart``, is in the covariance; the windows that
-    are held out are not there. The last is how many rows are the first log's.
+    are held out are not there, nor is the window of each log that is ``gone``. The last is how many rows are the
+    first log's.
     """
     target, columns, common, blocks = [], [], [], []
     for place, (rows, noise) in enumerate(zip(question.sides, question.law.noise, strict=True)):
         kept = ~question.held_out if place else np.ones(len(rows.target), bool)
+        kept &= rows.stretch != (-1 if gone[place] is None else gone[place])
         z, N = rows.part(kept).whitened(noise[kept])
         window = rows.stretch[kept]
         own = (N[:, :K] * SPREAD) @ N[:, :K].T * (window[:, None] == window)

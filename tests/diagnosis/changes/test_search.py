@@ -46,6 +46,7 @@ def test_windows_that_are_held_out_tell_nothing(simulator):
     target = np.where(question.held_out, 1e3, rows.target)
     other = replace(question, sides=(question.sides[0], replace(rows, target=target)))
     found, expected = _logs(other), _logs(question)
+    assert (len(found.firsts), len(found.seconds)) == (5, 4)
     assert found.second.level == expected.second.level
     np.testing.assert_array_equal(found.second.projections, expected.second.projections)
     assert found.law is law

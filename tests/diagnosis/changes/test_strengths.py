@@ -11,7 +11,7 @@ from skat.diagnosis.changes.law import Law, with_misfit
 from skat.diagnosis.changes.question import Question
 from skat.diagnosis.changes.search import _logs
 from skat.diagnosis.changes.strengths import BEYOND, LEAST, STRENGTHS, OverStrengths
-from skat.diagnosis.evidence import Gram, Priors, SwiftWeigher
+from skat.diagnosis.evidence import Gram, Priors, SwiftWeigher, Weigher
 from skat.diagnosis.forces.force_space import Rows
 from skat.diagnosis.forces.machines import Candidate, Model
 from skat.diagnosis.search import without_weak
@@ -35,9 +35,9 @@ def apart_at(strength):
     return 1 / (ALIKE.sum(axis=0) / strength + LEAST)
 
 
-def assert_dense(left, question, strength):
+def assert_dense(left, question, strength, gone=(None, None)):
     """Assert that a quadratic is the log density of both logs at any differences."""
-    z, D, N, covariance, _ = dense(question, apart_at(strength))
+    z, D, N, covariance, _ = dense(question, apart_at(strength), gone=gone)
     covariance = covariance + (N / WEIGHTS) @ N.T
     for x in np.random.default_rng(1).normal(size=(3, M)) * 3:
         found = left.level + left.projections @ x - 0.5 * x @ left.products @ x
@@ -62,6 +62,15 @@ def test_logs_that_have_to_be_alike_have_one_value_in_common_and_those_that_may_
     assert np.linalg.norm(free.products[:2, :2] - own) < 0.1 * np.linalg.norm(alike.products[:2, :2] - own)
 
 
+def test_logs_without_a_window_are_those_that_never_had_it(simulator):
+    question, strength = question_of_rows(simulator, differences=(1.0, 0.0, -2.0)), 0.1
+    shortened = list(_logs(question).shortened())
+    windows = [(one, None) for one in range(5)] + [(None, one) for one in (0, 1, 3, 4)]
+    assert len(shortened) == len(windows)
+    for logs, gone in zip(shortened, windows, strict=True):
+        assert_dense(logs.left(strength), question, strength, gone)
+
+
 def test_both_logs_are_worth_what_no_change_is_at_all_strengths(simulator):
     logs = _logs(question_of_rows(simulator))
     worth = OverStrengths(logs, priors_of(M), {})
@@ -70,13 +79,18 @@ def test_both_logs_are_worth_what_no_change_is_at_all_strengths(simulator):
     assert logs.level() == pytest.approx(worth(()).evidence, abs=1e-3)
 
 
-@pytest.mark.parametrize(("moved", "beyond"), [(0.0, False), (0.3, False), (30.0, True)])
-def test_logs_that_differ_by_more_than_misfit_could_are_told(simulator, moved, beyond):
+@pytest.mark.parametrize(
+    ("moved", "shown", "beyond"), [(0.0, 8, False), (0.3, 8, False), (30.0, 8, True), (30.0, 1, False)]
+)
+def test_logs_that_differ_by_more_than_misfit_could_are_told_where_no_one_window_decides(
+    simulator, moved, shown, beyond
+):
     question = misfit_question(simulator, 0, apart=0.0)
     rows = question.sides[1]
     # On one joint, by what is not alike in two windows, so that no one effect explains it.
     step = moved * np.random.default_rng(3).normal(size=(WINDOWS, EFFECTS)) * (np.arange(EFFECTS) < EACH)
-    extra = np.sum(rows.columns[:, :EFFECTS] * step.mean(axis=0), axis=1)
+    step[shown:] = 0.0
+    extra = np.sum(rows.columns[:, :EFFECTS] * step.mean(axis=0), axis=1) * (rows.stretch < shown)
     logs = _logs(replace(question, sides=(question.sides[0], replace(rows, target=rows.target + extra))))
     assert logs.differ_beyond_misfit(logs.level(), NEEDED) == beyond
 
@@ -165,9 +179,10 @@ JOINTS, EACH, WINDOWS, ROWS = 2, 8, 8, 25
 EFFECTS = JOINTS * EACH
 
 
-def misfit_question(simulator, seed, *, apart, change=0.0, spread=0.0025):
+def misfit_question(simulator, seed, *, apart, change=0.0, spread=0.0025, shown=range(WINDOWS)):
     """Return a question of logs in which each effect differs by a normal law, and one by a change beside.
 
+    The second log shows the third effect, that of the change, in some windows alone.
     Noise and columns of a row are about 1, so that misfit which is all of a joint's noise has a variance of 1.
     """
     rng = np.random.default_rng(seed)
@@ -182,6 +197,8 @@ def misfit_question(simulator, seed, *, apart, change=0.0, spread=0.0025):
         value = common + place * (
             np.sqrt(apart) * rng.normal(size=EFFECTS) + change * (np.arange(EFFECTS) == 2)
         )
+        if place:
+            N[:, 2] *= np.where(np.isin(stretch, shown), 1.0, 0.01)
         own = value + np.sqrt(spread) * rng.normal(size=(WINDOWS, EFFECTS))
         target = np.sum(N * own[stretch], axis=1) + rng.normal(size=n)
         sides.append(Rows(target, N, joint, zeros, stretch, zeros))
@@ -247,3 +264,46 @@ def test_a_change_on_one_joint_is_told_beside_misfit_on_the_other(simulator):
     rows = question.sides[1]
     moved = replace(rows, target=rows.target + rows.columns[:, :EFFECTS] @ step)
     assert named(replace(question, sides=(question.sides[0], moved))).members == (EACH + 1,)
+
+
+def changed(simulator, shown):
+    question = misfit_question(simulator, 0, apart=0.0, change=4.0, shown=shown)
+    worth = OverStrengths(_logs(question), priors_of(EFFECTS), {})
+    return question, worth, worth((2,))
+
+
+def test_a_change_that_hangs_on_one_window_is_worth_less_than_none(simulator):
+    question, worth, whole = changed(simulator, shown=[3])
+    assert Weigher.losses(worth, whole)[2] > NEEDED
+    assert worth.losses(whole)[2] < 0
+    assert named(question).members == ()
+
+
+@pytest.mark.parametrize("shown", [[3, 5], range(WINDOWS)])
+def test_a_change_that_several_windows_show_is_worth_about_what_it_is(simulator, shown):
+    question, worth, whole = changed(simulator, shown)
+    (loss,), (plain,) = worth.losses(whole).values(), Weigher.losses(worth, whole).values()
+    assert 0.8 * plain < loss <= plain
+    assert loss > NEEDED
+    assert named(question).members == (2,)
+
+
+@pytest.mark.parametrize("shown", [[3], [3, 5], range(WINDOWS)])
+def test_no_member_is_worth_more_than_without_any_one_window(simulator, shown):
+    question, worth, whole = changed(simulator, shown)
+    logs = _logs(question)
+    ways = [logs, *logs.shortened()]
+    found = min(at_all(one, (2,)) - at_all(one, ()) for one in ways)
+    assert len(ways) == 1 + 2 * WINDOWS
+    assert worth.losses(whole)[2] == pytest.approx(found, abs=0.1)
+
+
+def test_one_member_that_hangs_on_a_window_takes_nothing_from_another(simulator):
+    question = misfit_question(simulator, 0, apart=0.0, change=4.0, shown=[3])
+    rows = question.sides[1]
+    moved = replace(rows, target=rows.target + 4.0 * rows.columns[:, EACH])
+    worth = OverStrengths(_logs(replace(question, sides=(question.sides[0], moved))), priors_of(EFFECTS), {})
+    whole = worth((2, EACH))
+    plain, found = Weigher.losses(worth, whole), worth.losses(whole)
+    assert found[2] < 0 < plain[2]
+    assert NEEDED < 0.8 * plain[EACH] < found[EACH] <= plain[EACH]

@@ -45,11 +45,12 @@ def test_a_quadratic_is_the_log_density_of_rows_at_every_effect():
         assert value_of(Quadratic.of(z, N), x) == pytest.approx(expected, rel=1e-9)
 
 
-def test_rows_of_both_add_up():
+def test_rows_of_both_add_up_and_those_of_one_can_be_left_out():
     (z, N), (other_z, other_N) = whitened(0), whitened(1, n=7)
     one, other = Quadratic.of(z, N), Quadratic.of(other_z, other_N)
     both = Quadratic.of(np.r_[z, other_z], np.vstack([N, other_N]))
     assert_same(one + other, both)
+    assert_same(both - other, one)
 
 
 def test_further_effects_do_nothing():
