@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skat.diagnosis.chains import Array
-from skat.diagnosis.changes.candidates import LATER, priors_of, rivals_of, units_of
+from skat.diagnosis.changes.candidates import priors_of, rivals_of, units_of
 from skat.diagnosis.changes.mixups import mistake_of
 from skat.diagnosis.changes.question import MOST, TURNS, Question, possible, question_of
 from skat.diagnosis.changes.strengths import Logs, OverStrengths
@@ -143,7 +143,7 @@ def _searched(question: Question, needed: float) -> _Found:
         if not absurd:
             return _Found(best, worth, nats, differences, common)
         log_odds = priors.log_odds.copy()
-        log_odds[_with_those_beside(absurd, question.candidates)] = NEVER
+        log_odds[absurd] = NEVER
         priors = replace(priors, log_odds=log_odds)
 
 
@@ -182,25 +182,12 @@ def _common(logs: Logs, strength: float, differences: Array, ends: tuple[Array, 
 
 
 def _at_bounds(best: Weighed, candidates: Sequence[Candidate], priors: Priors) -> list[int]:
-    """Return the members at an end of what is possible: a sign that something else is behind them.
-
-    Where commands come later the grid goes on, but for its last.
-    """
-    found = []
-    for place, value in zip(best.members, best.values):
-        late, low, high = candidates[place].late, priors.low[place], priors.high[place]
-        if late:
-            low = low if late == -LATER[-1] else -np.inf
-            high = high if late == LATER[-1] else np.inf
-        if not low * INSIDE < value < high * INSIDE:
-            found.append(place)
-    return found
-
-
-def _with_those_beside(places: Sequence[int], candidates: Sequence[Candidate]) -> list[int]:
-    """Return places, with all that let commands come later, or earlier, where one of them does."""
-    ways = {np.sign(candidates[place].late) for place in places} - {0}
-    return [*places, *(place for place, one in enumerate(candidates) if np.sign(one.late) in ways)]
+    """Return the members at an end of what is possible: a sign that something else is behind them."""
+    return [
+        place
+        for place, value in zip(best.members, best.values)
+        if not candidates[place].late and not priors.low[place] * INSIDE < value < priors.high[place] * INSIDE
+    ]
 
 
 def _impossible(best: Weighed, question: Question, value: Array) -> list[int]:

@@ -7,8 +7,7 @@ import pytest
 from scipy import optimize
 
 from skat.diagnosis.changes import find_changes
-from skat.diagnosis.changes.candidates import priors_of
-from skat.diagnosis.changes.search import _at_bounds, _common, _impossible, _logs, _with_those_beside
+from skat.diagnosis.changes.search import _at_bounds, _common, _impossible, _logs
 from skat.diagnosis.changes.strengths import LEAST, OverStrengths
 from skat.diagnosis.evidence import WIDTH_95, Priors, Weighed
 from skat.diagnosis.findings import Gain
@@ -155,28 +154,3 @@ def test_what_explains_little_of_the_windows_held_out_is_not_named(
     found = find_changes(simulator, *logs, [effect_of(simulator, name) for name in names])
     assert found.verdict == verdict
     assert bool(found.changes) == (verdict == "named")
-
-
-@pytest.mark.parametrize(
-    ("late", "value", "place"), [(4.0, 0.045, [0]), (4.0, 0.04, []), (3.0, 0.035, []), (-4.0, -0.045, [0])]
-)
-def test_the_last_end_of_what_is_tried_of_commands_is_an_end_of_what_is_possible(
-    simulator, late, value, place
-):
-    effect = effect_of(simulator, "delay[action]")
-    candidates = [Candidate(effect, 1.0, {}, late), Candidate(effect, 1.0, {}, -np.sign(late))]
-    priors = priors_of(candidates, np.ones(2), dt=0.01)
-    best = Weighed((0,), np.array([value]), 0.0, 0.0, np.eye(1))
-    assert _at_bounds(best, candidates, priors) == place
-
-
-def test_where_commands_cannot_come_so_late_they_come_no_later_at_all(simulator):
-    delay, mass = (effect_of(simulator, name) for name in ("delay[action]", "mass[lower]"))
-    candidates = [
-        *(Candidate(delay, 1.0, {}, late) for late in (0.5, 4.0, -0.5, -4.0)),
-        Candidate(mass, 1.0, {}),
-    ]
-    assert set(_with_those_beside([1], candidates)) == {0, 1}
-    assert set(_with_those_beside([2, 4], candidates)) == {2, 3, 4}
-    assert _with_those_beside([4], candidates) == [4]
-    assert _with_those_beside([], candidates) == []
