@@ -8,7 +8,8 @@ the noise that is found is judged, and nothing else::
     python benchmarks/process_noise.py --cases "| memory20"     # see tables.py for the rest
 
 A rod that bends under a pendulum, whose encoder sits at the motor, is a force that is taken back
-(`worlds.flexible`): positions alone, one cause each, or none.
+(`worlds.flexible`): positions alone, one cause each, or none. A base that shakes pushes both joints of an arm at once
+(`worlds.shaken`), with speeds measured and not.
 
 Causes have sizes s of 0.3 to 5, which count the random force as noise (`worlds.robots.size_of`).
 """
@@ -17,7 +18,7 @@ import numpy as np
 import sensors
 import tables
 from tables import Case, Table
-from worlds import flexible
+from worlds import flexible, shaken
 from worlds.robots import World, make_log
 from worlds.worth import noise_bound
 
@@ -39,6 +40,7 @@ CAUSES = {robot: sensors.CAUSES[robot] for robot in ROBOTS if robot != "cart_pol
 N_CLEAN = 200
 N_UNMODELLED, UNMODELLED = 20, 0.2
 N_FLEXIBLE, N_FLEXIBLE_CLEAN = 10, 20
+N_SHAKEN, N_SHAKEN_CLEAN = 8, 20
 VISIBLE = 0.3
 SIZES = (0.3, 5.0)
 
@@ -62,6 +64,11 @@ def cases(cut):
             found.append(Case(f"flexible | pendulum | {name}", 7000 + seed, {"truth": {name: value}}))
     for seed in range(1 if cut else N_FLEXIBLE_CLEAN):
         found.append(Case("flexible | pendulum | nothing", 7000 + seed, {"truth": {}}))
+    for name, value in (*shaken.CAUSES.items(), ("nothing", None)):
+        for seed in range(1 if cut else N_SHAKEN_CLEAN if value is None else N_SHAKEN):
+            truth = {} if value is None else {name: value}
+            settings = {"truth": truth, "measured": seed % 2 == 0}
+            found.append(Case(f"shaken | two_link | {name}", 8000 + seed, settings))
     return found
 
 
@@ -111,6 +118,8 @@ def value_of(robot, kind, name, seed):
 def run(case, parameters):
     if case.name.startswith("flexible"):
         return _run_flexible(case, parameters)
+    if case.name.startswith("shaken"):
+        return _run_shaken(case, parameters)
     what, robot, kind, *_ = case.name.split(" | ")
     log = log_of(case)
     answer, _ = tables.ask(
@@ -135,6 +144,14 @@ def _run_flexible(case, parameters):
     X, y, groups = flexible.log_of(truth, seed=case.seed)
     answer, _ = tables.ask(simulator, X, y, groups, seed=case.seed, parameters=parameters)
     return {"kind": "flexible", "robot": "pendulum", "truth": truth, **answer}
+
+
+def _run_shaken(case, parameters):
+    simulator = MujocoSimulator(shaken.nominal(), frame_skip=shaken.STEPS)
+    truth, measured = case.settings["truth"], case.settings["measured"]
+    X, y, groups = shaken.log_of(truth, seed=case.seed, measured=measured)
+    answer, _ = tables.ask(simulator, X, y, groups, seed=case.seed, parameters=parameters)
+    return {"kind": "shaken", "robot": "two_link", "truth": truth, "measured": measured, **answer}
 
 
 def _ratios(line):
@@ -173,17 +190,19 @@ def report(lines, shown):
             [tables.names(x)[:1] == list(x["truth"]) for x in visible if x["force"] == kind],
         )
         shown.share(f"... {kind}: alarms", [not tables.silent(x) for x in clean if x["force"] == kind])
-    bent = [line for line in lines if line["kind"] == "flexible"]
-    shown.share("rod that bends: named or alias", map(tables.or_alias, [x for x in bent if x["truth"]]))
-    shown.share("... intervals that cover", [one for x in bent for one in tables.in_interval(x)])
-    shown.share("... alarms", [not tables.silent(x) for x in bent if not x["truth"]])
+    odd = {kind: [line for line in lines if line["kind"] == kind] for kind in ("flexible", "shaken")}
+    for label, some in (("rod that bends", odd["flexible"]), ("base that shakes", odd["shaken"])):
+        shown.share(f"{label}: named or alias", map(tables.or_alias, [x for x in some if x["truth"]]))
+        shown.share("... alone", map(tables.alone, [x for x in some if x["truth"]]))
+        shown.share("... intervals that cover", [one for x in some for one in tables.in_interval(x)])
+        shown.share("... alarms", [not tables.silent(x) for x in some if not x["truth"]])
     ratios = [pair for line in lines if "sigma" in line for pair in _ratios(line)]
     shown.share(
         "noise within its Fisher 95 % interval", [abs(r) <= 1.96 * b for r, b in ratios], "92 to 98 %"
     )
     known = [r for r, b in ratios if b <= 0.04]
     shown.share("noise within 10 %, bound <= 4 %", [abs(r) <= np.log(1.1) for r in known], ">= 90 %")
-    shown.probabilities(causes + clean + bent)
+    shown.probabilities(causes + clean + odd["flexible"] + odd["shaken"])
 
 
 TABLE = Table("process_noise", cases, run, report)

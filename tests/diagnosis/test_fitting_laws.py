@@ -207,13 +207,14 @@ def test_a_memory_is_sought_from_the_last_one_on(last, bounds, best, monkeypatch
         Memory(2, float(np.exp(-1 / rows)), returns) for returns in (False, True) for rows in MEMORIES[:3]
     ]
     worth = [bounds.get(place, 0.0) for place in range(6)]
-    monkeypatch.setattr("skat.diagnosis.chains.Chains.with_memory", lambda chains, memory: memory)
+    monkeypatch.setattr("skat.diagnosis.chains.Chains.with_forces", lambda chains, mixing, memory: memory)
+    monkeypatch.setattr("skat.diagnosis.fitting.mixed_further", lambda chains, estimate: (noise, 0.0))
     monkeypatch.setattr("skat.diagnosis.fitting._worth_of_memories", lambda chains, estimate, memories: worth)
 
     def estimated(memory, noise, real):
         return SimpleNamespace(bound=worth[memories.index(memory)] if memory else 0.0, noise=noise)
 
-    known = SimpleNamespace(given=np.ones(2), estimated=estimated)
+    known = SimpleNamespace(given=np.ones(2), estimated=estimated, tolerance=0.1)
     noise = normal_noise(linear.chains, np.ones(2), np.ones(2))
     fitted = _with_best_memory(space, {}, linear, noise, memories[last], known)
     assert fitted.bound == bounds[best]
