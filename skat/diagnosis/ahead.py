@@ -265,8 +265,7 @@ def _drawn_pushes(
             forces[:, :, step, :k] += seen.memory.acting(fresh, hidden)
             hidden = seen.memory.share * hidden + seen.memory.kept(fresh)
     carrier = seen.linear.chains.carrier[space.places][starts[:, None] + np.arange(horizon)]
-    forces = noise.on_joints(forces[..., : carrier.shape[-1]])
-    pushes: Array = np.einsum("shdf,nshf->nshd", carrier, forces)
+    pushes: Array = np.einsum("shdf,nshf->nshd", carrier, forces[..., : carrier.shape[-1]])
     return pushes
 
 

@@ -12,7 +12,7 @@ with :math:`w_t \sim N(0, \mathrm{diag}(q_t))`, :math:`e_t \sim N(0, \mathrm{dia
 a robot's legs where its base is fixed, are parts.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -118,18 +118,6 @@ class Chains:
             self.before,
         )
 
-    def with_forces(self, mixing: Array | None, memory: Memory) -> "Chains":
-        """Return these chains as pushes drive them that act together, some of which last.
-
-        Parameters
-        ----------
-        mixing : ndarray of shape (n_forces, n_forces) or None
-            Forces are this times pushes.
-        memory : Memory
-        """
-        mixed = self if mixing is None else replace(self, carrier=self.carrier @ mixing)
-        return mixed.with_memory(memory)
-
     def with_memory(self, memory: Memory) -> "Chains":
         """Return these chains with a force of memory beside each random force, as further, hidden channels.
 
@@ -164,11 +152,6 @@ class Chains:
             np.r_[self.prior, none],
             before,
         )
-
-    @property
-    def n_joints(self) -> int:
-        """Number of random forces, those of memory apart."""
-        return int(self.carrier.shape[-1]) // (1 if self.before is None else 2)
 
     @property
     def n_measured(self) -> int:

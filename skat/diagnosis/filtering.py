@@ -14,7 +14,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from scipy.special import gammaln
 
-from skat.diagnosis.chains import Array, Chains, Mask, Places, block
+from skat.diagnosis.chains import Array, Chains, Places, block
 
 
 @dataclass(frozen=True)
@@ -323,11 +323,23 @@ def _smoothed(
     n, steps, d = chains.drive.shape
     F, P, read = chains.carrier, filtered.covariances, _measured(chains)
     G = filtered.gains[..., read]
-    before, information, after, later = _backwards(chains, filtered)
+    back = np.zeros((n, steps + 1, d, d))
+    back[:, :-1] = chains.transitions.swapaxes(2, 3)
+    weighed = (filtered.precisions @ filtered.innovations[..., None])[..., 0]
+    # What later measurements say of the state before and after the one at t: a gradient and its information.
+    r, N = np.zeros((n, d)), np.zeros((n, d, d))
+    before, information = np.empty((n, steps + 1, d)), np.empty((n, steps + 1, d, d))
+    after, later = np.empty((n, steps + 1, d)), np.empty((n, steps + 1, d, d))
+    for t in range(steps, -1, -1):
+        after[:, t], later[:, t] = r, N
+        B, gained = back[:, t].copy(), G[:, t].swapaxes(1, 2)
+        B[:, read] -= gained @ back[:, t]
+        r = weighed[:, t] + (B @ r[..., None])[..., 0]
+        N = filtered.precisions[:, t] + B @ N @ B.swapaxes(1, 2)
+        before[:, t], information[:, t] = r, N
     q = force_variances
     forces = q * (F.swapaxes(2, 3) @ after[:, :-1, :, None])[..., 0]
     force_spreads = q - q**2 * np.sum(F * (later[:, :-1] @ F), axis=2)
-    weighed = (filtered.precisions @ filtered.innovations[..., None])[..., 0]
     r_of_noise = error_variances[..., read]
     ahead = np.zeros(G.shape)
     ahead[:, :-1] = chains.transitions @ G[:, :-1]
@@ -340,68 +352,6 @@ def _smoothed(
     means = filtered.means + (P @ before[..., None])[..., 0]
     spreads = P - P @ information @ P if covariances else np.zeros((n, steps + 1, d, d))
     return Smoothed(means, spreads, forces, force_spreads, errors, error_spreads)
-
-
-def _backwards(chains: Chains, filtered: Filtered) -> tuple[Array, Array, Array, Array]:
-    """Return what later measurements say of the state before and after each one, gradients and their information.
-
-    Of shapes (n_chains, n_steps + 1, d) and (n_chains, n_steps + 1, d, d): before, with the measurement itself; after.
-    """
-    n, steps, d = chains.drive.shape
-    read = _measured(chains)
-    G = filtered.gains[..., read]
-    back = np.zeros((n, steps + 1, d, d))
-    back[:, :-1] = chains.transitions.swapaxes(2, 3)
-    weighed = (filtered.precisions @ filtered.innovations[..., None])[..., 0]
-    r, N = np.zeros((n, d)), np.zeros((n, d, d))
-    before, information = np.empty((n, steps + 1, d)), np.empty((n, steps + 1, d, d))
-    after, later = np.empty((n, steps + 1, d)), np.empty((n, steps + 1, d, d))
-    for t in range(steps, -1, -1):
-        after[:, t], later[:, t] = r, N
-        B, gained = back[:, t].copy(), G[:, t].swapaxes(1, 2)
-        B[:, read] -= gained @ back[:, t]
-        r = weighed[:, t] + (B @ r[..., None])[..., 0]
-        N = filtered.precisions[:, t] + B @ N @ B.swapaxes(1, 2)
-        before[:, t], information[:, t] = r, N
-    return before, information, after, later
-
-
-def mixing_scores(
-    chains: Chains, filtered: Filtered, force_variances: Array, pushes: Mask
-) -> tuple[Array, Array]:
-    """Return slopes and curvatures of the log likelihood by how much each push also acts where another one does.
-
-    Channels may all act on each other. The curvature is that of each entry alone, as expected.
-
-    Parameters
-    ----------
-    chains, filtered
-    force_variances : ndarray of shape (n_chains, n_steps, n_forces)
-        Those that the filter ran with.
-    pushes : ndarray of bool of shape (n_forces,)
-        Among which.
-
-    Returns
-    -------
-    slopes, curvatures : ndarray of shape (k, k)
-        Of the share of the push of each column that acts in the place of that of each row.
-    """
-    before, information, after, later = _backwards(chains, filtered)
-    q, k = force_variances[..., pushes], int(pushes.sum())
-    slopes, curvatures = np.zeros((2, k, k))
-    steps = [
-        (chains.carrier[:, t][..., pushes], after[:, t], later[:, t], q[:, t]) for t in range(q.shape[1])
-    ]
-    if chains.before is not None:
-        first = np.broadcast_to(chains.before[:, pushes], (len(q), chains.before.shape[0], k))
-        steps.append((first, before[:, 0], information[:, 0], q[:, 0]))
-    for F, r, N, variance in steps:
-        u = (F.swapaxes(1, 2) @ r[..., None])[..., 0]
-        D = F.swapaxes(1, 2) @ N @ F
-        slopes += ((u[:, :, None] * u[:, None] - D) * variance[:, None]).sum(axis=0)
-        known = np.diagonal(D, axis1=1, axis2=2)
-        curvatures += (known[:, :, None] * (known * variance**2)[:, None]).sum(axis=0)
-    return slopes, curvatures
 
 
 def student_log_density(squares: Array, variance: Array | float, nu: float) -> Array:

@@ -9,15 +9,7 @@ from numpy.typing import NDArray
 from skat.diagnosis.chains import NO_MEMORY, Array, Chains, Mask, Memory
 from skat.diagnosis.evidence import Gram, Priors
 from skat.diagnosis.filtering import Filtered, filter_columns, kalman_filter, updated
-from skat.diagnosis.noise import (
-    TOLERANCE,
-    Estimate,
-    Noise,
-    estimate_noise,
-    mixed_further,
-    normal_noise,
-    passed,
-)
+from skat.diagnosis.noise import TOLERANCE, Estimate, Noise, estimate_noise, normal_noise, passed
 from skat.diagnosis.statespace import (
     Forces,
     Linear,
@@ -39,8 +31,6 @@ STILL = 1.0
 HIT = 0.5
 # How often path and slopes are taken anew at most.
 TURNS = 16
-# Steps to how random forces act together at most, each with a noise of its own.
-MIXING_TURNS = 8
 # Simulations in which the forces that are known come to rest, where another set's were known before.
 FORCE_TURNS = 2
 # Of an effect's typical size: slopes are taken over no less; means of slopes, in rows that are bent, over no less than
@@ -239,8 +229,7 @@ def _so_far(space: StateSpace, fitted: Fitted) -> tuple[Array, Array]:
 
 def _filtered(space: StateSpace, linear: Linear, start: Fitted) -> tuple[Array, Array]:
     """Return what `_so_far` does of another simulation, at the noise and memory of a fit."""
-    noise = start.estimate.noise
-    chains = linear.chains.with_forces(noise.mixing, start.memory)
+    chains, noise = linear.chains.with_memory(start.memory), start.estimate.noise
     filtered = kalman_filter(chains, noise.force_variances, noise.error_variances)
     return updated(chains, filtered, noise.error_variances)
 
@@ -251,18 +240,12 @@ def known_forces(space: StateSpace, memory: Memory, noise: Noise, means: Array, 
     ``means`` and ``covariances`` are those of chains with this memory by what was measured until then, see `updated`.
     """
     k = len(space.simulator.joint_forces())
-    known = np.zeros((len(space.X), k))
-    if not k:
-        return Forces(known, known)
     fresh = noise.force[noise.law][space.places[0]]
-    variances = noise.variances_on_joints(fresh[:, :k])
-    if memory:
-        known = noise.on_joints(memory.acting(known, means[:, :-1, space.d :][space.places]))
-        hidden = covariances[:, :-1, space.d :, space.d :][space.places]
-        hidden = noise.on_joints(noise.on_joints(hidden).swapaxes(1, 2))
-        variances = variances + np.maximum(np.diagonal(hidden, axis1=1, axis2=2), 0.0)
-        if memory.returns:
-            variances = variances + noise.variances_on_joints(fresh[:, k:])
+    known, variances = np.zeros((len(space.X), k)), fresh[:, :k].copy()
+    if memory and k:
+        known = memory.acting(known, means[:, :-1, space.d :][space.places])
+        hidden = np.diagonal(covariances, axis1=-2, axis2=-1)[:, :-1, space.d :][space.places]
+        variances += hidden + (fresh[:, k:] if memory.returns else 0.0)
     return Forces(known, np.sqrt(variances))
 
 
@@ -377,19 +360,8 @@ def _with_memory_of(
     space: StateSpace, values: Mapping[str, float], linear: Linear, noise: Noise, memory: Memory, known: Known
 ) -> Fitted:
     """Return the fit at a memory of forces, from a noise that has such."""
-    chains = linear.chains.with_forces(noise.mixing, memory)
-    estimate = known.estimated(chains, noise, space.real)
-    # Where a simulation has no joints a push of a channel is no force.
-    for _ in range(MIXING_TURNS if space.simulator.joint_forces() else 0):
-        further, gain = mixed_further(chains, estimate)
-        if gain < STILL:
-            break
-        moved = linear.chains.with_forces(further.mixing, memory)
-        tried = known.estimated(moved, further, space.real)
-        if tried.bound < estimate.bound:
-            break
-        chains, estimate = moved, tried
-    return Fitted(dict(values), linear, chains, estimate, memory)
+    chains = linear.chains.with_memory(memory)
+    return Fitted(dict(values), linear, chains, known.estimated(chains, noise, space.real), memory)
 
 
 def _with_best_memory(
@@ -411,7 +383,7 @@ def _with_best_memory(
         read = np.where(np.isfinite(rough), np.maximum(plain.error, rough), plain.error)
         if (read > plain.error).any():
             # Where forces passed for all that a set of causes explains, sensors were left no noise to begin with.
-            other = replace(normal_noise(linear.chains, plain.force, read, plain.law), mixing=plain.mixing)
+            other = normal_noise(linear.chains, plain.force, read, plain.law)
             without = max(
                 without,
                 _with_memory_of(space, values, linear, other, NO_MEMORY, known),
@@ -427,8 +399,7 @@ def _with_best_memory(
         if rows <= longest
     ]
     worth = _worth_of_memories(linear.chains, without.estimate, memories)
-    asked = {int(np.argmax(worth))} if max(worth, default=0.0) >= needed else set()
-    if not asked and not len(last):
+    if max(worth, default=0.0) < needed:
         return without
 
     def remembered(place: int) -> Fitted:
@@ -447,13 +418,12 @@ def _with_best_memory(
     def own(memory: Memory) -> set[int]:
         return {place for place, one in enumerate(memories) if one.returns == memory.returns}
 
-    # Climbed to from where innovations of white forces point, and from the last one, which may be of either kind: with
-    # it the log may be likelier by far though these say nothing.
-    starts = asked
-    if len(last) and own(last):
+    # Climbed to from where innovations point, or from the last one, which may be of either kind.
+    starts = {int(np.argmax(worth))}
+    if len(last):
         nearest = min(own(last), key=lambda place: abs(memories[place].share - last.share))
-        starts = {nearest} | (asked - own(last) if climbs else set())
-    best = max((climbed(start) for start in sorted(starts)), key=lambda one: one.bound, default=without)
+        starts = {nearest} | (starts - own(last) if climbs else set())
+    best = max((climbed(start) for start in sorted(starts)), key=lambda one: one.bound)
     return best if best.bound > without.bound + needed else without
 
 
@@ -492,7 +462,6 @@ def _with_memory(noise: Noise, memory: Memory) -> Noise:
         noise.law,
         np.pad(noise.force_weights, chains, constant_values=1.0),
         np.pad(noise.error_weights, chains, constant_values=1.0),
-        noise.mixing,
     )
 
 
@@ -507,7 +476,6 @@ def _without_memory(noise: Noise, d: int, n_forces: int) -> Noise:
         noise.law,
         noise.force_weights[..., :n_forces],
         noise.error_weights[..., :d],
-        noise.mixing,
     )
 
 
@@ -665,7 +633,7 @@ def noise_without(
     linear = fitted.linear
     moved = replace(linear.chains, drive=linear.chains.drive + space.padded(slopes @ moves))
     found = _estimated(space, fitted.values, replace(linear, chains=moved), fitted, known, memories=True)
-    chains = linear.chains.with_forces(found.estimate.noise.mixing, found.memory)
+    chains = linear.chains.with_memory(found.memory)
     estimate = passed(chains, found.estimate.noise, space.real, covariances=True)
     return replace(fitted, chains=chains, estimate=estimate, memory=found.memory)
 

@@ -25,7 +25,6 @@ from skat.diagnosis.filtering import (
     Smoothed,
     filtered_together,
     kalman_filter,
-    mixing_scores,
     smooth,
     smoothed_together,
     student_log_density,
@@ -57,10 +56,6 @@ class Noise:
     force_weights : ndarray of shape (n_chains, n_steps, n_forces)
         Expected precision of each sample, in units of 1 / q.
     error_weights : ndarray of shape (n_chains, n_steps + 1, d)
-    mixing : ndarray of shape (k, k), optional
-        What acts on the k joints is this times k pushes that are independent of each other, whose laws these are: a
-        base that shakes or a link that bends acts on several joints at once. Lower triangular, with a diagonal of ones;
-        None where each push acts on a joint of its own.
     """
 
     force: Array
@@ -70,7 +65,6 @@ class Noise:
     law: Places
     force_weights: Array
     error_weights: Array
-    mixing: Array | None = None
 
     @property
     def force_variances(self) -> Array:
@@ -81,14 +75,6 @@ class Noise:
     def error_variances(self) -> Array:
         """Variance of each sample of e."""
         return self.error[self.law][:, None] / self.error_weights
-
-    def on_joints(self, pushes: Array) -> Array:
-        """Return what pushes (..., k) amount to on joints, (..., k)."""
-        return pushes if self.mixing is None else pushes @ self.mixing.T
-
-    def variances_on_joints(self, variances: Array) -> Array:
-        """Return the variances (..., k) on joints of pushes that are independent, of such variances."""
-        return variances if self.mixing is None else variances @ (self.mixing**2).T
 
     def part(self, channels: Places, forces: Places) -> "Noise":
         """Return the laws of some channels and forces."""
@@ -113,7 +99,6 @@ class Noise:
             np.zeros(int(own.sum()), dtype=int),
             self.force_weights[own],
             self.error_weights[own],
-            self.mixing,
         )
 
     def unseen(self) -> "Noise":
@@ -180,43 +165,6 @@ def passed(chains: Chains, noise: Noise, real: Mask, *, covariances: bool = Fals
     return Estimate(noise, bound, filtered, smoothed)
 
 
-def mixed_further(chains: Chains, estimate: Estimate) -> tuple[Noise, float]:
-    """Return a noise whose pushes act on joints together as what was measured says, and what that gains, about, nats.
-
-    A step of Newton in the entries of the mixing below its diagonal, each by its own curvature.
-
-    Parameters
-    ----------
-    chains : Chains
-        With the mixing of the estimate's noise.
-    estimate : Estimate
-    """
-    noise = estimate.noise
-    k = len(noise.mixing) if noise.mixing is not None else chains.n_joints
-    step, gain = np.eye(k), 0.0
-    for channels, forces in chains.parts:
-        own = forces[forces < k]
-        if len(own) < 2:
-            continue
-        q = noise.force_variances[..., forces]
-        part = chains.part(channels, forces), estimate.filtered.part(channels)
-        slopes, curvatures = np.zeros((2, k, k))
-        for pushes in (forces < k, forces >= k):
-            if pushes.any():
-                found = mixing_scores(*part, q, pushes)
-                for whole, one in zip((slopes, curvatures), found):
-                    whole[own[:, None], own] += one
-        lower = np.tril(curvatures > 0, -1)
-        moved = np.where(lower, slopes / np.where(curvatures > 0, curvatures, 1.0), 0.0)
-        # As a correlation no step is longer than one.
-        sizes = np.sqrt(np.maximum(noise.force.mean(axis=0).reshape(-1, k).sum(axis=0), SMALLEST))
-        ratios = sizes / sizes[:, None]
-        step += np.clip(moved * ratios, -1, 1) / ratios
-        gain += 0.5 * float(np.sum(slopes * moved, where=lower))
-    mixing = step if noise.mixing is None else noise.mixing @ step
-    return replace(noise, mixing=mixing), gain
-
-
 def estimate_noise(
     chains: Chains,
     noise: Noise,
@@ -268,9 +216,7 @@ def estimate_noise(
             )
             for channels, forces in chains.parts
         ]
-        if len(parts) > 1:
-            return _of_parts(chains, noise, parts)
-        return replace(parts[0], noise=replace(parts[0].noise, mixing=noise.mixing))
+        return parts[0] if len(parts) == 1 else _of_parts(chains, noise, parts)
 
     if n_laws == 1:
         return estimated(chains, noise, real, floors[0])
@@ -287,16 +233,7 @@ def estimate_noise(
         for name in ("force", "error", "force_nu", "error_nu", "force_weights", "error_weights")
     )
     return Estimate(
-        Noise(
-            force,
-            error,
-            force_nu,
-            error_nu,
-            noise.law,
-            force_weights[order],
-            error_weights[order],
-            noise.mixing,
-        ),
+        Noise(force, error, force_nu, error_nu, noise.law, force_weights[order], error_weights[order]),
         sum(part.bound for part in parts.values()),
         _joined([part.filtered for part in parts.values()], order),
         _joined([part.smoothed for part in parts.values()], order),
@@ -315,7 +252,7 @@ def _of_parts(chains: Chains, noise: Noise, parts: Sequence[Estimate]) -> Estima
     force, error, force_nu, error_nu = map(filled, ("force", "error", "force_nu", "error_nu"))
     weights = filled("force_weights"), filled("error_weights")
     return Estimate(
-        Noise(force, error, force_nu, error_nu, noise.law, *weights, noise.mixing),
+        Noise(force, error, force_nu, error_nu, noise.law, *weights),
         sum(one.bound for one in parts),
         filtered_together(chains, [one.filtered for one in parts]),
         smoothed_together(chains, [one.smoothed for one in parts]),

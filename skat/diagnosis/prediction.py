@@ -204,7 +204,7 @@ def look(space: StateSpace, fitted: Fitted, values: Mapping[str, float]) -> Seen
     turns = TURNS if space.simulator.state_names or heavy else 1
     for turn in range(turns):
         linear = linearise(space, path, values, covariances, forces=forces)
-        chains = linear.chains.with_forces(noise.mixing, memory)
+        chains = linear.chains.with_memory(memory)
         for _ in range(TURNS if heavy else 0):
             estimate = passed(chains, noise, space.real)
             noise = _weighted(estimate, space.real, chains.mask)
@@ -581,8 +581,7 @@ def _open_loop_variances(
 ) -> Array:
     """Return the variance of what a right model's error would be after each row, (n_rows, d), from states begun in."""
     linear, memory = linearise(space, space.measured, values), fitted.memory
-    chains = linear.chains.with_forces(fitted.estimate.noise.mixing, memory)
-    seen = Seen(linear, chains, fitted.estimate, memory)
+    seen = Seen(linear, linear.chains.with_memory(memory), fitted.estimate, memory)
     d = space.d
     errors = variances_of(fitted.estimate.noise.error, fitted.estimate.noise.error_nu)[:, :d]
     out = np.empty((len(space.X), d))

@@ -29,7 +29,7 @@ from scipy.special import logsumexp
 from skat.diagnosis.ahead import Seen, ahead, filtered
 from skat.diagnosis.chains import Array, Chains, Mask, Memory, Places
 from skat.diagnosis.evidence import WIDTH_95
-from skat.diagnosis.filtering import Smoothed, kalman_filter, smooth
+from skat.diagnosis.filtering import kalman_filter, smooth
 from skat.diagnosis.findings import Gain
 from skat.diagnosis.fitting import NOTHING_KNOWN, Fitted, Known, response
 from skat.diagnosis.noise import Estimate, Noise, estimate_noise, normal_noise, passed
@@ -364,13 +364,11 @@ def _directions(space: StateSpace, fitted: Fitted) -> _Directions:
         )
     columns = fitted.linear.chains.carrier[space.places]
     k = columns.shape[-1]
-    noise = fitted.estimate.noise
-    forces = _total_forces(space, fitted.memory, noise, smoothed)
-    variances = noise.variances_on_joints(smoothed.force_variances[..., :k][space.places])
+    forces, variances = _total_forces(space, fitted.memory, smoothed.forces, smoothed.means)
+    variances = smoothed.force_variances[..., :k][space.places].copy()
     if len(fitted.memory):
-        hidden = smoothed.covariances[:, :-1, d:, d:][space.places]
-        hidden = noise.on_joints(noise.on_joints(hidden).swapaxes(1, 2))
-        variances = variances + np.maximum(np.diagonal(hidden, axis1=1, axis2=2), 0.0)
+        diagonal = np.einsum("ctii->cti", smoothed.covariances)[..., d:]
+        variances += np.maximum(diagonal[:, :-1][space.places], 0.0)
     joints = simulator.joint_forces()
     if joints:
         names = tuple(effect.target or effect.name for effect, _ in joints)
@@ -411,13 +409,13 @@ def _state_inputs(space: StateSpace, channel: str) -> tuple[str, ...]:
     return tuple(name for name in names if name in space.simulator.input_names)
 
 
-def _total_forces(space: StateSpace, memory: Memory, noise: Noise, smoothed: Smoothed) -> Array:
-    """Return white forces with those of memory added, on joints, (n_rows, k)."""
-    own, k = smoothed.forces[space.places], smoothed.forces.shape[-1] - len(memory)
-    pushes = own[:, :k]
-    if len(memory):
-        pushes = pushes + memory.acting(own[:, k:], smoothed.means[:, :-1, space.d :][space.places])
-    return noise.on_joints(pushes)
+def _total_forces(space: StateSpace, memory: Memory, forces: Array, means: Array) -> tuple[Array, Array]:
+    """Return white forces with those of memory added, (n_rows, k), and the white ones alone."""
+    own, k = forces[space.places], forces.shape[-1] - len(memory)
+    white = own[:, :k]
+    if not len(memory):
+        return white, white
+    return white + memory.acting(own[:, k:], means[:, :-1, space.d :][space.places]), white
 
 
 def _joint_scales(space: StateSpace, fitted: Fitted) -> Array:
@@ -447,10 +445,9 @@ def _past(seen: Seen, index: int) -> float:
     k, memory = len(seen.memory), seen.memory
     if not k:
         return 0.0
-    noise = seen.estimate.noise
-    force = noise.force.mean(axis=0)
-    remembered = noise.variances_on_joints(memory.variance(force[k:]))[index]
-    total = remembered + noise.variances_on_joints(force[:k])[index]
+    force = seen.estimate.noise.force.mean(axis=0)
+    remembered = memory.variance(force[k:])[index]
+    total = remembered + force[index]
     return float(memory.predicted * remembered / total) if total > 0 else 0.0
 
 
@@ -459,7 +456,7 @@ def _with_normal_noise(space: StateSpace, seen: Seen, known: Known) -> list[Seen
     noise = seen.estimate.noise
     if not np.isfinite(np.c_[noise.force_nu, noise.error_nu]).any():
         return []
-    normal = replace(normal_noise(seen.chains, noise.force, noise.error, noise.law), mixing=noise.mixing)
+    normal = normal_noise(seen.chains, noise.force, noise.error, noise.law)
     return [replace(seen, estimate=_normal_estimate(seen.chains, normal, space, known))]
 
 
@@ -643,7 +640,7 @@ def _white_spectra(
     forces = noise.force[:, :k].copy()
     if len(fitted.memory):
         forces += fitted.memory.variance(noise.force[:, k:])
-    mean = noise.variances_on_joints(forces.mean(axis=0))
+    mean = forces.mean(axis=0)
     variances = noise.force_variances, noise.error_variances
     spectra = [np.zeros(0)] * n
     frequencies = np.zeros(0)
@@ -656,12 +653,12 @@ def _white_spectra(
             readings[:, step, :d] += state
             if step < pushes.shape[1]:
                 state = np.einsum("nij,nj->ni", plain.transitions[:, step], state)
-                state += np.einsum("nij,nj->ni", plain.carrier[:, step], noise.on_joints(pushes[:, step]))
+                state += np.einsum("nij,nj->ni", plain.carrier[:, step], pushes[:, step])
         drawn = replace(
             chains, measured=np.where(chains.mask, readings, 0.0), drive=np.zeros_like(chains.drive)
         )
         smoothed = smooth(drawn, kalman_filter(drawn, *variances), *variances, covariances=False)
-        shown = _total_forces(space, fitted.memory, noise, smoothed)
+        shown, _ = _total_forces(space, fitted.memory, smoothed.forces, smoothed.means)
         for index in range(n):
             frequencies, power = _welch(space, shown[:, index] / np.sqrt(max(mean[index], 1e-300)))
             spectra[index] = power / DRAWS if draw == 0 else spectra[index] + power / DRAWS

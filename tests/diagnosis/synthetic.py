@@ -174,10 +174,7 @@ def full_content(**changes):
             ChannelNoise("qpos.elbow", "rad", 3.83e-4, (3.8e-4, 3.86e-4), np.inf),
             ChannelNoise("qvel.elbow", "rad/s", 0.0102, (0.01, 0.0104), 5.0),
         ),
-        "forces": (
-            ForceNoise("elbow", "N m", 0.021, 0.05, beside="shoulder", correlation=-0.83),
-            ForceNoise("shoulder", "N m", 0.004, 0.0, beside="elbow", correlation=-0.83),
-        ),
+        "forces": (ForceNoise("elbow", "N m", 0.021, 0.05), ForceNoise("shoulder", "N m", 0.004, 0.0)),
         "visibility": tuple(
             Visibility(
                 f"{family}[{joint}]",
