@@ -20,6 +20,9 @@ CHAIN_LENGTH = 64
 FIRST_STEP = 1e-4
 # Values that the simulations of one block of derivatives return.
 VALUES_AT_ONCE = 2e7
+# Families of what forces have to move: to another inertia a lasting force is another one. Of friction the force stays:
+# it is what friction holds.
+INERTIAL = ("mass", "centre_of_mass", "length", "inertia", "armature", "payload")
 # Of the largest force on a joint, the least step of a slope by it.
 SMALL_FORCE = 1e-3
 # Smallest step of a derivative, where the state is known better than that.
@@ -667,23 +670,29 @@ def derivatives(
         moved_values = [{**values, **moved} for moved in moves if moved]
         outputs = iter(space.simulated(rows, moved_values, linear.forces.means))
         reached = [next(outputs) if moved else base for moved in moves]
-        exerted = _exerted(space, rows, [values, *moved_values], linear.forces, safe)
-        others = iter(exerted[1:])
-        lasting = [next(others) if moved else exerted[0] for moved in moves]
+        heavier = [any(map(_is_inertial, group)) for group in part for _ in (0, 1)]
+        asked = [{**values, **moved} for moved, is_one in zip(moves, heavier) if moved and is_one]
+        as_is, *exerted = (
+            _exerted(space, rows, [values, *asked], linear.forces, safe) if any(heavier) else [forced[..., 0]]
+        )
+        others = iter(exerted)
+        lasting = [next(others) if moved and is_one else as_is for moved, is_one in zip(moves, heavier)]
         for place, group in enumerate(part):
             for name in group:
                 low, high = (
                     reached[2 * place + end] if name in moves[2 * place + end] else base for end in (0, 1)
                 )
-                difference = simulator.residual(_finite(high, safe), _finite(low, safe))
-                exerts = [
-                    lasting[2 * place + end] if name in moves[2 * place + end] else exerted[0]
-                    for end in (0, 1)
-                ]
+                changes = [simulator.residual(_finite(high, safe), _finite(low, safe))]
+                if _is_inertial(name):
+                    more, less = (
+                        lasting[2 * place + end] if name in moves[2 * place + end] else as_is
+                        for end in (1, 0)
+                    )
+                    changes.append(more - less)
                 bad = ~(np.isfinite(high).all(axis=1) & np.isfinite(low).all(axis=1))
                 own, column = space.channels_of(name), names.index(name)
                 width = steps[name][1] - steps[name][0]
-                for slopes, change in ((columns, difference), (forced, exerts[1] - exerts[0])):
+                for slopes, change in zip((columns, forced), changes):
                     change[bad] = 0.0
                     slopes[:, own, column] = change[:, own] / width
     if known is not None and simulator.state_names:
@@ -695,10 +704,15 @@ def derivatives(
             columns[bent, :, start : start + together] = _mean_derivatives(
                 space, rows, values, ends, known, bent, centres, linear.forces.means
             )
-    # Of another machine the lasting forces are those that do the same to it.
+    # Of a heavier machine the lasting forces are those that do the same to it.
     columns -= forced
     columns[~linear.valid] = 0.0
     return columns
+
+
+def _is_inertial(effect: str) -> bool:
+    """Whether an effect, by its name, is of what forces have to move."""
+    return effect.partition("[")[0] in INERTIAL
 
 
 def _exerted(

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from skat.diagnosis import statespace
 from skat.diagnosis.chains import Memory
 from skat.diagnosis.evidence import Gram, weigh
 from skat.diagnosis.filtering import kalman_filter
@@ -310,3 +311,18 @@ def test_slopes_under_a_lasting_force_say_what_fits_do(friction, off):
         said = gram.projections[0] * step - gram.products[0, 0] * step**2 / 2
         gained = first_fit(space, {**heavier, "armature[rail]": 1.0 + step}).bound - fitted.bound
         assert said == pytest.approx(gained, abs=off)
+
+
+@pytest.mark.parametrize(("name", "asked"), [("damping[rail]", False), ("armature[rail]", True)])
+def test_what_a_lasting_force_does_is_kept_as_inertia_moves_alone(name, asked, monkeypatch):
+    X, y = pushed_cart(0)
+    simulator = MujocoSimulator(CART.replace(" frictionloss='2'", ""), frame_skip=10)
+    space = state_space(simulator, X, y, np.zeros(len(X), int), consecutive=True)
+    fitted = first_fit(space, {"dry_friction[rail]": 2.0})
+    assert fitted.linear.forces.means.any()
+    calls = []
+    exerted = statespace._exerted
+    monkeypatch.setattr(statespace, "_exerted", lambda *args: calls.append(args) or exerted(*args))
+    effect = next(one for one in simulator.effects() if one.name == name)
+    assert np.any(slopes_of(space, fitted, [effect], np.ones(1)))
+    assert bool(calls) == asked
