@@ -41,6 +41,7 @@ N_CLEAN = 200
 N_UNMODELLED, UNMODELLED = 20, 0.2
 N_FLEXIBLE, N_FLEXIBLE_CLEAN = 10, 20
 N_SHAKEN, N_SHAKEN_CLEAN = 8, 20
+ODD = {"flexible": flexible, "shaken": shaken}
 VISIBLE = 0.3
 SIZES = (0.3, 5.0)
 
@@ -67,7 +68,7 @@ def cases(cut):
     for name, value in (*shaken.CAUSES.items(), ("nothing", None)):
         for seed in range(1 if cut else N_SHAKEN_CLEAN if value is None else N_SHAKEN):
             truth = {} if value is None else {name: value}
-            settings = {"truth": truth, "measured": seed % 2 == 0}
+            settings = {"truth": truth, "how": {"measured": seed % 2 == 0}}
             found.append(Case(f"shaken | two_link | {name}", 8000 + seed, settings))
     return found
 
@@ -116,11 +117,9 @@ def value_of(robot, kind, name, seed):
 
 
 def run(case, parameters):
-    if case.name.startswith("flexible"):
-        return _run_flexible(case, parameters)
-    if case.name.startswith("shaken"):
-        return _run_shaken(case, parameters)
     what, robot, kind, *_ = case.name.split(" | ")
+    if what in ODD:
+        return _run_odd(what, robot, case, parameters)
     log = log_of(case)
     answer, _ = tables.ask(
         tables.simulator_of(log), log.X, log.y, log.groups, seed=case.seed, parameters=parameters
@@ -138,20 +137,12 @@ def run(case, parameters):
     }
 
 
-def _run_flexible(case, parameters):
-    simulator = MujocoSimulator(flexible.nominal(), frame_skip=flexible.STEPS)
-    truth = case.settings["truth"]
-    X, y, groups = flexible.log_of(truth, seed=case.seed)
+def _run_odd(what, robot, case, parameters):
+    world, truth, how = ODD[what], case.settings["truth"], case.settings.get("how", {})
+    simulator = MujocoSimulator(world.nominal(), frame_skip=world.STEPS)
+    X, y, groups = world.log_of(truth, seed=case.seed, **how)
     answer, _ = tables.ask(simulator, X, y, groups, seed=case.seed, parameters=parameters)
-    return {"kind": "flexible", "robot": "pendulum", "truth": truth, **answer}
-
-
-def _run_shaken(case, parameters):
-    simulator = MujocoSimulator(shaken.nominal(), frame_skip=shaken.STEPS)
-    truth, measured = case.settings["truth"], case.settings["measured"]
-    X, y, groups = shaken.log_of(truth, seed=case.seed, measured=measured)
-    answer, _ = tables.ask(simulator, X, y, groups, seed=case.seed, parameters=parameters)
-    return {"kind": "shaken", "robot": "two_link", "truth": truth, "measured": measured, **answer}
+    return {"kind": what, "robot": robot, "truth": truth, **how, **answer}
 
 
 def _ratios(line):
@@ -190,7 +181,7 @@ def report(lines, shown):
             [tables.names(x)[:1] == list(x["truth"]) for x in visible if x["force"] == kind],
         )
         shown.share(f"... {kind}: alarms", [not tables.silent(x) for x in clean if x["force"] == kind])
-    odd = {kind: [line for line in lines if line["kind"] == kind] for kind in ("flexible", "shaken")}
+    odd = {kind: [line for line in lines if line["kind"] == kind] for kind in ODD}
     for label, some in (("rod that bends", odd["flexible"]), ("base that shakes", odd["shaken"])):
         shown.share(f"{label}: named or alias", map(tables.or_alias, [x for x in some if x["truth"]]))
         shown.share("... alone", map(tables.alone, [x for x in some if x["truth"]]))
@@ -202,7 +193,7 @@ def report(lines, shown):
     )
     known = [r for r, b in ratios if b <= 0.04]
     shown.share("noise within 10 %, bound <= 4 %", [abs(r) <= np.log(1.1) for r in known], ">= 90 %")
-    shown.probabilities(causes + clean + odd["flexible"] + odd["shaken"])
+    shown.probabilities(causes + clean + [line for some in odd.values() for line in some])
 
 
 TABLE = Table("process_noise", cases, run, report)
