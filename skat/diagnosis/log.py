@@ -13,7 +13,7 @@ from sklearn.utils import check_array
 
 from skat.diagnosis.chains import Array, Mask, Places
 from skat.diagnosis.statespace import filled_in, in_chains, steps_of, tangent_mask, tangents
-from skat.episodes import drawn_episodes
+from skat.episodes import LEAST_TESTED, drawn_episodes
 from skat.simulators import Simulator
 from skat.simulators.tables import refuse_text
 
@@ -203,11 +203,16 @@ class Log:
                 stacklevel=3,
             )
             return self, None
-        if self.consecutive and self.n_episodes == 1:
+        if self._is_one_episode(test_size):
+            log = (
+                "The log is a single episode"
+                if self.n_episodes == 1
+                else "Nearly all rows are of one episode"
+            )
             warnings.warn(
-                "The log is a single episode: it is split by blocks of time, so the rows held out are near the rows "
-                "fitted and the gain may look better than on a new episode. Give several episodes (groups=), or "
-                "measure the gain on another log with evaluate().",
+                f"{log}: it is split by blocks of time, so the rows held out are near the rows fitted and the gain may "
+                "look better than on a new episode. Give several episodes (groups=), or measure the gain on another "
+                "log with evaluate().",
                 UserWarning,
                 stacklevel=3,
             )
@@ -226,13 +231,18 @@ class Log:
             source=np.repeat(np.arange(len(parts)), [len(one) for one in parts]),
         )
 
+    def _is_one_episode(self, test_size: float) -> bool:
+        """Whether rows follow each other, and all but the longest episode are too few to be held out."""
+        others = len(self) - int(np.bincount(self.episodes).max())
+        return self.consecutive and others < LEAST_TESTED * test_size * len(self)
+
     def _held_out(self, test_size: float, random_state: np.random.RandomState) -> Mask:
         n = len(self)
         if self.n_episodes == n and not self.consecutive:
             count = int(np.clip(round(test_size * n), 1, max(1, n - FEWEST_FITTED_ROWS)))
             drawn: Mask = random_state.permutation(n) < count
             return drawn
-        if self.n_episodes > 1:
+        if self.n_episodes > 1 and not self._is_one_episode(test_size):
             sizes = np.bincount(self.episodes)
             most = self.n_episodes - (1 if self.consecutive else FEWEST_FITTED_GROUPS)
             episodes = drawn_episodes(sizes, test_size, random_state, most=most, stacklevel=5)

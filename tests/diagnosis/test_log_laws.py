@@ -143,6 +143,16 @@ def test_several_episodes_are_held_out_whole_and_told_of_by_no_warning():
     assert (fitted.n_episodes, held.n_episodes) == (7, 3)
 
 
+@pytest.mark.parametrize("sizes", [[400, 3], [5, 300, 4]])
+def test_one_long_episode_beside_scraps_is_held_out_in_pieces_of_time(sizes):
+    """A gap in a log leaves a few rows by themselves: on these no gain is measured."""
+    with pytest.warns(UserWarning, match="Nearly all rows are of one episode") as caught:
+        fitted, held = empty(sizes).split(0.3, random_state())
+    assert len(caught) == 1
+    assert len(held) == pytest.approx(0.3 * sum(sizes), rel=0.15)
+    assert len(fitted) + len(held) == sum(sizes)
+
+
 def test_where_the_share_is_less_than_any_episode_the_shortest_is_held_out():
     fitted, held = empty([30, 12, 40, 50]).split(1e-6, random_state())
     assert held.n_episodes == 1
