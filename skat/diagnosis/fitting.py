@@ -399,7 +399,8 @@ def _with_best_memory(
         if rows <= longest
     ]
     worth = _worth_of_memories(linear.chains, without.estimate, memories)
-    if max(worth, default=0.0) < needed:
+    asked = {int(np.argmax(worth))} if max(worth, default=0.0) >= needed else set()
+    if not asked and not len(last):
         return without
 
     def remembered(place: int) -> Fitted:
@@ -418,12 +419,13 @@ def _with_best_memory(
     def own(memory: Memory) -> set[int]:
         return {place for place, one in enumerate(memories) if one.returns == memory.returns}
 
-    # Climbed to from where innovations point, or from the last one, which may be of either kind.
-    starts = {int(np.argmax(worth))}
-    if len(last):
+    # Climbed to from where innovations of white forces point, and from the last one, which may be of either kind: with
+    # it the log may be likelier by far though these say nothing.
+    starts = asked
+    if len(last) and own(last):
         nearest = min(own(last), key=lambda place: abs(memories[place].share - last.share))
-        starts = {nearest} | (starts - own(last) if climbs else set())
-    best = max((climbed(start) for start in sorted(starts)), key=lambda one: one.bound)
+        starts = {nearest} | (asked - own(last) if climbs else set())
+    best = max((climbed(start) for start in sorted(starts)), key=lambda one: one.bound, default=without)
     return best if best.bound > without.bound + needed else without
 
 

@@ -202,23 +202,36 @@ def test_of_forces_with_memory_nothing_is_known():
     ],
 )
 def test_a_memory_is_sought_from_the_last_one_on(last, bounds, best, monkeypatch):
+    fitted, memories = sought(last, bounds, bounds, monkeypatch)
+    assert fitted.bound == bounds[best]
+    assert fitted.memory == memories[best]
+
+
+def test_the_last_memory_is_tried_though_innovations_ask_for_none(monkeypatch):
+    fitted, memories = sought(4, {4: 59.0}, {}, monkeypatch)
+    assert fitted.memory == memories[4]
+    assert not sought(4, {4: 5.0}, {}, monkeypatch)[0].memory
+
+
+def sought(last, bounds, worth, monkeypatch):
+    """Return the fit, where memories have bounds and seem to be worth so much by place, and the memories."""
     space = walks()
     linear = linearise(space, space.measured, {})
     memories = [
         Memory(2, float(np.exp(-1 / rows)), returns) for returns in (False, True) for rows in MEMORIES[:3]
     ]
-    worth = [bounds.get(place, 0.0) for place in range(6)]
     monkeypatch.setattr("skat.diagnosis.chains.Chains.with_memory", lambda chains, memory: memory)
-    monkeypatch.setattr("skat.diagnosis.fitting._worth_of_memories", lambda chains, estimate, memories: worth)
+    monkeypatch.setattr(
+        "skat.diagnosis.fitting._worth_of_memories",
+        lambda chains, estimate, memories: [worth.get(place, 0.0) for place in range(6)],
+    )
 
     def estimated(memory, noise, real):
-        return SimpleNamespace(bound=worth[memories.index(memory)] if memory else 0.0, noise=noise)
+        return SimpleNamespace(bound=bounds.get(memories.index(memory), 0.0) if memory else 0.0, noise=noise)
 
     known = SimpleNamespace(given=np.ones(2), estimated=estimated)
     noise = normal_noise(linear.chains, np.ones(2), np.ones(2))
-    fitted = _with_best_memory(space, {}, linear, noise, memories[last], known)
-    assert fitted.bound == bounds[best]
-    assert fitted.memory == memories[best]
+    return _with_best_memory(space, {}, linear, noise, memories[last], known), memories
 
 
 def test_a_simulation_that_diverges_everywhere_has_no_fit():
