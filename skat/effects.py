@@ -43,6 +43,9 @@ class Family:
         How values are told: "" plainly, "more" as more or less than the model's, "shift" as a shift.
     aliases : tuple of str
         Families that act the same wherever only what they have in common shows.
+    inertial : bool
+        Whether they change what forces have to move: to another inertia a lasting force is another one, while of
+        friction it stays, as it is what friction holds.
     """
 
     name: str
@@ -57,6 +60,7 @@ class Family:
     only: tuple[str, ...] = ()
     form: str = ""
     aliases: tuple[str, ...] = ()
+    inertial: bool = False
 
 
 _DRAG, _TORQUE, _DAMPING, _SPRING = ("kg/m",), ("N", "N m"), ("N s/m", "N m s/rad"), ("N/m", "N m/rad")
@@ -65,12 +69,13 @@ _FORCE = partial(Family, neutral=0.0, force_share=FORCE)
 _MORE = partial(Family, neutral=0.0, force_share=FORCE, form="more")
 # Odds and typical sizes: engineers' judgement of what is often wrong, and by how much. A user's own go first.
 _TABLE = (
-    Family("mass", "the mass of {}", "the mass of every body", typical=0.2, aliases=("payload",)),
-    Family("length", "the length of {}", "the length of every link", typical=0.03, odds=0.2),
+    Family("mass", "the mass of {}", "the mass of every body", typical=0.2, aliases=("payload",),
+           inertial=True),
+    Family("length", "the length of {}", "the length of every link", typical=0.03, odds=0.2, inertial=True),
     Family("radius", "the radius of {}", "the radius of every wheel", typical=0.03, odds=0.2, order=1),
-    Family("inertia", "the rotational inertia of {}", typical=0.2, odds=0.3, order=2),
+    Family("inertia", "the rotational inertia of {}", typical=0.2, odds=0.3, order=2, inertial=True),
     _ADDED("centre_of_mass", "the centre of mass along {}", unit=("m",), typical=0.03, odds=0.3, order=3, only=("m",),
-           form="shift", aliases=("mass", "payload")),
+           form="shift", aliases=("mass", "payload"), inertial=True),
     Family("gravity", "gravity", "gravity", typical=0.02, odds=0.1),
     _ADDED("tilt", "the ground's slope along {}", unit=("rad",), typical=0.03, odds=0.2, only=("rad",)),
     _FORCE("wind", "a constant force along {}", unit=("N",), odds=0.3, only=("N",)),
@@ -78,7 +83,7 @@ _TABLE = (
     _MORE("damping", "viscous damping of {}", "viscous damping of every joint", unit=_DAMPING),
     _MORE("dry_friction", "dry friction of {}", "dry friction of every joint", unit=_TORQUE),
     _FORCE("position_friction", "dry friction that grows with the position of {}", unit=_SPRING, odds=0.2),
-    _MORE("armature", "the armature of {}", "the armature of every joint", unit=("kg", "kg m2")),
+    _MORE("armature", "the armature of {}", "the armature of every joint", unit=("kg", "kg m2"), inertial=True),
     _MORE("stiffness", "the stiffness of {}", "the stiffness of every joint", unit=_SPRING, odds=0.3),
     _MORE("tendon_damping", "viscous damping of tendon {}", unit=("N s/m",)),
     _MORE("tendon_dry_friction", "dry friction of tendon {}", unit=("N",)),
@@ -111,7 +116,7 @@ _TABLE = (
     _ADDED("torque_speed", "the force that {} loses per speed", unit=("N s/m", "N m s/rad"), force_share=FORCE,
            odds=0.5),
     Family("current_limit", "the largest force of {}", unit=_TORQUE, neutral=math.nan, force_share=FORCE, odds=0.5),
-    _ADDED("payload", "a weight on {}", unit=("kg",), odds=1.0, order=4, only=("kg",)),
+    _ADDED("payload", "a weight on {}", unit=("kg",), odds=1.0, order=4, only=("kg",), inertial=True),
     Family("contact_friction", "the contact friction of {}", "the contact friction", typical=FACTOR, order=5),
     Family("contact_anisotropy", "the contact friction of {} along its second direction",
            "the contact friction along its second direction", typical=FACTOR, odds=0.2, order=6),
@@ -125,6 +130,12 @@ _TABLE = (
 # The target that stands for all, where it is not "all".
 EVERY = {"delay": "action"}
 FAMILIES = MappingProxyType({family.name: family for family in _TABLE})
+
+
+def is_inertial(effect: str) -> bool:
+    """Whether an effect, by its name, changes what forces have to move."""
+    family = FAMILIES.get(effect.partition("[")[0])
+    return family is not None and family.inertial
 
 
 @dataclass(frozen=True)

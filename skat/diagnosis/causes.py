@@ -34,7 +34,8 @@ from skat.diagnosis.search import (
     search,
     without_weak,
 )
-from skat.diagnosis.statespace import StateSpace, derivatives
+from skat.diagnosis.slopes import derivatives
+from skat.diagnosis.statespace import StateSpace
 from skat.effects import Effect
 from skat.simulators.base import Simulator
 

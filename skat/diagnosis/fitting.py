@@ -10,12 +10,12 @@ from skat.diagnosis.chains import NO_MEMORY, Array, Chains, Mask, Memory
 from skat.diagnosis.evidence import Gram, Priors
 from skat.diagnosis.filtering import Filtered, filter_columns, kalman_filter, updated
 from skat.diagnosis.noise import TOLERANCE, Estimate, Noise, estimate_noise, normal_noise, passed
+from skat.diagnosis.slopes import derivatives
 from skat.diagnosis.statespace import (
     Forces,
     Linear,
     StateSpace,
     about_forces,
-    derivatives,
     is_bent,
     linearise,
     moved_path,

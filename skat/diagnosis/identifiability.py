@@ -12,7 +12,8 @@ from skat.diagnosis.evidence import Gram, Priors, weigh
 from skat.diagnosis.filtering import kalman_filter
 from skat.diagnosis.fitting import priors_of, response
 from skat.diagnosis.log import Log, check_log, check_matrix, without_channels
-from skat.diagnosis.statespace import StateSpace, derivatives, linearise, state_space, tangents
+from skat.diagnosis.slopes import derivatives
+from skat.diagnosis.statespace import StateSpace, linearise, state_space, tangents
 from skat.effects import Effect
 from skat.simulators import Simulator
 

@@ -18,11 +18,6 @@ from skat.simulators.tables import episode_starts
 CHAIN_LENGTH = 64
 # Step of a first derivative by the state, in units of a channel's spread.
 FIRST_STEP = 1e-4
-# Values that the simulations of one block of derivatives return.
-VALUES_AT_ONCE = 2e7
-# Families of what forces have to move: to another inertia a lasting force is another one. Of friction the force stays:
-# it is what friction holds.
-INERTIAL = ("mass", "centre_of_mass", "length", "inertia", "armature", "payload")
 # Of the largest force on a joint, the least step of a slope by it.
 SMALL_FORCE = 1e-3
 # Smallest step of a derivative, where the state is known better than that.
@@ -34,8 +29,6 @@ OUTER = 3**0.5
 BENT = 0.1
 # Pairs of points about the state of such a row, at least.
 PAIRS = 32
-# The same for slopes by effects, at most.
-SLOPE_PAIRS = 8
 # A row from near which states end so many times their spread away has diverged, as contacts do: it has no slopes.
 FAR = 1e3
 # Slopes are kept where a row ends off from where they say by no more than this share of what is not known of its state.
@@ -411,8 +404,8 @@ def _as_expected(
     expected = (slopes.chains.transitions[places] @ moved[..., None])[..., 0]
     if forces.shape[1]:
         expected += (slopes.chains.carrier[places] @ (forces - slopes.about)[..., None])[..., 0]
-    safe = _finite(slopes.ends, space.path_ends(path))
-    off = np.abs(simulator.residual(_finite(outputs, safe), safe) - expected)
+    safe = finite(slopes.ends, space.path_ends(path))
+    off = np.abs(simulator.residual(finite(outputs, safe), safe) - expected)
     left = np.diagonal(slopes.bends(places), axis1=-2, axis2=-1)
     bent = np.sqrt(np.maximum(left, 0.0))
     unknown = np.sqrt(np.maximum(np.diagonal(covariances, axis1=-2, axis2=-1), 0.0))[:, 1:][places]
@@ -457,7 +450,7 @@ def _sloped(
     roots = (
         np.tile(np.diag(FIRST_STEP * units), (n, 1, 1))
         if covariances is None
-        else _roots(covariances, units, parts)
+        else roots_of(covariances, units, parts)
     )
     base, up, down = _ends(space, rows, after, values, OUTER * _at_once(roots, parts), past)
     inverse = np.linalg.inv(roots)
@@ -559,8 +552,8 @@ def _ends(
     copies = past.of(np.tile(np.arange(len(rows)), len(moved)))
     (outputs,) = simulator.predict_many(np.concatenate(moved), [values], past=copies)
     outputs = outputs.reshape(len(moved), len(rows), -1)
-    safe = _finite(outputs[0], after)
-    off = np.stack([simulator.residual(_finite(one, safe), safe) for one in outputs[1:]], axis=-1)
+    safe = finite(outputs[0], after)
+    off = np.stack([simulator.residual(finite(one, safe), safe) for one in outputs[1:]], axis=-1)
     return outputs[0], off[..., ::2], off[..., 1::2]
 
 
@@ -604,14 +597,14 @@ def _joint_carrier(
     largest = np.array([effect.bounds[1] for effect in forces])
     steps = np.clip(OUTER * unsure, SMALL_FORCE * largest, largest)
     names = [effect.name for effect in forces]
-    base = _finite(base, safe)
-    for group in _told_apart(space, names):
+    base = finite(base, safe)
+    for group in told_apart(space, names):
         own = np.isin(names, group)
         ends = []
         for sign in (1, -1):
             moved = replace(past, forces=np.where(own, sign * steps, 0.0) + past.forces)
             (after,) = space.simulator.predict_many(rows, [values], past=moved)
-            ends.append(space.simulator.residual(_finite(after, base), base))
+            ends.append(space.simulator.residual(finite(after, base), base))
         for name in group:
             channels, place = space.channels_of(name), names.index(name)
             up, down = (end[:, channels] for end in ends)
@@ -620,7 +613,7 @@ def _joint_carrier(
     return columns, kinks
 
 
-def _told_apart(space: StateSpace, names: Sequence[str]) -> list[list[str]]:
+def told_apart(space: StateSpace, names: Sequence[str]) -> list[list[str]]:
     """Return effects in groups whose members act in a part each: one simulation of all of them tells each one's."""
     by_part: dict[int | None, list[str]] = {}
     for name in names:
@@ -629,158 +622,7 @@ def _told_apart(space: StateSpace, names: Sequence[str]) -> list[list[str]]:
     return alone + [[name for name in group if name] for group in zip_longest(*by_part.values())]
 
 
-def derivatives(
-    space: StateSpace,
-    linear: Linear,
-    values: Mapping[str, float],
-    steps: Mapping[str, tuple[float, float]],
-    known: Array | None = None,
-    wide: Mapping[str, tuple[float, float]] | None = None,
-) -> Array:
-    """Return the derivative of what the model adds in a step by each parameter, (n_rows, d, k).
-
-    Parameters
-    ----------
-    space, linear, values
-    steps : mapping from name to (low, high)
-        For each effect, two values between which the slope is taken; one of them may be that in `values`.
-    known : ndarray of shape (n_rows, d, d), optional
-        Covariance of the states that rows start from: the slopes of rows that are bent are means over it.
-    wide : mapping from name to (low, high), optional
-        Between which values these are taken; as `steps` by default.
-    """
-    simulator, rows, base = space.simulator, space.rows(linear.path), linear.outputs
-    neutral = {effect.name: effect.neutral for effect in simulator.effects(also="all")}
-    safe = _finite(base, linear.path[:, 1:][space.places])
-    columns, forced = np.zeros((2, len(rows), space.d, len(steps)))
-    names = list(steps)
-    here = {name: values.get(name, neutral[name]) for name in names}
-    # Both ends of each, and under known forces those with more and with less of them.
-    ends_of_one = 6 if linear.forces.means.any() else 2
-    together = max(1, int(VALUES_AT_ONCE // max(1, ends_of_one * base.size)))
-    groups = _told_apart(space, sorted(names, key=lambda name: here[name] not in steps[name]))
-    for start in range(0, len(groups), together):
-        part = groups[start : start + together]
-        # One end of most slopes is where the effect is.
-        moves = [
-            {name: steps[name][end] for name in group if steps[name][end] != here[name]}
-            for group in part
-            for end in (0, 1)
-        ]
-        moved_values = [{**values, **moved} for moved in moves if moved]
-        outputs = iter(space.simulated(rows, moved_values, linear.forces.means))
-        reached = [next(outputs) if moved else base for moved in moves]
-        heavier = [any(map(_is_inertial, group)) for group in part for _ in (0, 1)]
-        asked = [{**values, **moved} for moved, is_one in zip(moves, heavier) if moved and is_one]
-        as_is, *exerted = (
-            _exerted(space, rows, [values, *asked], linear.forces, safe) if any(heavier) else [forced[..., 0]]
-        )
-        others = iter(exerted)
-        lasting = [next(others) if moved and is_one else as_is for moved, is_one in zip(moves, heavier)]
-        for place, group in enumerate(part):
-            for name in group:
-                low, high = (
-                    reached[2 * place + end] if name in moves[2 * place + end] else base for end in (0, 1)
-                )
-                changes = [simulator.residual(_finite(high, safe), _finite(low, safe))]
-                if _is_inertial(name):
-                    more, less = (
-                        lasting[2 * place + end] if name in moves[2 * place + end] else as_is
-                        for end in (1, 0)
-                    )
-                    changes.append(more - less)
-                bad = ~(np.isfinite(high).all(axis=1) & np.isfinite(low).all(axis=1))
-                own, column = space.channels_of(name), names.index(name)
-                width = steps[name][1] - steps[name][0]
-                for slopes, change in zip((columns, forced), changes):
-                    change[bad] = 0.0
-                    slopes[:, own, column] = change[:, own] / width
-    if known is not None and simulator.state_names:
-        chains, places = linear.chains, space.places
-        bent = is_bent(chains.transitions[places], linear.bends(places), known)
-        for start in range(0, len(names) if bent.any() else 0, together):
-            ends = {name: (wide or steps)[name] for name in names[start : start + together]}
-            centres = columns[bent, :, start : start + together]
-            columns[bent, :, start : start + together] = _mean_derivatives(
-                space, rows, values, ends, known, bent, centres, linear.forces.means
-            )
-    # Of a heavier machine the lasting forces are those that do the same to it.
-    columns -= forced
-    columns[~linear.valid] = 0.0
-    return columns
-
-
-def _is_inertial(effect: str) -> bool:
-    """Whether an effect, by its name, is of what forces have to move."""
-    return effect.partition("[")[0] in INERTIAL
-
-
-def _exerted(
-    space: StateSpace, rows: Array, candidates: Sequence[Mapping[str, float]], forces: Forces, safe: Array
-) -> list[Array]:
-    """Return what the lasting forces that are known do to the ends of rows under each candidate, (n_rows, d).
-
-    By what more and less of them would do, by as much as is not known of them.
-    """
-    known = forces.means
-    if not known.any():
-        return [np.zeros((len(rows), space.d)) for _ in candidates]
-    largest = np.array([effect.bounds[1] for effect, _ in space.simulator.joint_forces()])
-    sizes, unsure = (np.linalg.norm(one / largest, axis=1) for one in (known, forces.deviations))
-    share = (OUTER * np.maximum(unsure, SMALL_FORCE) / np.maximum(sizes, SMALL_FORCE**2))[:, None]
-    ends = [space.simulated(rows, candidates, (1 + sign * share) * known) for sign in (1, -1)]
-    return [
-        space.simulator.residual(_finite(more, safe), _finite(less, safe)) / (2 * share)
-        for more, less in zip(*ends)
-    ]
-
-
-def _mean_derivatives(
-    space: StateSpace,
-    rows: Array,
-    values: Mapping[str, float],
-    ends: Mapping[str, tuple[float, float]],
-    known: Array,
-    bent: Mask,
-    centres: Array,
-    forces: Array,
-) -> Array:
-    """Return derivatives by k parameters in bent rows, means over what is not known of where they start.
-
-    What bends a row seldom bends what an effect does there: pairs of points are added until the standard error of the
-    mean, of them and of the derivative at the centre (n_bent, d, k), is a small share of it.
-    """
-    simulator, units = space.simulator, space.spread
-    candidates = [{**values, name: end} for name, both in ends.items() for end in both]
-    past = simulator.past(rows, candidates, groups=space.groups, forces=forces).of(np.flatnonzero(bent))
-    roots, rows = _roots(known[bent], units, space.parts), rows[bent]
-    # Of one turn of the axes so many points are as good as any.
-    points = normal_points(space.d, SLOPE_PAIRS)[:, :SLOPE_PAIRS].T
-    columns = np.empty_like(centres)
-    for column, (first, last) in enumerate(ends.values()):
-        pair = 2 * column, 2 * column + 1
-        own, before = [candidates[one] for one in pair], past.under(pair)
-        found = np.full((1 + len(points), *centres.shape[:2]), np.nan)
-        found[0] = centres[:, :, column]
-        unsure = np.arange(len(rows))
-        for turn, point in enumerate(points, 1):
-            offsets, copies = roots[unsure] @ point, np.tile(unsure, 2)
-            displaced = simulator.displace(rows[copies], np.concatenate([offsets, -offsets]))
-            low, high = simulator.predict_many(displaced, own, past=before.of(copies))
-            fine = np.isfinite(low).all(axis=1) & np.isfinite(high).all(axis=1)
-            slopes = found[0, copies]
-            slopes[fine] = simulator.residual(high[fine], low[fine]) / (last - first)
-            found[turn, unsure] = slopes.reshape(2, len(unsure), -1).mean(axis=0)
-            until = found[: turn + 1, unsure] / units
-            errors = until.var(axis=0, ddof=1) / (turn + 1)
-            unsure = unsure[errors.sum(axis=1) > BENT**2 * np.sum(until.mean(axis=0) ** 2, axis=1)]
-            if not len(unsure):
-                break
-        columns[:, :, column] = np.nanmean(found[1:], axis=0)
-    return columns
-
-
-def _roots(covariances: Array, units: Array, parts: Sequence[Places]) -> Array:
+def roots_of(covariances: Array, units: Array, parts: Sequence[Places]) -> Array:
     """Return roots of covariances, (n_rows, d, d), no axis of which is too short or too long for a slope."""
     roots = np.zeros(covariances.shape)
     for part in parts:
@@ -800,16 +642,16 @@ def moved_path(space: StateSpace, path: Array, deviations: Array) -> Array:
 def _assembled(space: StateSpace, path: Array, forces: Forces, found: _ByRow) -> Linear:
     after = space.path_ends(path)
     drive = (
-        space.simulator.residual(_finite(found.outputs, after), after) + found.beyond + _mean_of(found.kinks)
+        space.simulator.residual(finite(found.outputs, after), after) + found.beyond + _mean_of(found.kinks)
     )
     if found.carrier is not None:
         # Forces of a chain are whole ones, and begin at zero.
         drive -= (found.carrier @ forces.means[..., None])[..., 0]
-    finite = [
+    sound = [
         np.isfinite(one).reshape(len(one), -1).all(axis=1)
         for one in (found.outputs, found.transitions, drive)
     ]
-    valid: Mask = np.logical_and.reduce(finite)
+    valid: Mask = np.logical_and.reduce(sound)
     wide = np.diag(space.spread**2)
     transitions = np.where(valid[:, None, None], found.transitions, 0.0)
     drive = np.where(valid[:, None], drive, 0.0)
@@ -846,7 +688,8 @@ def _assembled(space: StateSpace, path: Array, forces: Forces, found: _ByRow) ->
     )
 
 
-def _finite(values: Array, otherwise: Array) -> Array:
+def finite(values: Array, otherwise: Array) -> Array:
+    """Return rows of values, or others in the place of those that are not finite."""
     bad: Mask = np.asarray(~np.isfinite(values).all(axis=-1))
     return np.where(bad[..., None], otherwise, values) if bad.any() else values
 

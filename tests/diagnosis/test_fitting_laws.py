@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from skat.diagnosis import statespace
+from skat.diagnosis import slopes as module_of_slopes
 from skat.diagnosis.chains import Memory
 from skat.diagnosis.evidence import Gram, weigh
 from skat.diagnosis.filtering import kalman_filter
@@ -334,8 +334,8 @@ def test_what_a_lasting_force_does_is_kept_as_inertia_moves_alone(name, asked, m
     fitted = first_fit(space, {"dry_friction[rail]": 2.0})
     assert fitted.linear.forces.means.any()
     calls = []
-    exerted = statespace._exerted
-    monkeypatch.setattr(statespace, "_exerted", lambda *args: calls.append(args) or exerted(*args))
+    exerted = module_of_slopes._exerted
+    monkeypatch.setattr(module_of_slopes, "_exerted", lambda *args: calls.append(args) or exerted(*args))
     effect = next(one for one in simulator.effects() if one.name == name)
     assert np.any(slopes_of(space, fitted, [effect], np.ones(1)))
     assert bool(calls) == asked

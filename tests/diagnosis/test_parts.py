@@ -8,7 +8,8 @@ import pytest
 from skat.diagnosis.chains import Chains
 from skat.diagnosis.filtering import filter_columns, kalman_filter, smooth, updated
 from skat.diagnosis.noise import estimate_noise, normal_noise
-from skat.diagnosis.statespace import derivatives, linearise, state_space
+from skat.diagnosis.slopes import derivatives
+from skat.diagnosis.statespace import linearise, state_space
 from skat.simulators import MujocoSimulator, make_simulator
 
 LEG = """<body name='{0}' pos='{1} 0 0'><joint name='{0}_hip' axis='0 1 0' frictionloss='.1' damping='.2'/>

@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
+from skat.diagnosis import slopes as module_of_slopes
 from skat.diagnosis import statespace
 from skat.diagnosis.chains import Chains
 from skat.diagnosis.filtering import student_log_density
 from skat.diagnosis.noise import _best_scales, _scales, estimate_noise, normal_noise
+from skat.diagnosis.slopes import derivatives
 from skat.diagnosis.statespace import (
     Forces,
     _carrier,
-    derivatives,
     guessed,
     in_chains,
     linearise,
@@ -416,7 +417,7 @@ def test_a_row_that_diverges_at_one_end_of_a_chord_has_no_slope():
 
 @pytest.mark.parametrize("at_once", [1.0, 2e7])
 def test_slopes_by_effects_are_chords_between_the_values_given(monkeypatch, at_once):
-    monkeypatch.setattr(statespace, "VALUES_AT_ONCE", at_once)
+    monkeypatch.setattr(module_of_slopes, "VALUES_AT_ONCE", at_once)
     X, y, groups = logged([12])
     space = state_space(of_states(drifting, effects=EFFECTS), X, y, groups, consecutive=True)
     values = {"bend": 0.5}
