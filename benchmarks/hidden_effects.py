@@ -29,6 +29,7 @@ from rich.table import Table
 from sklearn.base import clone
 from worlds import FRAME_SKIP, KINDS, measure, nominal_mjcf
 from worlds.cases import CONDITIONS, Case, causes, condition, cut, draw, draw_pair, name, outside
+from worlds.hidden import family_of
 
 RESULTS = Path(__file__).parent / "results" / "hidden_effects.jsonl"
 S_RANGE, S_SMALL, S_PAIRS, S_OUTSIDE = (0.1, 10.0), (0.03, 0.1), (0.3, 5.0), (0.2, 5.0)
@@ -384,7 +385,10 @@ def report(runs, console):
 def _confusion(runs):
     """Return the table of hidden against first-named families."""
     counts = Counter(
-        (_family(run["truth"][0][0]), _family(run["causes"][0]["name"]) if run["causes"] else run["verdict"])
+        (
+            family_of(run["truth"][0][0]),
+            family_of(run["causes"][0]["name"]) if run["causes"] else run["verdict"],
+        )
         for run in runs
     )
     table = Table(
@@ -394,7 +398,7 @@ def _confusion(runs):
         title="Confusion, s in [0.1, 10]: first cause",
     )
     for family in sorted({hidden for hidden, _ in counts}):
-        mine = [run for run in runs if _family(run["truth"][0][0]) == family]
+        mine = [run for run in runs if family_of(run["truth"][0][0]) == family]
         right = sum(map(_first, mine))
         wrong = Counter(
             run["causes"][0]["name"] if run["causes"] else run["verdict"] for run in mine if not _first(run)
@@ -411,13 +415,9 @@ def _first(run):
     return bool(run["causes"]) and run["causes"][0]["name"] == run["truth"][0][0]
 
 
-def _family(text):
-    return text.partition("[")[0]
-
-
 def _parameter_error(run, cause):
     truth = run["truth"][0][1]
-    neutral = 1.0 if _family(cause["name"]) in _FACTOR_FAMILIES else 0.0
+    neutral = 1.0 if family_of(cause["name"]) in _FACTOR_FAMILIES else 0.0
     return abs(cause["value"] - truth) / abs(truth - neutral)
 
 

@@ -32,7 +32,6 @@ TITLES = {
     "pendulum": "Pendulum, another load",
     "ur10": "UR10 from a bag",
 }
-MOST_NOT_NAMED = 10
 
 
 def write(name, found, folder):

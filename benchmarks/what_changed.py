@@ -15,7 +15,7 @@ from tables import Case, Table
 from worlds.hidden import nominal_model
 from worlds.robots import make_log
 
-N_CHANGED = N_SAME = 50
+N_CHANGED = 50
 FINE, COARSE = 0.001, 0.01
 N_COARSE = 10
 ARMS = {

@@ -9,17 +9,6 @@ from worlds.logs import channel_names, measure, size_for
 from worlds.models import KINDS, actuator_names, body_names, hinges, nominal_model
 
 # How a family's strength, from 0, and a sign become its value.
-_ADDED_EITHER = (
-    "wind",
-    "tilt",
-    "centre_of_mass",
-    "stiffness",
-    "damping",
-    "armature",
-    "bias",
-    "magnet",
-    "cubic_spring",
-)
 _FACTORS = ("mass", "inertia", "length", "gravity", "contact_friction", "contact_anisotropy", "restitution")
 _LINEAR_FACTORS = ("gain", "scale")
 

@@ -10,6 +10,8 @@ import xml.etree.ElementTree as ElementTree
 import mujoco
 import numpy as np
 
+from worlds.models import actuator_names, hinges
+
 
 @functools.cache
 def nominal_model(text):
@@ -79,7 +81,6 @@ def _edit_text(tree, name, value):
 
 
 def _edit_arrays(model, family, target, value):
-    bodies = slice(1, None) if target == "all" else None
     if family in ("mass", "inertia"):
         bodies = slice(1, None) if target == "all" else model.body(target).id
         if family == "mass":
@@ -97,10 +98,10 @@ def _edit_arrays(model, family, target, value):
             "dry_friction": "dof_frictionloss",
             "armature": "dof_armature",
         }[family]
-        joints = _inner(model) if target == "all" else [model.joint(target).id]
+        joints = hinges(model) if target == "all" else [model.joint(target).id]
         getattr(model, field_name)[[model.jnt_dofadr[joint] for joint in joints]] += value
     elif family == "stiffness":
-        model.jnt_stiffness[_inner(model) if target == "all" else model.joint(target).id] += value
+        model.jnt_stiffness[hinges(model) if target == "all" else model.joint(target).id] += value
     elif family in ("gain", "kp", "kv", "offset"):
         names = actuator_names(model)
         for index in range(model.nu) if target == "all" else [names.index(target)]:
@@ -122,14 +123,3 @@ def _edit_arrays(model, family, target, value):
         model.pair_solref[:, 1] *= value
     elif family not in ("centre_of_mass", "length", "wind", "delay", "bias", "scale"):
         raise ValueError(f"no world knows how to hide {family}[{target}]")
-
-
-def _inner(model):
-    """Return the joints between links: not those that place the root in the world."""
-    roots = {"rootx", "rootz", "rooty", "root"}
-    return [joint for joint in range(model.njnt) if model.joint(joint).name not in roots]
-
-
-def actuator_names(model):
-    """Return each actuator's name, or its joint's where it has none."""
-    return [model.actuator(i).name or model.joint(model.actuator_trnid[i, 0]).name for i in range(model.nu)]

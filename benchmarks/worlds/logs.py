@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
+from worlds.hidden import channel_names as names_of_states
 from worlds.models import FRAME_SKIP, actuator_names, hinges, nominal_model
 from worlds.physics import Physics, tangent_difference
 
@@ -206,16 +207,7 @@ def _pilot(kind):
 def channel_names(kind):
     """Return the names of the columns of ``X``."""
     model = nominal_model(kind)
-    qpos, qvel = [], []
-    for j in range(model.njnt):
-        name = model.joint(j).name
-        if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE:
-            qpos += [f"qpos.{name}.{axis}" for axis in ("x", "y", "z", "qw", "qx", "qy", "qz")]
-            qvel += [f"qvel.{name}.{axis}" for axis in ("vx", "vy", "vz", "wx", "wy", "wz")]
-        else:
-            qpos.append(f"qpos.{name}")
-            qvel.append(f"qvel.{name}")
-    return tuple(qpos + qvel + [f"ctrl.{name}" for name in actuator_names(model)])
+    return (*names_of_states(model), *(f"ctrl.{name}" for name in actuator_names(model)))
 
 
 def _step_nominal(kind, states, actions):

@@ -19,7 +19,7 @@ A log of one call::
     log.size                                      # s of the whole truth, see Log.size
     log.sigma, log.exact                          # true noise of the ideal sensor; true states of the rows
 
-``mjcf, frame_skip, X, y, groups, truth = robots.as_tuple(log)`` gives the six at once. Robots: two_link, cart_pole,
+Robots: two_link, cart_pole,
 torque_arm, servo_arm, servo_arm_15hz, so101, quadruped_hung, quadruped_free, quadrotor, hopper, halfcheetah, puck, and
 feedback (the two-link arm under feedback of its own noisy readings of a row ago).
 
@@ -213,11 +213,6 @@ class Log:
         Noise is that of both ends of a step, and of the random force; the mean is over channels with noise.
         """
         return size_of(self, ())
-
-
-def as_tuple(log):
-    """Return what a user has of a log, and the truth."""
-    return log.mjcf, log.frame_skip, log.X, log.y, log.groups, log.truth
 
 
 def make_log(
