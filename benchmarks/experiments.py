@@ -222,7 +222,7 @@ def robot_medians(table, n_transitions):
             "rho": by_method["rho"].median(),
             "covariance error": by_method["covariance_error"].median(),
             "in raw units": by_method["covariance_error_raw"].median(),
-            "best in": wins(table, ["source", "target"], by_method.ngroups),
+            "best in": wins(table, ["source", "target"]),
         }
     )
     return medians.sort_values("after / before").reset_index()
@@ -270,7 +270,7 @@ def puck_medians(table):
             "after / before": by_method["ratio"].median(),
             "rho": by_method["rho"].median(),
             "rho of rows": by_method["rho_rows"].median(),
-            "best in": wins(table, ["puck", "simulation"], by_method.ngroups),
+            "best in": wins(table, ["puck", "simulation"]),
         }
     )
     return medians.sort_values(["puck", "error after, m"]).reset_index()
@@ -292,7 +292,7 @@ def curves(small, n_measured=None):
     return printed.loc[errors.iloc[:, -1].sort_values().index].reset_index()
 
 
-def wins(table, case, n_methods):
+def wins(table, case):
     """Return in how many cases each method has the smallest error."""
     best = table.loc[table.groupby(case)["error_after"].idxmin()]
     keys = [name for name in ("puck", "method") if name == "method" or "puck" in case]

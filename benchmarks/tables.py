@@ -80,7 +80,7 @@ class Table:
 # -- asking ----------------------------------------------------------------------------------------------------------
 
 
-def ask(simulator, X, y, groups, *, seed, parameters=None, progress=None):
+def ask(simulator, X, y, groups, *, seed, parameters=None):
     """Return what a diagnosis answers, as plain numbers and texts, and the diagnosis; None if it failed.
 
     A crash is an answer too: the verdict "error".

@@ -12,8 +12,8 @@ from sklearn.utils import check_random_state
 from skat.experiments.methods import METHODS, chosen_methods, fitted_transport, of_repeat
 from skat.experiments.scores import affinity_of_first, covariance_errors, pointwise_errors
 from skat.simulators import Simulator, make_simulator
+from skat.simulators.robots import CONDITIONS
 
-CONDITIONS = ("normal", "light", "heavy", "long", "short", "some_inverted", "inverted", "some_off")
 N_STEPS = 50
 COVARIANCE_MEASURES = (
     "covariance_error",

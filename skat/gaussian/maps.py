@@ -333,16 +333,13 @@ def covariance_root(covariance: Any) -> Any:
     return np.sqrt(eigenvalues[kept]) * vectors[:, kept] * scale[:, np.newaxis]
 
 
-def root_of_moments(moments: Any, scale: Any = None) -> Any:
+def root_of_moments(moments: Any) -> Any:
     """Return a root of the covariance of moments.
 
     Parameters
     ----------
     moments : Moments
         Moments of rows.
-    scale : ndarray of shape (n_features,), default=None
-        Size of each feature against which a direction of no variance is judged; the standard deviations where
-        None.
 
     Returns
     -------
@@ -356,7 +353,7 @@ def root_of_moments(moments: Any, scale: Any = None) -> Any:
         # Its correlations are well conditioned, so that only much rounding could hide a direction.
         if (MUCH_ROUNDING * rounding[varies] < LEAST_OF_A_PRODUCT * deviation[varies]).all():
             return factor.T
-    return root_of_factor(factor, scale, rounding)
+    return root_of_factor(factor, rounding=rounding)
 
 
 def root_of_factor(factor: Any, scale: Any = None, rounding: Any = None) -> Any:
@@ -366,7 +363,7 @@ def root_of_factor(factor: Any, scale: Any = None, rounding: Any = None) -> Any:
     ----------
     factor : ndarray of shape (n_rows, n_features)
     scale : ndarray of shape (n_features,), default=None
-        As in `root_of_moments`.
+        Size of each feature against which a direction of no variance is judged; the standard deviations where None.
     rounding : ndarray of shape (n_features,), default=None
         Standard deviation of what rounding has changed in each column: what varies by little more does not vary.
 

@@ -146,7 +146,7 @@ def _timed(record: Recording, found: Plan, simulator: Simulator, rate: float | N
     """Return the log on an even grid."""
     names = tuple(simulator.input_names)
     n_states = len(simulator.state_names)
-    main = _main_stream(record, found, simulator)
+    main = _main_stream(found, simulator)
     stream = record.streams[main]
     data = _read(record, found)
     n_rows = len(next(iter(data[main].values())))
@@ -197,10 +197,10 @@ def _timed(record: Recording, found: Plan, simulator: Simulator, rate: float | N
     notes += [how] if how else []
     own = [piece for piece in own if piece.size >= 2]
     grid, groups, errors = on_grid(record, found, data, states, own, kept, main, names, n_states, times, acts)
-    return _log(record, found, simulator, grid, groups, own, errors, n_states, step, notes)
+    return _log(record, found, simulator, grid, groups, own, errors, n_states, notes)
 
 
-def _main_stream(record: Recording, found: Plan, simulator: Simulator) -> int:
+def _main_stream(found: Plan, simulator: Simulator) -> int:
     """Return the stream whose clock the log follows: the one with most of the state."""
     counts: dict[int, int] = {}
     for name, (place, _, _) in found.found.items():
@@ -340,7 +340,7 @@ def _times(
 ) -> tuple[Array, NDArray[np.bool_], float]:
     """Return (times in s of the main stream, rows that have one, usual step)."""
     if main not in found.times:
-        step = _step_without_clock(record, simulator, rate, found)
+        step = _step_without_clock(record, simulator, rate)
         starts = np.flatnonzero(np.r_[True, labels[1:] != labels[:-1]])
         counted = np.arange(n_rows, dtype=np.float64) - np.repeat(starts, np.diff(np.append(starts, n_rows)))
         notes.append(
@@ -373,7 +373,7 @@ def _times(
     return times, good, step
 
 
-def _step_without_clock(record: Recording, simulator: Simulator, rate: float | None, found: Plan) -> float:
+def _step_without_clock(record: Recording, simulator: Simulator, rate: float | None) -> float:
     if rate is not None:
         return 1 / rate
     if record.rate is not None:
@@ -433,11 +433,10 @@ def _log(
     own: list[clock.Piece],
     errors: dict[str, float],
     n_states: int,
-    step: float,
     notes: list[str],
 ) -> Log:
     """Return the log of values on a grid."""
-    _normalise(grid, groups, simulator)
+    _normalise(grid, simulator)
     times = np.concatenate(
         [piece.start + piece.spacing * np.arange(piece.size) for piece in own] or [np.empty(0)]
     )
@@ -492,7 +491,7 @@ def _log(
     )
 
 
-def _normalise(grid: Array, groups: NDArray[np.intp], simulator: Simulator) -> None:
+def _normalise(grid: Array, simulator: Simulator) -> None:
     """Give quaternions unit length, in place."""
     names = list(simulator.state_names)
     for column, name in enumerate(names):

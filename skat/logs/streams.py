@@ -93,9 +93,7 @@ def required(module: str, what: str) -> ModuleType:
         ) from error
 
 
-def arrays_stream(
-    arrays: dict[str, Any], where: str, *, place: Callable[[int], str] = "row {}".format
-) -> Stream:
+def arrays_stream(arrays: dict[str, Any], where: str) -> Stream:
     """Return the stream of arrays in memory; one of shape (n, k) is k columns.
 
     Raises
@@ -127,7 +125,9 @@ def arrays_stream(
     flat = {name: array for name, array in flat.items() if len(array) == usual}
     if usual == 0:
         raise LogError(where, "has no rows.", "Record a log with at least 20 rows.")
-    return Stream("", tuple(flat), lambda names: {name: as_numbers(flat[name]) for name in names}, place)
+    return Stream(
+        "", tuple(flat), lambda names: {name: as_numbers(flat[name]) for name in names}, "row {}".format
+    )
 
 
 def plain_array(values: Any) -> np.ndarray:

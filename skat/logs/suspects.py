@@ -255,7 +255,7 @@ def _sample(simulator: Simulator, log: Log, n_rows: int) -> _Sample | None:
     X, y, groups = log.X[places].copy(), log.y[places].copy(), log.groups[places]
     follows = np.r_[False, (np.diff(places) == 1) & (np.diff(groups) == 0)]
     measured = {name for name in names if np.isfinite(X[:, names.index(name)]).any()}
-    _difference(X, y, follows, names, simulator, log)
+    _difference(X, y, follows, names, log)
     defaults = _defaults(simulator, names)
     lacking = [names.index(name) for name in log.unmeasured if not np.isfinite(X[:, names.index(name)]).any()]
     for column in lacking:
@@ -292,9 +292,7 @@ def _sample(simulator: Simulator, log: Log, n_rows: int) -> _Sample | None:
     )
 
 
-def _difference(
-    X: Array, y: Array, follows: NDArray[np.bool_], names: Sequence[str], simulator: Simulator, log: Log
-) -> None:
+def _difference(X: Array, y: Array, follows: NDArray[np.bool_], names: Sequence[str], log: Log) -> None:
     """Put differences of positions where velocities were not measured, in place."""
     for position, name in enumerate(names):
         twin = f"qvel.{name.removeprefix('qpos.')}"

@@ -241,12 +241,7 @@ def affinity_test(
     >>> affinity_test(normal, exponential, random_state=0).p_value
     0.01
     """
-    X_transported, y = two_samples(X_transported, y)
-    if paired and len(X_transported) != len(y):
-        raise ValueError(
-            f"pairs need as many source rows as target rows; there are {len(X_transported)} and {len(y)}. "
-            "Give the rows in pairs, or paired=False."
-        )
+    X_transported, y = two_samples(X_transported, y, paired=paired)
     check_scalar(n_permutations, "n_permutations", Integral, min_val=1)
     n_tested = min(len(X_transported), len(y))
     if n_fitted is not None and not in_sample and n_fitted < 3 * n_tested:
@@ -528,12 +523,7 @@ def affinity_estimate(
     >>> estimate.lower < 0.8 < 0.9 < estimate.score
     True
     """
-    X_transported, y = two_samples(X_transported, y)
-    if paired and len(X_transported) != len(y):
-        raise ValueError(
-            f"pairs need as many source rows as target rows; there are {len(X_transported)} and {len(y)}. "
-            "Give the rows in pairs, or paired=False."
-        )
+    X_transported, y = two_samples(X_transported, y, paired=paired)
     n_rows = min(len(X_transported), len(y))
     if n_rows < 8:
         raise ValueError(

@@ -29,13 +29,18 @@ def _in_numpy(array: Any) -> Any:
     return convert_to_numpy(array, xp) if is_array_api and not is_numpy_namespace(xp) else array
 
 
-def two_samples(X: Any, y: Any, name: str = "X_transported") -> Any:
-    """Return two sets of rows, checked to have the same number of columns."""
+def two_samples(X: Any, y: Any, name: str = "X_transported", *, paired: bool = False) -> Any:
+    """Return two sets of rows, checked to have the same number of columns, and of rows where they are in pairs."""
     X, y = one_sample(X, name), one_sample(y, "y")
     if X.shape[1] != y.shape[1]:
         raise ValueError(
             f"{name} and y must have the same columns; {name} has {X.shape[1]}, y has {y.shape[1]}. "
             "Give both the same features."
+        )
+    if paired and len(X) != len(y):
+        raise ValueError(
+            f"pairs need as many source rows as target rows; there are {len(X)} and {len(y)}. "
+            "Give the rows in pairs, or paired=False."
         )
     return X, y
 

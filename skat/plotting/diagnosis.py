@@ -222,7 +222,7 @@ class TrajectoryDisplay:
             axes.plot(self.time, self.before[:, k], color=BEFORE, linestyle="--", label="simulated, before")
             if self.after is not None:
                 axes.plot(self.time, self.after[:, k], color=AFTER, linewidth=1.2, label="simulated, after")
-            axes.set_ylabel(with_unit(name, (self.units or {}).get(name), gap="\n"))
+            axes.set_ylabel(with_unit(name, (self.units or {}).get(name)))
             trim(axes)
         self.figure_.align_ylabels(list(self.ax_))
         self.ax_[-1].set_xlabel("time (s)")
@@ -384,9 +384,9 @@ class CauseDisplay:
         return f"{size}  ({interval_text(interval)}; neutral {number(float(self.neutrals[row]))})"
 
 
-def with_unit(text: str, unit: str | None, gap: str = " ") -> str:
-    """Return the text of an axis with the unit, if it is known and not 1, in brackets."""
-    return text if unit in (None, "", "1") else f"{text}{gap}({unit})"
+def with_unit(text: str, unit: str | None) -> str:
+    """Return the text of an axis and, below it, the unit in brackets, if it is known and not 1."""
+    return text if unit in (None, "", "1") else f"{text}\n({unit})"
 
 
 def _in_order(rows: Any, names: Sequence[str]) -> NDArray[np.float64]:

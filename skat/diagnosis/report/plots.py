@@ -128,7 +128,7 @@ def cloud_plot(cloud: Cloud) -> Plot:
     low, high = _ends(measured, [simulated for _, simulated in versions])
     across = _axis(f"simulated {_with_unit(cloud.name, cloud.unit)}", low, high)
     up = _axis(f"measured {_with_unit(cloud.name, cloud.unit)}", low, high)
-    place_x, place_y = _placer(across, low, high), _placer(up, low, high, is_up=True)
+    place_x, place_y = _placer(low, high), _placer(low, high, is_up=True)
     marks = [Mark("line", "zero", f"M0 {SIZE:g}L{SIZE:g} 0")]
     marks += [
         Mark("dots", role, _dots(place_x(simulated), place_y(measured))) for role, simulated in versions
@@ -151,7 +151,7 @@ def law_plot(law: Law, unit: str) -> Plot:
     )
     across = _axis(_with_unit(law.regressor, law.unit), left, right)
     up = _axis(_with_unit("what is left", unit), bottom, top)
-    place_x, place_y = _placer(across, left, right), _placer(up, bottom, top, is_up=True)
+    place_x, place_y = _placer(left, right), _placer(bottom, top, is_up=True)
     mean, low, high = parts
     marks = [Mark("line", "zero", _line(np.array([0.0, SIZE]), place_y(np.zeros(2))))]
     if before is not None:
@@ -179,7 +179,7 @@ def spectrum_plot(spectrum: Spectrum, unit: str) -> Plot | None:
     bottom, top = _padded(max(y.min(), y.max() - MOST_DECADES), y.max(), share=0.05)
     across = _log_axis("frequency (Hz)", x.min(), x.max())
     up = _log_axis(f"density (({unit})² / Hz)", bottom, top)
-    place_x, place_y = _placer(across, x.min(), x.max()), _placer(up, bottom, top, is_up=True)
+    place_x, place_y = _placer(x.min(), x.max()), _placer(bottom, top, is_up=True)
     marks = (Mark("line", "after", _line(place_x(x), place_y(y))),)
     peak = frequency[there][np.argmax(density[there])]
     summary = f"Spectrum: {spectrum.word or 'no word for it'}; largest at {peak:.3g} Hz."
@@ -204,7 +204,7 @@ def _signal_plot(series: Series, time: Array, time_label: str, most_points: int)
     first, last = _padded(np.nanmin(time), np.nanmax(time), share=0.0)
     across = _axis(time_label, first, last, is_plain=True)
     up = _axis(_with_unit(series.name, series.unit), low, high)
-    place_x, place_y = _placer(across, first, last), _placer(up, low, high, is_up=True)
+    place_x, place_y = _placer(first, last), _placer(low, high, is_up=True)
     marks = []
     for role, values in [("measured", measured), *versions]:
         pieces = []
@@ -296,7 +296,7 @@ def _with_power(label: str, exponent: int) -> str:
     return f"{head} ({power} {unit}" if bracket else f"{label} ({power})"
 
 
-def _placer(axis: Axis, low: float, high: float, *, is_up: bool = False) -> Callable[[Array], Array]:
+def _placer(low: float, high: float, *, is_up: bool = False) -> Callable[[Array], Array]:
     """Return the function from values between low and high to places on the axis, from the top down where it is up."""
 
     def place(values: ArrayLike) -> Array:

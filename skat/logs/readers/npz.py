@@ -39,12 +39,12 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
             raise ValueError("a single .npy array has no names for its columns; save an .npz")
     with zipfile.ZipFile(path) as archive:
         for entry in archive.infolist():
-            _check_size(archive, entry, path)
+            _check_size(archive, entry)
     with np.load(path, allow_pickle=False) as stored:
         return {name: stored[name] for name in stored.files if isinstance(stored[name], np.ndarray)}
 
 
-def _check_size(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, path: Path) -> None:
+def _check_size(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> None:
     """Raise where a header announces more numbers than the file holds: a damaged one could ask for all memory."""
     with archive.open(entry) as member:
         version = np.lib.format.read_magic(member)

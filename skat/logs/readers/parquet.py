@@ -37,7 +37,7 @@ def parquet_stream(paths: list[Path], labels: dict[str, list[str]] | None = None
     labels : mapping from column to names of its elements, optional
     """
     parquet = required("pyarrow.parquet", "A Parquet file")
-    sizes, rows = _sizes(parquet, paths[0]), 0
+    sizes = _sizes(parquet, paths[0])
     counts = [_guarded(path, partial(_n_rows, parquet, path)) for path in paths]
     rows = sum(counts)
     if rows == 0:
