@@ -1,9 +1,12 @@
-"""Small machines as MJCF, with a wheel, with tendons and a servo, with servos only, and plain MuJoCo to step any."""
+"""Small machines: MJCF with a wheel, tendons or servos, plain MuJoCo to step any, and a heater that is a function."""
 
 import re
 
 import mujoco
 import numpy as np
+
+from skat.effects import Effect
+from skat.simulators import FunctionSimulator
 
 ROLLER = """
 <mujoco model="roller">
@@ -95,3 +98,22 @@ def plain(text, rows, n_steps, force=None, joint_forces=0.0, inertia=None):
             mujoco.mj_step(model, data)
         found.append(np.r_[data.qpos, data.qvel])
     return np.array(found)
+
+
+# A heater: what it loses in 1/s, and the time of a row in s.
+RATE, DT = 3.0, 0.05
+
+
+def decaying(X, rate=RATE, push=1.0):
+    """A heater: what it has lost and what it was given, in a row's time."""
+    left = np.exp(-rate * DT)
+    return X[:, :1] * left + push * X[:, 1:] * (1 - left)
+
+
+def heater(function=decaying):
+    effects = [
+        Effect("rate", unit="1/s", neutral=RATE, bounds=(0.1, 30.0), typical=1.0),
+        Effect("push", unit="1", neutral=1.0, bounds=(0.1, 10.0)),
+    ]
+    names = {"input_names": ("warmth", "given"), "output_names": ("warmth",), "state_names": ("warmth",)}
+    return FunctionSimulator(function, **names, effects=effects)

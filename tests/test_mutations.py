@@ -122,7 +122,7 @@ def test_files_that_reach_a_line_are_found_quick_ones_first(script, tmp_path):
     assert script["_kept"](kept, "b") == {}
 
 
-def test_a_run_goes_on_from_what_its_file_has_and_refuses_that_of_another_commit(script, tmp_path, capsys):
+def test_a_run_goes_on_from_what_its_file_has_and_refuses_that_of_another_commit(script, tmp_path):
     path = tmp_path / "found.txt"
     first = script["Report"](path, "commit a")
     first.say("caught   skat/x.py:1: 1 -> (2)")

@@ -137,7 +137,7 @@ def test_chords_of_a_delay_end_at_each_time_step():
 # -- fits ------------------------------------------------------------------------------------------------------------
 
 
-def pushed(gain=1.0, error=0.1, n=40, seed=0, times=1.0):
+def pushed(gain=1.0, error=0.1, n=40, seed=0):
     """Return the log of a place that a command moves `gain` times as far."""
 
     def step(X, gain=1.0, shift=0.0):

@@ -13,22 +13,7 @@ from skat.diagnosis.noise import estimate_noise, normal_noise
 from skat.diagnosis.report.machine import findings_as_data
 from skat.effects import Effect
 from skat.simulators import FunctionSimulator
-
-RATE, DT = 3.0, 0.05
-
-
-def cooled(X, rate=RATE, push=1.0):
-    left = np.exp(-rate * DT)
-    return X[:, :1] * left + push * X[:, 1:] * (1 - left)
-
-
-def cup():
-    effects = [
-        Effect("rate", unit="1/s", neutral=RATE, bounds=(0.1, 30.0), typical=1.0),
-        Effect("push", unit="1", neutral=1.0, bounds=(0.1, 10.0)),
-    ]
-    names = {"input_names": ("warmth", "given"), "output_names": ("warmth",), "state_names": ("warmth",)}
-    return FunctionSimulator(cooled, **names, effects=effects)
+from tests.machines import DT, RATE, heater
 
 
 def log_of(seed, rate, noise, n=150):
@@ -52,14 +37,14 @@ def log_of(seed, rate, noise, n=150):
 def alike():
     """A log that was measured well, one that was not, and what they say together."""
     logs = {"june": log_of(1, 1.4 * RATE, 0.01), "july": log_of(2, 1.4 * RATE, 0.06)}
-    return logs, SimulationDiagnosis(cup(), random_state=0).fit(logs)
+    return logs, SimulationDiagnosis(heater(), random_state=0).fit(logs)
 
 
 @pytest.fixture(scope="module")
 def apart():
     logs = [log_of(3, RATE, 0.01), log_of(4, 1.4 * RATE, 0.01)]
     with pytest.warns(UserWarning, match=r"do not agree on rate \(agreement_\)"):
-        return SimulationDiagnosis(cup(), random_state=0, test_size=0).fit(logs)
+        return SimulationDiagnosis(heater(), random_state=0, test_size=0).fit(logs)
 
 
 def test_a_cause_is_shared_and_each_log_has_its_noise(alike):
@@ -72,7 +57,7 @@ def test_a_cause_is_shared_and_each_log_has_its_noise(alike):
     np.testing.assert_allclose(noise, [0.01, 0.06], rtol=0.25)
     assert found.noise_[0] == pytest.approx(np.sqrt(np.mean(noise**2)))
     # A log that says little spoils nothing of what another says.
-    alone = SimulationDiagnosis(cup(), random_state=0).fit(*logs["june"]).causes_[0]
+    alone = SimulationDiagnosis(heater(), random_state=0).fit(*logs["june"]).causes_[0]
     assert np.ptp(cause.interval) < 1.1 * np.ptp(alone.interval)
 
 
@@ -99,14 +84,14 @@ def test_so_is_what_is_none_in_both_together():
     """Up in one and down in the other: no value explains both."""
     logs = [log_of(5, 0.85 * RATE, 0.01), log_of(6, RATE / 0.85, 0.01)]
     with pytest.warns(UserWarning, match="do not agree on rate"):
-        found = SimulationDiagnosis(cup(), random_state=0, test_size=0, alpha=1e-9).fit(logs)
+        found = SimulationDiagnosis(heater(), random_state=0, test_size=0, alpha=1e-9).fit(logs)
     assert found.verdict_ == "unexplained"
     assert list(found.agreement_["cause"]) == ["rate"]
 
 
 def test_one_log_in_a_list_is_that_log():
     log = log_of(7, 1.4 * RATE, 0.01)
-    one, same = (SimulationDiagnosis(cup(), random_state=0).fit(*given) for given in ([[log]], log))
+    one, same = (SimulationDiagnosis(heater(), random_state=0).fit(*given) for given in ([[log]], log))
     assert [cause.value for cause in one.causes_] == [cause.value for cause in same.causes_]
     assert one.agreement_ is None
     assert same.noise_of_logs_.shape == (1, 1)
@@ -148,7 +133,7 @@ def test_noise_of_each_law_is_what_its_chains_say_by_themselves():
 
 def test_what_logs_say_is_kept_in_a_file_and_told_to_programs(alike, tmp_path):
     _, found = alike
-    loaded = SimulationDiagnosis.load(found.save(tmp_path / "both.skat"), simulator=cup())
+    loaded = SimulationDiagnosis.load(found.save(tmp_path / "both.skat"), simulator=heater())
     pd.testing.assert_frame_equal(loaded.agreement_, found.agreement_)
     pd.testing.assert_frame_equal(loaded.noise_of_logs_, found.noise_of_logs_)
     other = log_of(8, 1.4 * RATE, 0.01)
@@ -165,7 +150,7 @@ def test_a_fit_of_several_goes_on_where_it_was_interrupted(alike, tmp_path):
         if stage == "search" and done == 1:
             raise KeyboardInterrupt
 
-    again = SimulationDiagnosis(cup(), random_state=0)
+    again = SimulationDiagnosis(heater(), random_state=0)
     with pytest.raises(KeyboardInterrupt):
         again.fit(logs, resume=tmp_path / "half", progress=interrupt)
     assert (tmp_path / "half").exists()
@@ -205,11 +190,11 @@ def test_logs_without_time_have_a_noise_each():
 @pytest.mark.filterwarnings("ignore:Each row begins")
 def test_wrong_logs_are_told(arguments, message):
     with pytest.raises(ValueError, match=message):
-        SimulationDiagnosis(cup()).fit(*arguments)
+        SimulationDiagnosis(heater()).fit(*arguments)
 
 
 def test_logs_put_together_come_apart_again():
-    simulator = cup()
+    simulator = heater()
     logs = [check_log(simulator, *log_of(seed, RATE, 0.01, n=30 * (seed + 1))) for seed in range(2)]
     whole = put_together(logs, ("a", "b"))
     assert whole.labels[:2] == ("a: 0", "a: 1")

@@ -43,7 +43,7 @@ def drifting(X, gain=1.0, bend=0.0):
     return np.c_[X[:, 0] + 0.1 * X[:, 1], 0.9 * X[:, 1] + gain * X[:, 2] + bend**3 + bend]
 
 
-def logged(lengths, seed=0, simulator=None):
+def logged(lengths, seed=0):
     rng, X, y = np.random.default_rng(seed), [], []
     for length in lengths:
         path, u = rng.normal(size=(length + 1, 2)), rng.normal(size=(length, 1))

@@ -8,27 +8,10 @@ import pandas as pd
 import pytest
 
 from skat.diagnosis import SimulationDiagnosis
-from skat.effects import Effect
 from skat.fleet import diagnose_many
 from skat.fleet.many import _digest
-from skat.simulators import FunctionSimulator, MujocoSimulator
-
-RATE, DT = 3.0, 0.05
-
-
-def decaying(X, rate=RATE, push=1.0):
-    """A heater: what it has lost and what it was given, in a row's time."""
-    left = np.exp(-rate * DT)
-    return X[:, :1] * left + push * X[:, 1:] * (1 - left)
-
-
-def heater(function=decaying):
-    effects = [
-        Effect("rate", unit="1/s", neutral=RATE, bounds=(0.1, 30.0), typical=1.0),
-        Effect("push", unit="1", neutral=1.0, bounds=(0.1, 10.0)),
-    ]
-    names = {"input_names": ("warmth", "given"), "output_names": ("warmth",), "state_names": ("warmth",)}
-    return FunctionSimulator(function, **names, effects=effects)
+from skat.simulators import MujocoSimulator
+from tests.machines import DT, RATE, decaying, heater
 
 
 def log_of(seed, rate=RATE, n=60):

@@ -210,7 +210,7 @@ def test_a_number_written_as_a_text_is_located(pendulum, rows):
         pendulum.predict(texts)
 
 
-def test_diverged_rows_are_named(pendulum):
+def test_diverged_rows_are_named():
     broken = FunctionSimulator(
         lambda X: np.where(X > 2, np.inf, X), input_names=("a",), output_names=("b",), effects=()
     )

@@ -222,7 +222,7 @@ def test_materials_of_tendons_meshes_and_lights_are_left_out_too():
     assert MujocoSimulator(text).predict([[0, 0]]).shape == (1, 2)
 
 
-def test_attached_models_and_their_angles_are_taken_along(tmp_path, monkeypatch):
+def test_attached_models_and_their_angles_are_taken_along(tmp_path):
     (tmp_path / "arm.xml").write_text(
         """<mujoco model="arm"><compiler angle="radian"/><worldbody><body name="arm" euler="0 0 1.5"><joint name="j"
         axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .3 0 0" size=".02"/><body name="tip" pos=".3 0 0"

@@ -13,7 +13,7 @@ from skat.effects import Effect
 from skat.simulators import FunctionSimulator, MujocoSimulator
 from tests.machines import SERVO_ARM, changed, without_limits
 
-N_STEPS, SKIP, H = 40, 5, 0.004
+N_STEPS, SKIP = 40, 5
 # One hinge of 0.02 kg m2 with a rotor of 0.03 kg m2, without gravity: all of it can be integrated by hand.
 LINK = """
 <mujoco><compiler angle="radian"/><option timestep="0.0005" gravity="0 0 0" integrator="implicitfast"/>

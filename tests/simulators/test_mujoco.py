@@ -338,7 +338,7 @@ def test_what_mjcf_cannot_express_is_written_beside(bot, tmp_path):
 
 @pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])
 @pytest.mark.parametrize("delay", [0.006, 0.012, 0.03])
-def test_delay_of_mujoco_agrees_with_ours(bot, tmp_path, integrator, delay):
+def test_delay_of_mujoco_agrees_with_ours(tmp_path, integrator, delay):
     simulator = MujocoSimulator(BOT.replace("<option", f'<option integrator="{integrator}"'), frame_skip=5)
     rows, actions = rows_of(simulator, 3), np.random.default_rng(5).normal(size=(3, 8, 2))
     states = simulator.rollout(rows[:, :22], actions, n_steps=8, effects={"delay[action]": delay})
@@ -475,7 +475,7 @@ def test_model_of_another_type_is_refused():
         MujocoSimulator(BOT, frame_skip=0)
 
 
-def test_missing_asset_is_named(tmp_path):
+def test_missing_asset_is_named():
     text = '<mujoco><asset><mesh name="a" file="gone.stl"/></asset><worldbody/></mujoco>'
     with pytest.raises(FileNotFoundError, match=r"refers to the file 'gone.stl'"):
         MujocoSimulator(text)

@@ -7,7 +7,6 @@ from skat.diagnosis.changes.mixups import mistake_of
 from tests.diagnosis.changes.arm import arm, question_about
 from tests.diagnosis.forces.test_force_space import log_of
 
-RIGHT = {"friction": (0.0, 0.0), "damping": (0.0, 0.0)}
 DAMPING = ("damping[shoulder]", "damping[elbow]")
 # Columns of the state: positions 0 and 1, speeds 2 and 3; commands are 4 and 5.
 MIXED = {

@@ -126,7 +126,7 @@ def test_a_sentence_tells_the_value_as_it_is_counted(simulator, name, value, sen
     assert cause.sentence == sentence
 
 
-def side(rng, n_windows, n=6, k=1, columns=2):
+def side(rng, n_windows, n=6, columns=2):
     joint, stretch = np.tile([0, 1], n_windows * n // 2), np.repeat(np.arange(n_windows), n)
     return Rows(
         rng.normal(size=len(joint)), rng.normal(size=(len(joint), columns)), joint, np.ones(len(joint)), stretch,
