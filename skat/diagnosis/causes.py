@@ -336,6 +336,8 @@ def find_causes(
         slopes = state.slopes.copy()
         slopes[..., live] = _slopes(fits, moved, live)
         state = Search(state.turn + 1, moved, None, slopes, state.first, tuple(sorted(banned)))
+    now = _without_doubtful(fits, now, worth, needed)
+    rivals = [one for one in rivals if one.cause in now.members]
     best = worth(now.members)
     if misled:
         # What slopes say of other sets was seen to be wrong.
@@ -516,6 +518,12 @@ def _with_fits(ranked: Ranked, worth: Weigher, best: Weighed, rivals: Sequence[R
     return Ranked(tuple(sorted(sets.values(), key=lambda one: (-one.evidence, one.members != best.members))))
 
 
+def _without_doubtful(fits: Fits, now: Fit, worth: Weigher, needed: float) -> Fit:
+    """Return the fit of those members of a set that slopes, too, find worth a name: at values without the others."""
+    strong, _ = without_weak(worth(now.members), worth, needed)
+    return now if strong.members == now.members else fits.of(strong.members, strong.values, now)
+
+
 def told(
     fits: Fits,
     now: Fit,
@@ -541,7 +549,7 @@ def told(
         names[one]: tuple((names[other], share) for other, share in others.items())
         for one, others in _stand_ins(ranked, gram, best, names).items()
     }
-    # A search that was stopped may end at a bound; what fits find worth a name, their slopes must, too.
+    # A search that was stopped may end at a bound.
     strong, _ = without_weak(best, worth, needed)
     kept = [one for one in strong.members if not is_held(effects[one], now.values[names[one]])]
     intervals, losses = {}, worth.losses(best)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import special
 
-from skat.diagnosis.causes import COARSE_ROWS, _slopes, find_causes
-from skat.diagnosis.evidence import Gram, weigh
+from skat.diagnosis.causes import COARSE_ROWS, _slopes, _without_doubtful, find_causes
+from skat.diagnosis.evidence import Gram, Weigher, weigh
 from skat.diagnosis.fits import Fits
 from skat.diagnosis.fitting import Known, priors_of
 from skat.diagnosis.statespace import state_space
@@ -115,6 +115,23 @@ def test_what_a_long_log_shows_but_no_model_gets_right_is_told_beside_the_causes
     assert list(found.values) == ["a"]
     assert list(found.also) == ["b"]
     assert found.also["b"] == pytest.approx(exact[0, 1].values[1], rel=0.02)
+
+
+def test_without_a_member_that_slopes_find_worth_no_name_the_others_have_values_of_their_own():
+    X, y = measured([0.6, 0.3, 0.0], alike=0.95)
+    effects, power = effects_of(), COARSE_ROWS / (COARSE_ROWS + len(X))
+    space = state_space(sloped(effects), X, y, np.arange(len(X)), consecutive=False)
+    fits = Fits(space, effects, priors_of(effects), GIVEN, power)
+    both = fits.of((0, 1), np.zeros(2), fits.first())
+    worth = Weigher(gram_of(X, y), priors_of(effects), power=power)
+    losses = worth.losses(worth((0, 1)))
+    weakest = min(losses.values())
+    assert _without_doubtful(fits, both, worth, weakest - 0.1) is both
+    alone = _without_doubtful(fits, both, worth, weakest + 0.1)
+    (left,) = alone.members
+    assert losses[left] == max(losses.values())
+    assert alone.values[NAMES[left]] == pytest.approx(all_sets(X, y)[left,].values[0], abs=0.003)
+    assert abs(alone.values[NAMES[left]] - both.values[NAMES[left]]) > 0.05
 
 
 def test_no_more_causes_are_named_than_were_asked_for():
