@@ -336,8 +336,10 @@ def find_causes(
         slopes = state.slopes.copy()
         slopes[..., live] = _slopes(fits, moved, live)
         state = Search(state.turn + 1, moved, None, slopes, state.first, tuple(sorted(banned)))
-    now = _without_doubtful(fits, now, worth, needed)
-    rivals = [one for one in rivals if one.cause in now.members]
+    # Of a first look slopes alone tell; a search does not stand where fits and slopes differ on what is worth a name.
+    firm = now if coarse else _without_doubtful(fits, now, worth, needed)
+    stands = stands and firm is now
+    now, rivals = firm, [one for one in rivals if one.cause in firm.members]
     best = worth(now.members)
     if misled:
         # What slopes say of other sets was seen to be wrong.
@@ -549,7 +551,7 @@ def told(
         names[one]: tuple((names[other], share) for other, share in others.items())
         for one, others in _stand_ins(ranked, gram, best, names).items()
     }
-    # A search that was stopped may end at a bound.
+    # A search that was stopped may end at a bound, or with what is worth no name.
     strong, _ = without_weak(best, worth, needed)
     kept = [one for one in strong.members if not is_held(effects[one], now.values[names[one]])]
     intervals, losses = {}, worth.losses(best)
