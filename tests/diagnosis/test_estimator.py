@@ -399,7 +399,7 @@ def test_a_search_that_has_not_come_to_rest_leaves_a_log_unexplained(simulator, 
     diagnosis = fitted(simulator, measure(5, **SHORT))
     assert not diagnosis.settled_
     assert diagnosis.verdict_ == "unexplained"
-    assert "still finding better ones" in diagnosis.report_.text()
+    assert "had not come to rest" in diagnosis.report_.text()
 
 
 def test_a_first_look_at_a_short_log_is_a_whole_fit(simulator, diagnosed):

@@ -252,7 +252,9 @@ def test_where_rows_only_diverge_the_verdict_says_so():
 def test_where_the_search_did_not_come_to_rest_the_verdict_says_so():
     diagnosis = changed(verdict_="unexplained", causes_=[], settled_=False)
     told = verdict_sentences(diagnosis, [])
-    assert told == ["The search for causes was still finding better ones when its turns were over."]
+    assert told == [
+        "The search for causes had not come to rest: its turns were over, or fits and slopes differ."
+    ]
 
 
 @pytest.mark.parametrize(

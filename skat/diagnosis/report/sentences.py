@@ -164,7 +164,9 @@ def remainder_sentence(diagnosis: SimulationDiagnosis) -> str:
         if apart := diagnosis._apart():
             return f"the logs do not agree on {_listed(apart)}"
         if not diagnosis.settled_:
-            return "the search for causes was still finding better ones when its turns were over"
+            return (
+                "the search for causes had not come to rest: its turns were over, or fits and slopes differ"
+            )
         return f"the simulation diverges in {100 * diagnosis.diverged_share_:.0f} % of the rows, which tell nothing"
     return left_sentence(_largest(clear_parts(diagnosis)))
 
