@@ -134,6 +134,22 @@ def test_without_a_member_that_slopes_find_worth_no_name_the_others_have_values_
     assert abs(alone.values[NAMES[left]] - both.values[NAMES[left]]) > 0.05
 
 
+@pytest.mark.parametrize("coarse", [False, True])
+def test_a_search_that_ends_with_what_slopes_find_worth_no_name_does_not_stand(monkeypatch, coarse):
+    """Of a first look, whose members no fit has weighed, slopes alone tell."""
+    X, y = measured([1.0, 0.0, -0.4])
+    assert found_in(X, y, coarse=coarse).settled
+    monkeypatch.setattr(
+        "skat.diagnosis.causes._without_doubtful",
+        lambda fits, now, worth, needed: fits.of((0,), np.ones(1), now),
+    )
+    found = found_in(X, y, coarse=coarse)
+    assert found.settled == coarse
+    assert list(found.values) == (["a", "c"] if coarse else ["a"])
+    if not coarse:
+        assert found.values["a"] == pytest.approx(all_sets(X, y)[0,].values[0], abs=0.003)
+
+
 def test_no_more_causes_are_named_than_were_asked_for():
     X, y = measured([1.0, 0.6, -0.8], n=40)
     assert list(found_in(X, y).values) == ["a", "b", "c"]
