@@ -153,11 +153,6 @@ class Chains:
             before,
         )
 
-    @property
-    def n_measured(self) -> int:
-        """Number of values that were measured."""
-        return int(self.mask.sum())
-
     @cached_property
     def parts(self) -> tuple[tuple[Places, Places], ...]:
         """Channels, and the forces on them, of each part; none acts on another in any step."""

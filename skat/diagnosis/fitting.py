@@ -212,9 +212,9 @@ def next_fit(
     memories : bool, default=True
         Whether the memory of random forces is looked for; otherwise it is that of `start`.
     """
-    means, covariances = _so_far(space, start)
+    means, covariances = _so_far(start)
     if start.memory and values != start.values:
-        means, covariances = _filtered(space, _about_own_forces(space, values, start), start)
+        means, covariances = _filtered(_about_own_forces(space, values, start), start)
     path = moved_path(space, start.linear.path, means[..., : space.d])
     forces = known_forces(space, start.memory, start.estimate.noise, means, covariances)
     slopes, known_states = None if afresh else start.linear, covariances[..., : space.d, : space.d]
@@ -222,12 +222,12 @@ def next_fit(
     return _estimated(space, values, linear, start, known, memories=memories)
 
 
-def _so_far(space: StateSpace, fitted: Fitted) -> tuple[Array, Array]:
+def _so_far(fitted: Fitted) -> tuple[Array, Array]:
     """Return means and covariances of the states' deviations, hidden forces with them, by what was measured so far."""
     return updated(fitted.chains, fitted.estimate.filtered, fitted.estimate.noise.error_variances)
 
 
-def _filtered(space: StateSpace, linear: Linear, start: Fitted) -> tuple[Array, Array]:
+def _filtered(linear: Linear, start: Fitted) -> tuple[Array, Array]:
     """Return what `_so_far` does of another simulation, at the noise and memory of a fit."""
     chains, noise = linear.chains.with_memory(start.memory), start.estimate.noise
     filtered = kalman_filter(chains, noise.force_variances, noise.error_variances)
@@ -254,7 +254,7 @@ def bends(space: StateSpace, fitted: Fitted) -> bool:
     if not space.simulator.state_names:
         return False
     chains, places = fitted.linear.chains, space.places
-    covariances = _so_far(space, fitted)[1][..., : space.d, : space.d]
+    covariances = _so_far(fitted)[1][..., : space.d, : space.d]
     bent = is_bent(chains.transitions[places], fitted.linear.bends(places), covariances[:, :-1][places])
     return bool(bent.any())
 
@@ -289,7 +289,7 @@ def _about_own_forces(space: StateSpace, values: Mapping[str, float], start: Fit
     """Return the simulation about another fit's path, with the lasting forces that its noise has at these values."""
     linear = linearise(space, start.linear.path, values, slopes=start.linear)
     for _ in range(FORCE_TURNS if start.memory else 0):
-        forces = known_forces(space, start.memory, start.estimate.noise, *_filtered(space, linear, start))
+        forces = known_forces(space, start.memory, start.estimate.noise, *_filtered(linear, start))
         linear = about_forces(space, linear, values, forces)
     return linear
 
@@ -507,7 +507,7 @@ def slopes_of(
     least = SMALL_SHARE * sizes
     widths = least if widths is None else np.maximum(widths, least)
     steps = _steps(fitted.values, effects, widths)
-    known = _so_far(space, fitted)[1][:, :-1, : space.d, : space.d][space.places] if means else None
+    known = _so_far(fitted)[1][:, :-1, : space.d, : space.d][space.places] if means else None
     wide = _steps(fitted.values, effects, np.maximum(widths, BENT_SHARE * sizes))
     slopes = derivatives(space, fitted.linear, fitted.values, steps, known, wide)
     for column, effect in enumerate(effects):

@@ -433,7 +433,8 @@ class Simulator(BaseEstimator, ABC):
         ndarray of the shape of X
             For states: ``residual(displace(state, d), state)`` is ``d``.
         """
-        self._require_state("displace")
+        if not self.state_names:
+            raise ValueError("a one-shot simulation has no state to displace")
         moved = np.array(
             np.broadcast_to(X, np.broadcast_shapes(np.shape(X), (*np.shape(tangent)[:-1], 1))), float
         )
@@ -623,10 +624,6 @@ class Simulator(BaseEstimator, ABC):
             for channel, (scale, bias) in _sensors(total).items():
                 rows[:, columns[channel]] = scale * rows[:, columns[channel]] + bias
         return outputs
-
-    def _require_state(self, action: str) -> None:
-        if not self.state_names:
-            raise ValueError(f"a one-shot simulation has no state to {action}")
 
     def _checked_actions(self, inputs: ArrayLike | None, n_episodes: int, n_steps: int) -> Array:
         names = self.input_names[len(self.state_names) :]

@@ -471,7 +471,7 @@ class MujocoSimulator(Simulator):
         for index, total in enumerate(totals):
             values = self._physical(total)
             model = self._unconstrained(values)
-            jobs.append(Job(index, model, 1, self._forces(values, model)))
+            jobs.append(Job(index, model, 1, self._forces(values)))
         stepper = self._cached("stepper", Stepper)
         inputs = self._layout.normalised(inputs, "states")
         forces, friction = stepper.missing_forces(jobs, inputs, np.asarray(accelerations, float))
@@ -723,7 +723,7 @@ class MujocoSimulator(Simulator):
                     index,
                     model,
                     n_substeps,
-                    self._forces(values, model, plays),
+                    self._forces(values, plays),
                     None if controls is None else controls[part],
                     plays,
                     None if hidden is None else hidden[index],
@@ -773,9 +773,7 @@ class MujocoSimulator(Simulator):
             return [(1.0, round(exact))]
         return [(1.0, math.floor(exact)), (exact - math.floor(exact), math.ceil(exact))]
 
-    def _forces(
-        self, values: Mapping[str, float], model: mujoco.MjModel | None = None, plays: tuple[Play, ...] = ()
-    ) -> Forces:
+    def _forces(self, values: Mapping[str, float], plays: tuple[Play, ...] = ()) -> Forces:
         anatomy, nominal = self._anatomy, self._nominal
         families = {name.partition("[")[0] for name in values}
         if not families & {*STEPPED, *NEUTRAL}:

@@ -147,12 +147,7 @@ class OverStrengths(SwiftWeigher):
     def losses(self, whole: Weighed) -> dict[int, float]:
         """Return what each member of a set is worth, nats, whichever window of either log is left out."""
         found = super().losses(whole)
-        if found and not self._short:
-            self._short = [
-                [self._weigher(logs, strength) for strength in logs.strengths]
-                for logs in self.logs.shortened()
-            ]
-        for at in self._short:
+        for at in self._shortened() if found else ():
 
             def worth(members: Sequence[int], at: list[tuple[SwiftWeigher, float]] = at) -> float:
                 return float(logsumexp([one(members).evidence + level for one, level in at]))
