@@ -10,12 +10,12 @@ import numpy as np
 import pandas as pd
 from scipy.stats import chi2
 
-from skat.diagnosis.causes import Found
 from skat.diagnosis.chains import Array
 from skat.diagnosis.evidence import WIDTH_95, Gram
 from skat.diagnosis.fitting import around, gram_of, slopes_of, value_at
+from skat.diagnosis.found import Found
 from skat.diagnosis.report.machine import SCHEMA
-from skat.diagnosis.report.sentences import p_text
+from skat.diagnosis.report.sentences import listed, p_text
 from skat.diagnosis.statespace import StateSpace
 from skat.effects import Effect
 
@@ -362,12 +362,12 @@ def _sentence(row: Mapping[Any, Any], n_tests: int) -> str:
     compared = [name for name in named if status[name] == NAMED]
     is_compared = row["agreement"] != "not compared"
     if is_compared:
-        who = "the logs" if len(compared) == len(status) else _listed(compared)
+        who = "the logs" if len(compared) == len(status) else listed(compared)
         corrected = f", corrected for {n_tests} causes {p_text(row['p_corrected'])}" if n_tests > 1 else ""
         text = f"{row['cause']}: {who} {row['agreement']} ({p_text(row['p_value'])}{corrected})"
     else:
         alone = " alone" if len(named) == 1 else ", not compared"
-        text = f"{row['cause']}: named in {_listed(named)}{alone}"
+        text = f"{row['cause']}: named in {listed(named)}{alone}"
     left_out = []
     for name, one in status.items():
         if one == ABSENT and is_compared:
@@ -381,8 +381,3 @@ def _statuses(row: Mapping[Any, Any]) -> dict[str, str]:
     """Return what each log says of the cause of a row, by the log's name."""
     start = "status in "
     return {name.removeprefix(start): one for name, one in row.items() if name.startswith(start)}
-
-
-def _listed(names: Sequence[str]) -> str:
-    *first, last = names
-    return f"{', '.join(first)} and {last}" if first else last

@@ -30,6 +30,7 @@ from skat.diagnosis import (
     findings,
     fits,
     fitting,
+    found,
     log,
     noise,
     posterior,
@@ -99,9 +100,9 @@ def _classes(*modules: ModuleType) -> dict[str, type]:
 CLASSES: Mapping[str, type] = MappingProxyType(
     {
         **_classes(
-            causes, chains, evidence, filtering, findings, fits, fitting, log, noise, posterior, prediction
+            causes, chains, evidence, filtering, findings, fits, fitting, found, log, noise, posterior
         ),
-        **_classes(remainder, search, smoothing, statespace, content, from_diagnosis),
+        **_classes(prediction, remainder, search, smoothing, statespace, content, from_diagnosis),
         "archive.EffectRecord": EffectRecord,
         "source.ModelSource": ModelSource,
     }

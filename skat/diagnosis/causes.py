@@ -1,6 +1,5 @@
 """The causes that a log asks for: fit, search, fit anew, until the set stands still."""
 
-from collections import defaultdict
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,7 +15,6 @@ from skat.diagnosis.fitting import (
     Columns,
     Fitted,
     Known,
-    around,
     coordinate,
     gram_of,
     noise_without,
@@ -24,6 +22,7 @@ from skat.diagnosis.fitting import (
     slopes_of,
     value_at,
 )
+from skat.diagnosis.found import Found, Rival, also_seen, exchanged, is_held, stand_ins, told
 from skat.diagnosis.noise import TOLERANCE
 from skat.diagnosis.search import (
     ALIAS_FACTOR,
@@ -58,53 +57,6 @@ REFITTED = 3
 THRESHOLDS = ("backlash", "torque_speed")
 # Effects whose responses make a smaller angle than this cosine may be the same: so many are fitted in a cause's place.
 ALIKE, RIVALS = 0.8, 3
-# A bound that an estimate comes this near to, as a share of the range, holds it.
-AT_BOUND = 1e-6
-
-
-@dataclass(frozen=True)
-class Found:
-    """The causes that a log asks for.
-
-    Attributes
-    ----------
-    effects : tuple of Effect
-        That might have been causes.
-    values : dict of str to float
-    intervals : dict of str to tuple of two floats
-        95 %.
-    worth : dict of str to float
-        What each cause is worth beside the others, nats: log posterior odds for the set with it against that without.
-    aliases : dict of str to tuple of (str, float)
-        For each cause the effects that may be behind it, with their probabilities.
-    probabilities : dict of str to float
-        Of every effect, that it is a cause.
-    also : dict of str to float
-        Effects that the log shows, and their values, but that matter less than what no model gets right.
-    fitted : Fitted
-        At these values.
-    gram : Gram
-        There.
-    priors : Priors
-    ranked : Ranked
-    best : Weighed
-    settled : bool
-        Whether the search stands still.
-    """
-
-    effects: tuple[Effect, ...]
-    values: dict[str, float]
-    intervals: dict[str, tuple[float, float]]
-    worth: dict[str, float]
-    aliases: dict[str, tuple[tuple[str, float], ...]]
-    probabilities: dict[str, float]
-    also: dict[str, float]
-    fitted: Fitted
-    gram: Gram
-    priors: Priors
-    ranked: Ranked
-    best: Weighed
-    settled: bool
 
 
 class Comparison:
@@ -206,22 +158,6 @@ class Search:
     slopes: Array
     first: Gram | None
     banned: tuple[int, ...]
-
-
-@dataclass(frozen=True)
-class Rival:
-    """A set in which another effect stands in a cause's place, at a fit of its own.
-
-    Attributes
-    ----------
-    cause, other : int
-    gain : float
-        By how much this set may be likelier than that with the cause, nats.
-    """
-
-    cause: int
-    other: int
-    gain: float
 
 
 def find_causes(
@@ -480,14 +416,14 @@ def _rivals(
     """
     found: list[Rival] = []
     now, grams = compared.now, (worth.gram, first)
-    stand_ins = _stand_ins(ranked, worth.gram, worth(now.members), worth.priors.names)
+    others_of = stand_ins(ranked, worth.gram, worth(now.members), worth.priors.names)
     for cause in _weakest(worth, now):
         looks = np.stack([gram.cosines(cause) for gram in grams])
         alike = looks.max(axis=0)
         alike[list(now.members)] = 0.0
         by_angle = [int(one) for one in np.argsort(-alike, kind="stable") if alike[one] >= ALIKE]
-        for other in list(dict.fromkeys([*stand_ins[cause], *by_angle]))[:RIVALS]:
-            members = _exchanged(now.members, cause, other)
+        for other in list(dict.fromkeys([*others_of[cause], *by_angle]))[:RIVALS]:
+            members = exchanged(now.members, cause, other)
             if not worth.allows(members):
                 continue
             one = weigh(grams[int(np.argmax(looks[:, other]))], worth.priors, members)
@@ -497,104 +433,10 @@ def _rivals(
     return found, None
 
 
-def _exchanged(members: Sequence[int], cause: int, other: int) -> tuple[int, ...]:
-    """Return a set with another effect in a cause's place."""
-    return tuple(sorted({*members, other} - {cause}))
-
-
-def _with_fits(ranked: Ranked, worth: Weigher, best: Weighed, rivals: Sequence[Rival]) -> Ranked:
-    """Return sets with what fits say of rivals in place of what slopes do; sets with more causes lose as much.
-
-    None is likelier than the set that was preferred to it.
-    """
-    sets = {one.members: one for one in ranked.sets}
-    for rival in rivals:
-        members = _exchanged(best.members, rival.cause, rival.other)
-        swapped = sets.get(members) or worth(members)
-        found = replace(swapped, evidence=best.evidence + min(rival.gain, 0.0))
-        lost = max(swapped.evidence - found.evidence, 0.0)
-        for one in list(sets.values()):
-            if set(members) < set(one.members) and rival.cause not in one.members:
-                sets[one.members] = replace(one, evidence=one.evidence - lost)
-        sets[members] = found
-    return Ranked(tuple(sorted(sets.values(), key=lambda one: (-one.evidence, one.members != best.members))))
-
-
 def _without_doubtful(fits: Fits, now: Fit, worth: Weigher, needed: float) -> Fit:
     """Return the fit of those members of a set that slopes, too, find worth a name: at values without the others."""
     strong, _ = without_weak(worth(now.members), worth, needed)
     return now if strong.members == now.members else fits.of(strong.members, strong.values, now)
-
-
-def told(
-    fits: Fits,
-    now: Fit,
-    worth: Weigher,
-    ranked: Ranked,
-    rivals: Sequence[Rival],
-    also: dict[str, float],
-    needed: float,
-    stands: bool,
-) -> Found:
-    effects, priors, gram = fits.effects, fits.priors, worth.gram
-    names, best = priors.names, worth(now.members)
-    ranked = _with_fits(ranked, worth, best, rivals)
-    probabilities = {name: ranked.probability(place) for place, name in enumerate(names)}
-    shares = _shares(rivals)
-    for one, others in shares.items():
-        # Both together may be likelier than either, which does not make either of them the one.
-        probabilities[names[one]] = min(probabilities[names[one]], 1 - sum(share for _, share in others))
-    refitted = {
-        names[one]: tuple((names[other], share) for other, share in others) for one, others in shares.items()
-    }
-    alike = {
-        names[one]: tuple((names[other], share) for other, share in others.items())
-        for one, others in _stand_ins(ranked, gram, best, names).items()
-    }
-    # A search that was stopped may end at a bound, or with what is worth no name.
-    strong, _ = without_weak(best, worth, needed)
-    kept = [one for one in strong.members if not is_held(effects[one], now.values[names[one]])]
-    intervals, losses = {}, worth.losses(best)
-    # Intervals are of the whole likelihood.
-    for one, half in zip(best.members, weigh(gram, priors, best.members).half_widths):
-        intervals[names[one]] = around(effects[one], now.values[names[one]], half)
-    return Found(
-        effects,
-        {names[one]: now.values[names[one]] for one in kept},
-        intervals,
-        {names[one]: losses[one] for one in kept},
-        _with_refitted(alike, refitted),
-        probabilities,
-        also,
-        now.fitted,
-        gram,
-        priors,
-        ranked,
-        best,
-        stands,
-    )
-
-
-def _shares(rivals: Sequence[Rival]) -> dict[int, tuple[tuple[int, float], ...]]:
-    """Return for each cause the rivals that do nearly as well, and their probabilities."""
-    near = [rival for rival in rivals if rival.gain > -np.log(ALIAS_FACTOR)]
-    shares = {}
-    for cause in {rival.cause for rival in near}:
-        own = [rival for rival in near if rival.cause == cause]
-        odds = np.exp(np.minimum([rival.gain for rival in own], 0.0))
-        shares[cause] = tuple((rival.other, float(one / (1 + odds.sum()))) for rival, one in zip(own, odds))
-    return shares
-
-
-def _with_refitted(
-    aliases: dict[str, tuple[tuple[str, float], ...]], refitted: dict[str, tuple[tuple[str, float], ...]]
-) -> dict[str, tuple[tuple[str, float], ...]]:
-    """Return aliases with those of fits of their own put before those of slopes."""
-    both = {}
-    for cause, names in aliases.items():
-        own = refitted.get(cause, ())
-        both[cause] = (*own, *(one for one in names if one[0] not in {name for name, _ in own}))
-    return both
 
 
 def readable(space: StateSpace, effects: Sequence[Effect]) -> list[Effect]:
@@ -696,13 +538,6 @@ def _doubled(first: float, bound: float) -> Array:
     return places
 
 
-def is_held(effect: Effect, value: float) -> bool:
-    """Whether an estimate lies at a bound that is not neutral."""
-    low, high = (coordinate(effect, bound) for bound in effect.bounds)
-    place, width = coordinate(effect, value), AT_BOUND * (high - low)
-    return (place > high - width and high > 0) or (place < low + width and low < 0)
-
-
 def _live(ranked: Ranked, members: Sequence[int]) -> list[int]:
     """Return the effects that may still be causes: those of likely sets, and what is like them."""
     top = ranked.sets[0].evidence
@@ -712,46 +547,6 @@ def _live(ranked: Ranked, members: Sequence[int]) -> list[int]:
             break
         live.update(dict.fromkeys(one.members))
     return list(live)
-
-
-def _stand_ins(
-    ranked: Ranked, gram: Gram, best: Weighed, names: Sequence[str]
-) -> dict[int, dict[int, float]]:
-    """Return for each cause the effects that have its place in sets nearly as likely, the likeliest first."""
-    found: dict[int, dict[int, float]] = {one: defaultdict(float) for one in best.members}
-    for share, one in zip(ranked.probabilities, ranked.sets):
-        if one.evidence < best.evidence - np.log(ALIAS_FACTOR):
-            break
-        others = [other for other in one.members if other not in best.members]
-        for cause in set(best.members) - set(one.members):
-            if others:
-                alike = gram.cosines(cause)[others]
-                found[cause][others[int(np.argmax(alike))]] += float(share)
-
-    def first(one: tuple[int, float]) -> tuple[float, str]:
-        return -round(one[1], 6), names[one[0]]
-
-    return {cause: dict(sorted(shares.items(), key=first)) for cause, shares in found.items()}
-
-
-def also_seen(
-    ask: Callable[..., Ranked],
-    gram: Gram,
-    priors: Priors,
-    effects: Sequence[Effect],
-    exclusive: Mapping[int, Sequence[int]],
-    best: Weighed,
-    needed: float,
-    banned: Sequence[int],
-) -> dict[str, float]:
-    """Return what the log shows beside the causes if the model is taken for exact."""
-    worth = Weigher(gram, priors, exclusive)
-    exact, _ = without_weak(ask(worth, best.members, banned=banned).sets[0], worth, needed)
-    return {
-        priors.names[one]: value_at(effects[one], at)
-        for one, at in zip(exact.members, exact.values)
-        if one not in best.members and not is_held(effects[one], value_at(effects[one], at))
-    }
 
 
 __all__ = ["QUICK_TURNS", "TURNS", "Found", "Search", "find_causes"]

@@ -18,7 +18,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from skat.diagnosis.agreement import differing, shared_causes
 from skat.diagnosis.ahead import variances_of
-from skat.diagnosis.causes import QUICK_TURNS, TURNS, Found, find_causes, is_held
+from skat.diagnosis.causes import QUICK_TURNS, TURNS, find_causes
 from skat.diagnosis.chains import Array
 from skat.diagnosis.changes import find_changes
 from skat.diagnosis.doubts import warn_of_doubts
@@ -26,6 +26,7 @@ from skat.diagnosis.findings import Alias, Cause, Gain
 from skat.diagnosis.fitting import Fitted, Known, coordinate, first_fit, hits, value_at
 from skat.diagnosis.forces.efforts import causes_of_efforts
 from skat.diagnosis.forces.start import start_in_forces
+from skat.diagnosis.found import Found, is_held
 from skat.diagnosis.identifiability import identifiability, preflight
 from skat.diagnosis.log import Log, check_log, check_matrix, without_channels
 from skat.diagnosis.posterior import Posterior

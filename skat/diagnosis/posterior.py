@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 from sklearn.utils import check_random_state
 
-from skat.diagnosis.causes import Found
 from skat.diagnosis.chains import Array
 from skat.diagnosis.evidence import weigh
 from skat.diagnosis.fitting import value_at
+from skat.diagnosis.found import Found
 from skat.effects import Effect
 from skat.files import whole, writable
 

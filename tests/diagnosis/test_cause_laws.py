@@ -7,18 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from skat.diagnosis.causes import (
-    Rival,
-    _ends_of_chords,
-    _live,
-    _shares,
-    _stand_ins,
-    _with_fits,
-    _with_refitted,
-    is_held,
-    readable,
-    typical_biases,
-)
+from skat.diagnosis.causes import _ends_of_chords, _live, readable, typical_biases
 from skat.diagnosis.chains import Memory
 from skat.diagnosis.evidence import Gram, Priors, Weighed, Weigher, weigh
 from skat.diagnosis.fitting import (
@@ -39,6 +28,7 @@ from skat.diagnosis.fitting import (
     slopes_of,
     value_at,
 )
+from skat.diagnosis.found import Rival, _shares, _with_fits, _with_refitted, is_held, stand_ins
 from skat.diagnosis.noise import Noise
 from skat.diagnosis.posterior import CauseSet, Posterior
 from skat.diagnosis.search import Ranked, families_of, rivals_of, search
@@ -319,10 +309,10 @@ def test_what_stands_in_a_cause_s_place_in_likely_sets_is_its_alias():
     best = a_set((0, 2), 50.0)
     sets = best, a_set((1, 2), 49.0), a_set((2,), 48.5), a_set((0, 1, 2), 48.0), a_set((1,), 40.0)
     ranked = Ranked(sets)
-    stand_ins = _stand_ins(ranked, gram, best, PRIORS.names)
+    others_of = stand_ins(ranked, gram, best, PRIORS.names)
     weights = np.exp(np.array([one.evidence for one in sets]) - 50)
-    assert stand_ins[2] == {}
-    assert stand_ins[0] == pytest.approx({1: weights[1] / weights.sum()})
+    assert others_of[2] == {}
+    assert others_of[0] == pytest.approx({1: weights[1] / weights.sum()})
 
 
 def test_fits_of_rivals_go_before_what_slopes_say_of_all_sets_with_them():

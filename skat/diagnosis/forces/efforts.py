@@ -23,17 +23,7 @@ from functools import partial
 import mujoco
 import numpy as np
 
-from skat.diagnosis.causes import (
-    AT_BOUND,
-    COARSE_ROWS,
-    REFITTED,
-    Found,
-    also_seen,
-    proposals,
-    readable,
-    told,
-    typical_biases,
-)
+from skat.diagnosis.causes import COARSE_ROWS, REFITTED, proposals, readable, typical_biases
 from skat.diagnosis.chains import Array, Mask
 from skat.diagnosis.evidence import Gram, Priors, Weighed, Weigher, weigh
 from skat.diagnosis.fits import STANDS_STILL, Fit, Fits
@@ -59,6 +49,7 @@ from skat.diagnosis.forces.motions import (
     shares_of,
     units_by,
 )
+from skat.diagnosis.found import AT_BOUND, Found, also_seen, told
 from skat.diagnosis.noise import TOLERANCE
 from skat.diagnosis.remainder import Remainder
 from skat.diagnosis.search import Ranked, families_of, rivals_of, search

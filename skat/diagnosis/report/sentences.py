@@ -47,7 +47,7 @@ def verdict_sentences(diagnosis: SimulationDiagnosis, comparisons: Sequence[pd.D
             others = [f"{alias.name} ({plain_percent(alias.probability)})" for alias in cause.aliases]
             each = "each of them" if len(others) > 1 else "it"
             sentences.append(
-                f"These data cannot tell {cause.name} from {_listed(others)}: put in its place, {each} explains the "
+                f"These data cannot tell {cause.name} from {listed(others)}: put in its place, {each} explains the "
                 "log nearly as well."
             )
     sentences += cautions(diagnosis.causes_)
@@ -104,7 +104,7 @@ def cautions(causes: Sequence[Cause]) -> list[str]:
     sensors = [cause.name for cause in causes if is_sensor(cause.name)]
     if sensors and len(sensors) < len(causes):
         sentences.append(
-            f"{_listed(sensors)} beside another cause may stand for something that is not in the list: check what the "
+            f"{listed(sensors)} beside another cause may stand for something that is not in the list: check what the "
             "sensor reads where the true value is known."
         )
     if any(cause.family == "delay" for cause in causes):
@@ -162,7 +162,7 @@ def remainder_sentence(diagnosis: SimulationDiagnosis) -> str:
     """Return in words why a verdict is "unexplained"."""
     if not is_law_left(diagnosis):
         if apart := diagnosis._apart():
-            return f"the logs do not agree on {_listed(apart)}"
+            return f"the logs do not agree on {listed(apart)}"
         if not diagnosis.settled_:
             return (
                 "the search for causes had not come to rest: its turns were over, or fits and slopes differ"
@@ -249,6 +249,7 @@ def plain_percent(probability: float) -> str:
     return probability_text(probability).replace(GAP, " ")
 
 
-def _listed(names: Sequence[str]) -> str:
+def listed(names: Sequence[str]) -> str:
+    """Return names as a sentence lists them."""
     *first, last = names
     return f"{', '.join(first)} and {last}" if first else last
