@@ -206,13 +206,16 @@ def _line(
     variances : ndarray of shape (n_starts, horizon, d)
     """
     (n_points, n_starts, horizon, d), noise, k = pushes.shape, seen.estimate.noise, len(seen.memory)
-    A, F = (one[space.places] for one in (seen.chains.transitions, seen.chains.carrier))
+    chains = seen.chains.mixed(noise.mixings)
+    A, F = (one[space.places] for one in (chains.transitions, chains.carrier))
     law = space.origins[starts]
     force = variances_of(noise.force, noise.force_nu)[law, None]
     M = np.zeros((n_starts, d + k, d + k))
     M[:, :d, :d] = unknown
     if k:
-        M[:, d:, d:] = steady(noise, seen.memory)[law, :, None] * np.eye(k)
+        mixing = np.eye(k) if noise.mixing is None else noise.mixing[law]
+        hidden = steady(noise, seen.memory)[law, None]
+        M[:, d:, d:] = (mixing * hidden) @ np.swapaxes(mixing, -1, -2)
     moved, pushed = np.moveaxis(offsets, -1, 1), np.zeros((n_starts, n_points, d))
     squares, variances = np.empty((n_points, n_starts, horizon, d)), np.empty((n_starts, horizon, d))
     with np.errstate(over="ignore", invalid="ignore"):
@@ -265,7 +268,10 @@ def _drawn_pushes(
             forces[:, :, step, :k] += seen.memory.acting(fresh, hidden)
             hidden = seen.memory.share * hidden + seen.memory.kept(fresh)
     carrier = seen.linear.chains.carrier[space.places][starts[:, None] + np.arange(horizon)]
-    pushes: Array = np.einsum("shdf,nshf->nshd", carrier, forces[..., : carrier.shape[-1]])
+    forces = forces[..., : carrier.shape[-1]]
+    if noise.mixing is not None:
+        forces = np.einsum("sij,nshj->nshi", noise.mixing[law], forces)
+    pushes: Array = np.einsum("shdf,nshf->nshd", carrier, forces)
     return pushes
 
 

@@ -15,6 +15,7 @@ from skat.diagnosis.fitting import (
     Columns,
     Fitted,
     Known,
+    acting_together,
     coordinate,
     gram_of,
     noise_without,
@@ -294,6 +295,8 @@ def _begun(fits: Fits) -> Search:
         columns = gram_of(space, dense, slopes, effects)
         moves = columns.dense(priors.scales)
         dense = noise_without(space, dense, slopes, moves, fits.known)
+    if dense.estimate.noise.mixing is not None:
+        now = fits.of((), np.zeros(0), replace(now, fitted=acting_together(now.fitted)))
     return Search(0, now, dense, slopes, None, ())
 
 

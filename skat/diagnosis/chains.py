@@ -12,7 +12,7 @@ with :math:`w_t \sim N(0, \mathrm{diag}(q_t))`, :math:`e_t \sim N(0, \mathrm{dia
 a robot's legs where its base is fixed, are parts.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -92,7 +92,7 @@ class Chains:
     mask : ndarray of bool of shape (n_chains, n_steps + 1, d)
     prior : ndarray of shape (d,)
         Variance of a chain's first state about the path.
-    before : ndarray of shape (d, n_forces), optional
+    before : ndarray of shape (n_chains, d, n_forces), optional
         By which forces of the first step's variances enter that state, beside the prior.
     """
 
@@ -115,7 +115,7 @@ class Chains:
             self.measured[chosen],
             self.mask[chosen],
             self.prior,
-            self.before,
+            None if self.before is None else self.before[chosen],
         )
 
     def with_memory(self, memory: Memory) -> "Chains":
@@ -137,8 +137,8 @@ class Chains:
         carrier[..., :d, :k] = self.carrier
         carrier[..., :d, k:] = self.carrier * memory.acting(one, none)
         carrier[..., d:, k:] = np.diag(memory.kept(one))
-        before = np.zeros((d + k, 2 * k))
-        before[d:, k:] = np.diag(np.sqrt(memory.steady(one)))
+        before = np.zeros((n, d + k, 2 * k))
+        before[:, d:, k:] = np.diag(np.sqrt(memory.steady(one)))
         bends = np.zeros((n, steps, d + k, d + k))
         bends[..., :d, :d] = self.bends
         wide = [(0, 0), (0, 0), (0, k)]
@@ -152,6 +152,20 @@ class Chains:
             np.r_[self.prior, none],
             before,
         )
+
+    def mixed(self, mixing: Array | None) -> "Chains":
+        """Return these chains as pushes drive them each of which acts on several joints.
+
+        Parameters
+        ----------
+        mixing : ndarray of shape (n_chains, k, k) or None
+            Forces on k joints are this times k pushes, as are those of memory.
+        """
+        if mixing is None:
+            return self
+        blocks = np.kron(np.eye(self.carrier.shape[-1] // mixing.shape[-1]), mixing)
+        before = None if self.before is None else self.before @ blocks
+        return replace(self, carrier=self.carrier @ blocks[:, None], before=before)
 
     @cached_property
     def parts(self) -> tuple[tuple[Places, Places], ...]:
@@ -175,7 +189,7 @@ class Chains:
             self.measured[..., channels],
             self.mask[..., channels],
             self.prior[channels],
-            None if self.before is None else self.before[channels[:, None], forces],
+            None if self.before is None else self.before[:, channels[:, None], forces],
         )
 
 

@@ -6,6 +6,7 @@ gains. Parts of chains are filtered apart.
 References
 ----------
 .. [1] Durbin, Koopman (2012). Time Series Analysis by State Space Methods, chapters 4.3 to 4.5.
+.. [2] Gilmour, Thompson, Cullis (1995). Average information REML. Biometrics 51(4).
 """
 
 from collections.abc import Sequence
@@ -15,6 +16,9 @@ import numpy as np
 from scipy.special import gammaln
 
 from skat.diagnosis.chains import Array, Chains, Places, block
+
+# A variance that is not there.
+SMALLEST = 1e-300
 
 
 @dataclass(frozen=True)
@@ -106,6 +110,9 @@ class Smoothed:
         Of w.
     errors, error_variances : ndarray of shape (n_chains, n_steps + 1, d)
         Of e; zero and the prior variance where nothing was measured.
+    force_scores : ndarray of shape (n_chains, 1, n_forces, n_forces)
+        Slope of the log likelihood by the share of the force of each column that acts in the place of that of each row
+        as well.
     """
 
     means: Array
@@ -114,6 +121,7 @@ class Smoothed:
     force_variances: Array
     errors: Array
     error_variances: Array
+    force_scores: Array
 
 
 def kalman_filter(chains: Chains, force_variances: Array, error_variances: Array) -> Filtered:
@@ -170,7 +178,7 @@ def _filtered(chains: Chains, force_variances: Array, error_variances: Array) ->
     seen = mask.astype(np.float64)
     mean, P = np.zeros((n, d)), np.tile(np.diag(chains.prior), (n, 1, 1))
     if chains.before is not None:
-        P = P + (chains.before * force_variances[:, 0, None]) @ chains.before.T
+        P = P + (chains.before * force_variances[:, 0, None]) @ chains.before.swapaxes(1, 2)
     diagonal = np.arange(m)
     for t in range(steps + 1):
         means[:, t], covariances[:, t] = mean, P
@@ -338,20 +346,91 @@ def _smoothed(
         N = filtered.precisions[:, t] + B @ N @ B.swapaxes(1, 2)
         before[:, t], information[:, t] = r, N
     q = force_variances
-    forces = q * (F.swapaxes(2, 3) @ after[:, :-1, :, None])[..., 0]
-    force_spreads = q - q**2 * np.sum(F * (later[:, :-1] @ F), axis=2)
+    u, D = _scores(F, after[:, :-1], later[:, :-1])
+    informed = np.diagonal(D, axis1=2, axis2=3)
+    forces, force_spreads = q * u, q - q**2 * informed
+    scores = _of_shares(u, D, q)
+    if chains.before is not None:
+        first = _scores(chains.before[:, None], before[:, :1], information[:, :1])
+        scores = scores + _of_shares(*first, q[:, :1])
     r_of_noise = error_variances[..., read]
     ahead = np.zeros(G.shape)
     ahead[:, :-1] = chains.transitions @ G[:, :-1]
     errors, error_spreads = np.zeros(error_variances.shape), error_variances.copy()
     errors[..., read] = r_of_noise * (weighed[..., read] - (ahead.swapaxes(2, 3) @ after[..., None])[..., 0])
-    D = np.diagonal(filtered.precisions, axis1=2, axis2=3)[..., read] + np.sum(
+    of_errors = np.diagonal(filtered.precisions, axis1=2, axis2=3)[..., read] + np.sum(
         ahead * (later @ ahead), axis=2
     )
-    error_spreads[..., read] -= r_of_noise**2 * D
+    error_spreads[..., read] -= r_of_noise**2 * of_errors
     means = filtered.means + (P @ before[..., None])[..., 0]
     spreads = P - P @ information @ P if covariances else np.zeros((n, steps + 1, d, d))
-    return Smoothed(means, spreads, forces, force_spreads, errors, error_spreads)
+    return Smoothed(means, spreads, forces, force_spreads, errors, error_spreads, scores)
+
+
+def _scores(F: Array, r: Array, N: Array) -> tuple[Array, Array]:
+    """Return gradients by forces and their information, of those by the states that they enter."""
+    across = F.swapaxes(2, 3)
+    return (across @ r[..., None])[..., 0], across @ N @ F
+
+
+def _of_shares(u: Array, D: Array, q: Array) -> Array:
+    """Return slopes by shares of forces, of each chain; see `Smoothed`."""
+    scores: Array = np.einsum("nti,ntj->nij", u, u * q) - np.einsum("ntij,ntj->nij", D, q)
+    return scores[:, None]
+
+
+def average_information(
+    chains: Chains, filtered: Filtered, smoothed: Smoothed, force_variances: Array, n_mixed: int = 0
+) -> Array:
+    """Return the mean of the observed and of the expected information on the laws of forces and errors [2]_.
+
+    It is half the product of what the innovations say of each: of a variance, how they answer to the force, or to the
+    error, that the smoother finds.
+
+    Parameters
+    ----------
+    chains, filtered, smoothed, force_variances
+        Chains whose channels may all act on each other, and a pass over them.
+    n_mixed : int, default=0
+        Of so many forces shares act in the place of those before, too, as they do of as many forces of memory.
+
+    Returns
+    -------
+    ndarray of shape (p, p)
+        On the logarithm of the variance of each force and of each channel's error, and on the shares below the
+        diagonal, row by row.
+    """
+    n, steps, d = chains.drive.shape
+    read, n_forces = _measured(chains), chains.carrier.shape[-1]
+    found, q = smoothed.forces, np.maximum(force_variances, SMALLEST)
+    to, of = np.tril_indices(n_mixed, -1)
+    # Shares are of forces and of those of memory alike.
+    shares = [(to + first, of + first) for first in range(0, n_forces if n_mixed else 0, max(n_mixed, 1))]
+    pairs = slice(n_forces + d, None)
+
+    def pushed(carrier: Array, w: Array, q: Array) -> Array:
+        out = np.zeros((n, d, n_forces + d + len(to)))
+        out[..., :n_forces] = carrier * w[:, None]
+        for i, j in shares:
+            out[..., pairs] += carrier[..., i] * w[:, None, j]
+            out[..., pairs] += carrier[..., j] * (q[:, j] * w[:, i] / q[:, i])[:, None]
+        return out
+
+    moved = np.zeros((n, d, n_forces + d + len(to)))
+    if chains.before is not None:
+        moved = pushed(chains.before, found[:, 0], q[:, 0])
+    information = np.zeros((moved.shape[-1], moved.shape[-1]))
+    factors, gains = filtered.factors[:, :, read[:, None], read], filtered.gains[..., read]
+    errors = np.where(chains.mask, smoothed.errors, 0.0)[..., read]
+    for t in range(steps + 1):
+        seen = moved[:, read]
+        seen[:, np.arange(len(read)), n_forces + read] += errors[:, t]
+        white = (factors[:, t] @ seen).reshape(-1, len(information))
+        information += white.T @ white / 2
+        if t < steps:
+            moved = chains.transitions[:, t] @ (moved - gains[:, t] @ seen)
+            moved += pushed(chains.carrier[:, t], found[:, t], q[:, t])
+    return information
 
 
 def student_log_density(squares: Array, variance: Array | float, nu: float) -> Array:

@@ -37,10 +37,10 @@ FORCE_TURNS = 2
 # five times as much: over less, what jumps seems to be known too well.
 SMALL_SHARE, BENT_SHARE = 0.05, 0.25
 # Memories of random forces that are tried, in rows; of at most this share of an episode, so that what is steady stays a
-# cause; and what each of their numbers must be worth, in nats.
+# cause; and what each of their numbers must be worth, in nats, as each that says how forces act together.
 MEMORIES = (2.0, 5.0, 10.0, 20.0, 40.0)
 SHARE_OF_EPISODE = 0.1
-MEMORY_WORTH = 2.0
+NUMBER_WORTH = 2.0
 FEWEST_FOR_MEMORY = 10
 # Scores are compared between pieces of time of at most so many rows, about so many of them, at least so many.
 BLOCK_ROWS, MOST_BLOCKS, FEWEST_BLOCKS = 32, 60, 10
@@ -184,7 +184,8 @@ def first_fit(
     fitted = Fitted(dict(values), linear, linear.chains, estimate, NO_MEMORY)
     for turn in range(turns):
         before = fitted.bound
-        fitted = next_fit(space, values, fitted, known, afresh=turn == 0, memories=turn == 0)
+        # A memory is looked for once more about a path that has come nearer.
+        fitted = next_fit(space, values, fitted, known, afresh=turn == 0, memories=turn < 2)
         # What rows say of each other's noise may turn in a circle: a turn that does not raise the bound is the last.
         if turn and fitted.bound - before < STILL:
             break
@@ -230,7 +231,7 @@ def _so_far(fitted: Fitted) -> tuple[Array, Array]:
 def _filtered(linear: Linear, start: Fitted) -> tuple[Array, Array]:
     """Return what `_so_far` does of another simulation, at the noise and memory of a fit."""
     chains, noise = linear.chains.with_memory(start.memory), start.estimate.noise
-    filtered = kalman_filter(chains, noise.force_variances, noise.error_variances)
+    filtered = kalman_filter(chains.mixed(noise.mixings), noise.force_variances, noise.error_variances)
     return updated(chains, filtered, noise.error_variances)
 
 
@@ -240,7 +241,7 @@ def known_forces(space: StateSpace, memory: Memory, noise: Noise, means: Array, 
     ``means`` and ``covariances`` are those of chains with this memory by what was measured until then, see `updated`.
     """
     k = len(space.simulator.joint_forces())
-    fresh = noise.force[noise.law][space.places[0]]
+    fresh = noise.joint_force[noise.law][space.places[0]]
     known, variances = np.zeros((len(space.X), k)), fresh[:, :k].copy()
     if memory and k:
         known = memory.acting(known, means[:, :-1, space.d :][space.places])
@@ -277,12 +278,13 @@ def compared(
     space, values, start, known
         As in `next_fit`.
     memories : bool, default=True
-        Whether random forces may be given a memory that they do not have in `start`.
+        Whether random forces are given a memory, if they do not have one in `start`, which they keep; and noise is
+        looked for from more than one start.
     """
     linear = _about_own_forces(space, values, start)
-    # Forces have the memory that they have there, if any.
-    climbs = not len(start.memory)
-    return _estimated(space, values, linear, start, known, memories=memories or not climbs, climbs=climbs)
+    if memories and start.memory:
+        return _from_either(space, values, linear, start.estimate.noise, start.memory, known)
+    return _estimated(space, values, linear, start, known, memories=memories)
 
 
 def _about_own_forces(space: StateSpace, values: Mapping[str, float], start: Fitted) -> Linear:
@@ -302,12 +304,11 @@ def _estimated(
     known: Known,
     *,
     memories: bool,
-    climbs: bool = True,
 ) -> Fitted:
     """Return the fit about a path, noise estimated from that of another fit on."""
     noise, memory = start.estimate.noise, start.memory
     if memories and space.real.shape[1] > FEWEST_FOR_MEMORY:
-        return _with_best_memory(space, values, linear, noise, memory, known, climbs=climbs)
+        return _with_best_memory(space, values, linear, noise, memory, known)
     return _with_memory_of(space, values, linear, noise, memory, known)
 
 
@@ -364,6 +365,24 @@ def _with_memory_of(
     return Fitted(dict(values), linear, chains, known.estimated(chains, noise, space.real), memory)
 
 
+def _from_either(
+    space: StateSpace, values: Mapping[str, float], linear: Linear, noise: Noise, memory: Memory, known: Known
+) -> Fitted:
+    """Return the likelier fit at a memory, from a noise and from one in which sensors have what rows show of theirs.
+
+    Where forces passed for all that a set of causes explains, sensors were left no noise to begin with.
+    """
+    found = _with_memory_of(space, values, linear, noise, memory, known)
+    if known.given is not None:
+        return found
+    rough = np.pad(_rough(space), [(0, 0), (0, noise.error.shape[1] - space.d)], constant_values=np.inf)
+    read = np.where(np.isfinite(rough), np.maximum(noise.error, rough), noise.error)
+    if not (read > noise.error).any():
+        return found
+    other = _with_memory_of(space, values, linear, replace(noise, error=read), memory, known)
+    return max(found, other, key=lambda one: one.bound)
+
+
 def _with_best_memory(
     space: StateSpace,
     values: Mapping[str, float],
@@ -371,26 +390,13 @@ def _with_best_memory(
     noise: Noise,
     last: Memory,
     known: Known,
-    *,
-    climbs: bool = True,
 ) -> Fitted:
     """Return the fit with forces of the memory, if any, that the bound asks for: the last, or what it climbs to."""
     n_forces = linear.chains.carrier.shape[-1]
-    plain = _without_memory(noise, space.d, n_forces)
-    without = _with_memory_of(space, values, linear, plain, NO_MEMORY, known)
-    if known.given is None:
-        rough = _rough(space)
-        read = np.where(np.isfinite(rough), np.maximum(plain.error, rough), plain.error)
-        if (read > plain.error).any():
-            # Where forces passed for all that a set of causes explains, sensors were left no noise to begin with.
-            other = normal_noise(linear.chains, plain.force, read, plain.law)
-            without = max(
-                without,
-                _with_memory_of(space, values, linear, other, NO_MEMORY, known),
-                key=lambda one: one.bound,
-            )
+    plain = noise.part(np.arange(space.d), np.arange(n_forces))
+    without = _from_either(space, values, linear, plain, NO_MEMORY, known)
     # A variance more for each force in each log, and the memory itself.
-    needed = MEMORY_WORTH * (noise.force.shape[0] * n_forces + 1)
+    needed = NUMBER_WORTH * (noise.force.shape[0] * n_forces + 1)
     longest = SHARE_OF_EPISODE * np.unique(space.groups, return_counts=True)[1].max()
     memories = [
         Memory(n_forces, float(np.exp(-1 / rows)), returns)
@@ -409,7 +415,7 @@ def _with_best_memory(
 
     def climbed(now: int) -> Fitted:
         best, tried = remembered(now), {now}
-        while climbs and (beside := [one for one in (now - 1, now + 1) if one in own(memories[now]) - tried]):
+        while beside := [one for one in (now - 1, now + 1) if one in own(memories[now]) - tried]:
             tried.add(beside[0])
             moved = remembered(beside[0])
             if moved.bound > best.bound:
@@ -424,7 +430,7 @@ def _with_best_memory(
     starts = asked
     if len(last) and own(last):
         nearest = min(own(last), key=lambda place: abs(memories[place].share - last.share))
-        starts = {nearest} | (asked - own(last) if climbs else set())
+        starts = {nearest} | (asked - own(last))
     best = max((climbed(start) for start in sorted(starts)), key=lambda one: one.bound, default=without)
     return best if best.bound > without.bound + needed else without
 
@@ -464,20 +470,7 @@ def _with_memory(noise: Noise, memory: Memory) -> Noise:
         noise.law,
         np.pad(noise.force_weights, chains, constant_values=1.0),
         np.pad(noise.error_weights, chains, constant_values=1.0),
-    )
-
-
-def _without_memory(noise: Noise, d: int, n_forces: int) -> Noise:
-    if noise.error.shape[1] == d:
-        return noise
-    return Noise(
-        noise.force[:, :n_forces],
-        noise.error[:, :d],
-        noise.force_nu[:, :n_forces],
-        noise.error_nu[:, :d],
-        noise.law,
-        noise.force_weights[..., :n_forces],
-        noise.error_weights[..., :d],
+        noise.mixing,
     )
 
 
@@ -634,10 +627,23 @@ def noise_without(
     """
     linear = fitted.linear
     moved = replace(linear.chains, drive=linear.chains.drive + space.padded(slopes @ moves))
-    found = _estimated(space, fitted.values, replace(linear, chains=moved), fitted, known, memories=True)
+    about = replace(linear, chains=moved)
+    found = _estimated(space, fitted.values, about, fitted, known, memories=True)
+    pairs = [len(forces) * (len(forces) - 1) // 2 for _, forces in linear.chains.parts]
+    if space.simulator.joint_forces() and any(pairs) and found.estimate.noise.mixing is None:
+        noise = acting_together(found).estimate.noise
+        together = _with_memory_of(space, fitted.values, about, noise, found.memory, known)
+        if together.bound > found.bound + NUMBER_WORTH * space.n_logs * sum(pairs):
+            found = together
     chains = linear.chains.with_memory(found.memory)
     estimate = passed(chains, found.estimate.noise, space.real, covariances=True)
     return replace(fitted, chains=chains, estimate=estimate, memory=found.memory)
+
+
+def acting_together(fitted: Fitted) -> Fitted:
+    """Return a fit from whose noise others are estimated in which pushes may act on several joints at once."""
+    noise = fitted.estimate.noise.together(fitted.linear.chains.carrier.shape[-1])
+    return replace(fitted, estimate=replace(fitted.estimate, noise=noise))
 
 
 def on_logarithm(effect: Effect) -> bool:

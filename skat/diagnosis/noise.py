@@ -3,9 +3,9 @@ r"""Sensor noise and random forces, by variational inference.
 Each measured channel has noise of variance r, each degree of freedom a random acceleration of variance q, both with
 Student's t: a normal law whose precision is scaled by a Gamma variable of its own for each sample. Path and scales are
 factorised, and a bound of the log likelihood is raised in turns: by the scales in closed form, by the degrees of
-freedom over a grid, and by the variances with the step of [1]_, which shrinks a variance that is not there
-geometrically, where that of expectation maximisation would take for ever. Half of its ratio is the monotone step;
-longer ones, for each variance as its last one fell by, are taken as long as the bound rises.
+freedom over a grid, and by the variances, and how forces act together, with steps of Newton on the average information.
+They are damped by the curvature of the step of [1]_, which never lowers the bound and shrinks a variance that is not
+there geometrically, where that of expectation maximisation would take for ever.
 
 References
 ----------
@@ -19,10 +19,12 @@ from typing import TypeVar
 import numpy as np
 from scipy.special import gammaln, psi
 
-from skat.diagnosis.chains import Array, Chains, Mask, Places
+from skat.diagnosis.chains import Array, Chains, Mask, Places, block
 from skat.diagnosis.filtering import (
+    SMALLEST,
     Filtered,
     Smoothed,
+    average_information,
     filtered_together,
     kalman_filter,
     smooth,
@@ -32,11 +34,12 @@ from skat.diagnosis.filtering import (
 
 # Of the variance of a chain's first state: finer than any sensor, and well above the rounding of a covariance.
 FINEST = 1e-13
-SMALLEST = 1e-300
 # A fit that gains less than so many nats gains nothing.
 TOLERANCE = 0.1
-# In a pass no variance is moved by more than so many times what it is off by, nor by more on its logarithm.
-LONGEST, FURTHEST = 8.0, float(np.log(1e3))
+# In a pass no variance is moved by more on its logarithm.
+FURTHEST = float(np.log(1e3))
+# A step that lowers the bound is damped by so many times as much; at 2 none does, as in [1].
+LEAST_DAMPING, DAMPED = 1 / 64, 8.0
 DEGREES_OF_FREEDOM = (np.inf, 10.0, 5.0, 3.0)
 Part = TypeVar("Part")
 
@@ -56,6 +59,10 @@ class Noise:
     force_weights : ndarray of shape (n_chains, n_steps, n_forces)
         Expected precision of each sample, in units of 1 / q.
     error_weights : ndarray of shape (n_chains, n_steps + 1, d)
+    mixing : ndarray of shape (n_laws, k, k), optional
+        What acts on the k joints is this times k pushes that are independent of each other, whose laws these are: a
+        base that shakes or a link that bends acts on several joints at once. Lower triangular, with a diagonal of ones;
+        None where each push acts on a joint of its own.
     """
 
     force: Array
@@ -65,6 +72,7 @@ class Noise:
     law: Places
     force_weights: Array
     error_weights: Array
+    mixing: Array | None = None
 
     @property
     def force_variances(self) -> Array:
@@ -76,8 +84,37 @@ class Noise:
         """Variance of each sample of e."""
         return self.error[self.law][:, None] / self.error_weights
 
+    def together(self, k: int) -> "Noise":
+        """Return this noise as one whose pushes may act together on k joints, though they do not yet."""
+        return replace(self, mixing=np.tile(np.eye(k), (len(self.force), 1, 1)))
+
+    @property
+    def mixings(self) -> Array | None:
+        """How pushes act together in each chain, (n_chains, k, k)."""
+        return None if self.mixing is None else self.mixing[self.law]
+
+    def on_joints(self, pushes: Array) -> Array:
+        """Return what pushes (n_chains, n_steps, k) amount to on joints."""
+        return pushes if self.mixings is None else pushes @ self.mixings.swapaxes(1, 2)
+
+    def variances_on_joints(self, variances: Array) -> Array:
+        """Return the variances on joints of pushes of such variances, (n_chains, n_steps, k)."""
+        return variances if self.mixings is None else variances @ (self.mixings**2).swapaxes(1, 2)
+
+    @property
+    def joint_force(self) -> Array:
+        """Squared scales of the forces on joints, as `force` has those of pushes."""
+        if self.mixing is None:
+            return self.force
+        n, k = self.mixing.shape[:2]
+        pushes = self.force.reshape(n, -1, k)
+        return (pushes @ (self.mixing**2).swapaxes(1, 2)).reshape(self.force.shape)
+
     def part(self, channels: Places, forces: Places) -> "Noise":
         """Return the laws of some channels and forces."""
+        mixing = self.mixing
+        if mixing is not None:
+            mixing = block(mixing, forces[forces < mixing.shape[-1]])
         return Noise(
             self.force[:, forces],
             self.error[:, channels],
@@ -86,6 +123,7 @@ class Noise:
             self.law,
             self.force_weights[..., forces],
             self.error_weights[..., channels],
+            mixing,
         )
 
     def alone(self, law: int) -> "Noise":
@@ -99,6 +137,7 @@ class Noise:
             np.zeros(int(own.sum()), dtype=int),
             self.force_weights[own],
             self.error_weights[own],
+            None if self.mixing is None else self.mixing[one],
         )
 
     def unseen(self) -> "Noise":
@@ -114,6 +153,7 @@ class Noise:
             error=self.error.mean(axis=0, keepdims=True),
             force_nu=self.force_nu.min(axis=0, keepdims=True),
             error_nu=self.error_nu.min(axis=0, keepdims=True),
+            mixing=None if self.mixing is None else self.mixing.mean(axis=0, keepdims=True),
             law=np.zeros_like(self.law),
         )
 
@@ -150,6 +190,7 @@ def passed(chains: Chains, noise: Noise, real: Mask, *, covariances: bool = Fals
     Parameters
     ----------
     chains : Chains
+        As each push acts on a joint of its own: here the noise says how they act together.
     noise : Noise
     real : ndarray of bool of shape (n_chains, n_steps)
         Steps that are no padding.
@@ -157,8 +198,9 @@ def passed(chains: Chains, noise: Noise, real: Mask, *, covariances: bool = Fals
         Whether the states' covariances are wanted.
     """
     force, error = noise.force_variances, noise.error_variances
-    filtered = kalman_filter(chains, force, error)
-    smoothed = smooth(chains, filtered, force, error, covariances=covariances)
+    mixed = chains.mixed(noise.mixings)
+    filtered = kalman_filter(mixed, force, error)
+    smoothed = smooth(mixed, filtered, force, error, covariances=covariances)
     bound = filtered.log_likelihood
     bound += _cost_of_scales(noise.force_weights, noise.force_nu, noise.law, real[..., None])
     bound += _cost_of_scales(noise.error_weights, noise.error_nu, noise.law, chains.mask)
@@ -232,8 +274,11 @@ def estimate_noise(
         np.concatenate([getattr(one, name) for one in laws])
         for name in ("force", "error", "force_nu", "error_nu", "force_weights", "error_weights")
     )
+    weights = force_weights[order], error_weights[order]
+    mixings = [one.mixing for one in laws if one.mixing is not None]
+    mixing = np.concatenate(mixings) if mixings else None
     return Estimate(
-        Noise(force, error, force_nu, error_nu, noise.law, force_weights[order], error_weights[order]),
+        Noise(force, error, force_nu, error_nu, noise.law, *weights, mixing),
         sum(part.bound for part in parts.values()),
         _joined([part.filtered for part in parts.values()], order),
         _joined([part.smoothed for part in parts.values()], order),
@@ -250,9 +295,14 @@ def _of_parts(chains: Chains, noise: Noise, parts: Sequence[Estimate]) -> Estima
         return values
 
     force, error, force_nu, error_nu = map(filled, ("force", "error", "force_nu", "error_nu"))
-    weights = filled("force_weights"), filled("error_weights")
+    weights, mixing = (filled("force_weights"), filled("error_weights")), noise.mixing
+    if mixing is not None:
+        mixing, k = mixing.copy(), mixing.shape[-1]
+        for (_, forces), one in zip(chains.parts, parts):
+            own = forces[forces < k]
+            mixing[:, own[:, None], own] = one.noise.mixing
     return Estimate(
-        Noise(force, error, force_nu, error_nu, noise.law, *weights),
+        Noise(force, error, force_nu, error_nu, noise.law, *weights, mixing),
         sum(one.bound for one in parts),
         filtered_together(chains, [one.filtered for one in parts]),
         smoothed_together(chains, [one.smoothed for one in parts]),
@@ -283,54 +333,96 @@ def _estimated(
     begun = np.maximum(noise.error, floor)
     noise = replace(noise, error=begun if held is None else np.where(held, noise.error, begun))
     best = passed(chains, noise, real)
-    ratios = _ratios(chains, best, real)
-    exponents = np.ones(len(ratios))
+    look, damping = _look(chains, best, real, floor, held), LEAST_DAMPING
     for _ in range(n_passes):
-        steps = np.clip(exponents * ratios, -FURTHEST, FURTHEST)
-        proposed = _moved(chains, best, real, steps, floor, heavy, held)
-        tried = passed(chains, proposed, real)
-        if not tried.bound > best.bound:
-            if exponents.max() < 0.4:
+        proposed = _moved(chains, best, real, look.step(damping), floor, heavy, held)
+        try:
+            tried = passed(chains, proposed, real)
+        except np.linalg.LinAlgError:  # too far for rounding
+            gain = -np.inf
+        else:
+            gain = tried.bound - best.bound
+        if not gain > 0:
+            if damping > 1:
                 break
-            exponents = np.minimum(exponents, 1.0) / 2
+            damping *= DAMPED
             continue
-        gain, best = tried.bound - best.bound, tried
+        best = tried
         if gain < tolerance:
             break
-        after = _ratios(chains, best, real)
-        # Where a ratio falls by a share of a step only, the next one may be longer by as much.
-        fallen = (ratios - after) / np.where(steps != 0, steps, 1.0)
-        longer = np.where(fallen > 1 / LONGEST, 1 / np.maximum(fallen, 1 / LONGEST), 2 * exponents)
-        exponents, ratios = np.clip(longer, 0.5, np.minimum(2 * exponents, LONGEST)), after
+        look, damping = _look(chains, best, real, floor, held), max(damping / DAMPED, LEAST_DAMPING)
     force, error = best.noise.force_variances, best.noise.error_variances
-    return replace(best, smoothed=smooth(chains, best.filtered, force, error))
+    mixed = chains.mixed(best.noise.mixings)
+    return replace(best, smoothed=smooth(mixed, best.filtered, force, error))
 
 
-def _ratios(chains: Chains, last: Estimate, real: Mask) -> Array:
-    """Return the logarithms of what each variance is off by, of forces and then of errors: ln(sum u^2 / sum D) in [1].
+@dataclass(frozen=True)
+class _Look:
+    """The bound about a noise, by the logarithms of variances of forces and errors, then by shares; see `_moved`.
 
-    Half of it is the step that never lowers the bound.
+    Attributes
+    ----------
+    slopes, damping : ndarray of shape (p,)
+        The latter is curvature enough for a step in each alone.
+    information : ndarray of shape (p, p)
+    longest : ndarray of shape (p,)
     """
+
+    slopes: Array
+    information: Array
+    damping: Array
+    longest: Array
+
+    def step(self, damping: float) -> Array:
+        """Return the step of Levenberg and Marquardt."""
+        curvature = self.information + np.diag(damping * self.damping)
+        sizes = np.sqrt(np.maximum(np.diag(curvature), SMALLEST))
+        step = np.linalg.lstsq(curvature / sizes / sizes[:, None], self.slopes / sizes, rcond=None)[0] / sizes
+        return np.clip(step, -self.longest, self.longest)
+
+
+def _look(chains: Chains, last: Estimate, real: Mask, floor: Array, held: Mask | None) -> _Look:
+    """Return the bound about an estimate. What is held, or would go below its floor, does not move."""
     noise, smoothed = last.noise, last.smoothed
-    force = _off(
-        smoothed.forces, smoothed.force_variances, noise.force_variances, noise.force_weights, real[..., None]
-    )
-    error = _off(
-        smoothed.errors, smoothed.error_variances, noise.error_variances, noise.error_weights, chains.mask
-    )
-    return np.concatenate([force, error])
+    force, error = noise.force_variances, noise.error_variances
+    laws = [
+        _of_variances(smoothed.forces, smoothed.force_variances, force, real[..., None]),
+        _of_variances(smoothed.errors, smoothed.error_variances, error, chains.mask),
+    ]
+    slopes, damping, scale = map(np.concatenate, zip(*laws))
+    longest = np.full(len(slopes), FURTHEST)
+    k = 0 if noise.mixing is None else noise.mixing.shape[-1]
+    information = average_information(chains.mixed(noise.mixings), last.filtered, smoothed, force, k)
+    if k:
+        blocks = [slice(first, first + k) for first in range(0, force.shape[-1], k)]
+        scores = sum(smoothed.force_scores[:, 0, own, own].sum(axis=0) for own in blocks)
+        below = np.tril_indices(k, -1)
+        sizes = np.sqrt(np.maximum(noise.force[0].reshape(-1, k).sum(axis=0), SMALLEST))
+        slopes = np.r_[slopes, scores[below]]
+        damping = np.r_[damping, np.diag(information)[len(damping) :]]
+        scale = np.r_[scale, np.ones(len(below[0]))]
+        # As a correlation no share moves by more than one.
+        longest = np.r_[longest, (sizes[:, None] / sizes)[below]]
+    fixed = (noise.error[0] <= floor) & (laws[1][0] < 0) | (False if held is None else held)
+    moves = np.ones(len(slopes), dtype=bool)
+    moves[force.shape[-1] :][: len(fixed)] = ~fixed
+    scale = np.where(moves, scale, 0.0)
+    return _Look(np.where(moves, slopes, 0.0), information * scale * scale[:, None], damping, longest)
 
 
-def _off(means: Array, variances: Array, prior: Array, weights: Array, present: Mask) -> Array:
-    scaled = prior * weights  # q or r, as all weights of a column belong to one
-    u_squares = (means / prior) ** 2 * scaled / weights
-    D = (1 - variances / prior) / prior * scaled / weights
-    axes = (0, 1)
-    top = np.sum(np.where(present, u_squares, 0.0), axis=axes)
-    bottom = np.sum(np.where(present, D, 0.0), axis=axes)
+def _of_variances(means: Array, variances: Array, prior: Array, present: Mask) -> tuple[Array, Array, Array]:
+    """Return slopes by logarithms of variances, the curvature with which a step is the ratio of [1]_, and a scale.
+
+    By that of the information: where a variance alone says what is left, a step is then that ratio, too, far from it.
+    """
+    top = np.sum(np.where(present, means**2 / prior, 0.0), axis=(0, 1))
+    bottom = np.sum(np.where(present, 1 - variances / prior, 0.0), axis=(0, 1))
     known = (bottom > 0) & (top > 0)
-    off: Array = np.log(np.where(known, top, 1.0) / np.where(known, bottom, 1.0))
-    return off
+    top, bottom = np.where(known, top, 1.0), np.where(known, bottom, 1.0)
+    apart = np.log(top / bottom)
+    far = np.abs(apart) > 1e-6
+    curvature = np.where(far, (top - bottom) / np.where(far, apart, 1.0), bottom)
+    return (top - bottom) / 2, curvature / 2, np.sqrt(curvature / top)
 
 
 def _moved(
@@ -340,9 +432,13 @@ def _moved(
     noise, smoothed = last.noise, last.smoothed
     force_squares = smoothed.forces**2 + smoothed.force_variances
     error_squares = smoothed.errors**2 + smoothed.error_variances
-    k = noise.force.shape[1]
+    k, n = noise.force.shape[1], noise.force.shape[1] + noise.error.shape[1]
     force = np.maximum(noise.force * np.exp(steps[:k]), 1e-30)
-    error = np.maximum(noise.error * np.exp(steps[k:]), floor)
+    error = np.maximum(noise.error * np.exp(steps[k:n]), floor)
+    if noise.mixing is not None:
+        step = np.eye(noise.mixing.shape[-1])
+        step[np.tril_indices(len(step), -1)] = steps[n:]
+        noise = replace(noise, mixing=noise.mixing @ step)
     if held is not None:
         error = np.where(held, noise.error, error)
     if not heavy:
@@ -353,7 +449,8 @@ def _moved(
     error_nu, error_weights = _scales(error_squares, error[0], chains.mask)
     if held is not None:  # A noise that is known has no outliers: what lies beyond it is the model's.
         error_nu, error_weights = np.where(held, np.inf, error_nu), np.where(held, 1.0, error_weights)
-    return Noise(force, error, force_nu[None], error_nu[None], noise.law, force_weights, error_weights)
+    weights = force_weights, error_weights
+    return Noise(force, error, force_nu[None], error_nu[None], noise.law, *weights, noise.mixing)
 
 
 def _scales(squares: Array, variance: Array, present: Mask) -> tuple[Array, Array]:

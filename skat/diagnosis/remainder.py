@@ -29,7 +29,7 @@ from scipy.special import logsumexp
 from skat.diagnosis.ahead import Seen, ahead, filtered
 from skat.diagnosis.chains import Array, Chains, Mask, Memory, Places
 from skat.diagnosis.evidence import WIDTH_95
-from skat.diagnosis.filtering import kalman_filter, smooth
+from skat.diagnosis.filtering import Smoothed, kalman_filter, smooth
 from skat.diagnosis.findings import Gain
 from skat.diagnosis.fitting import NOTHING_KNOWN, Fitted, Known, response
 from skat.diagnosis.noise import Estimate, Noise, estimate_noise, normal_noise, passed
@@ -364,11 +364,12 @@ def _directions(space: StateSpace, fitted: Fitted) -> _Directions:
         )
     columns = fitted.linear.chains.carrier[space.places]
     k = columns.shape[-1]
-    forces, variances = _total_forces(space, fitted.memory, smoothed.forces, smoothed.means)
-    variances = smoothed.force_variances[..., :k][space.places].copy()
+    noise = fitted.estimate.noise
+    forces = _total_forces(space, fitted.memory, noise, smoothed)
+    variances = noise.variances_on_joints(smoothed.force_variances[..., :k])[space.places]
     if len(fitted.memory):
         diagonal = np.einsum("ctii->cti", smoothed.covariances)[..., d:]
-        variances += np.maximum(diagonal[:, :-1][space.places], 0.0)
+        variances = variances + np.maximum(diagonal[:, :-1][space.places], 0.0)
     joints = simulator.joint_forces()
     if joints:
         names = tuple(effect.target or effect.name for effect, _ in joints)
@@ -409,13 +410,14 @@ def _state_inputs(space: StateSpace, channel: str) -> tuple[str, ...]:
     return tuple(name for name in names if name in space.simulator.input_names)
 
 
-def _total_forces(space: StateSpace, memory: Memory, forces: Array, means: Array) -> tuple[Array, Array]:
-    """Return white forces with those of memory added, (n_rows, k), and the white ones alone."""
-    own, k = forces[space.places], forces.shape[-1] - len(memory)
-    white = own[:, :k]
-    if not len(memory):
-        return white, white
-    return white + memory.acting(own[:, k:], means[:, :-1, space.d :][space.places]), white
+def _total_forces(space: StateSpace, memory: Memory, noise: Noise, smoothed: Smoothed) -> Array:
+    """Return white forces with those of memory added, (n_rows, k)."""
+    k = smoothed.forces.shape[-1] - len(memory)
+    forces = noise.on_joints(smoothed.forces[..., :k])
+    if len(memory):
+        fresh = noise.on_joints(smoothed.forces[..., k:])
+        forces = forces + memory.acting(fresh, smoothed.means[:, :-1, space.d :])
+    return forces[space.places]
 
 
 def _joint_scales(space: StateSpace, fitted: Fitted) -> Array:
@@ -445,7 +447,7 @@ def _past(seen: Seen, index: int) -> float:
     k, memory = len(seen.memory), seen.memory
     if not k:
         return 0.0
-    force = seen.estimate.noise.force.mean(axis=0)
+    force = seen.estimate.noise.joint_force.mean(axis=0)
     remembered = memory.variance(force[k:])[index]
     total = remembered + force[index]
     return float(memory.predicted * remembered / total) if total > 0 else 0.0
@@ -456,7 +458,7 @@ def _with_normal_noise(space: StateSpace, seen: Seen, known: Known) -> list[Seen
     noise = seen.estimate.noise
     if not np.isfinite(np.c_[noise.force_nu, noise.error_nu]).any():
         return []
-    normal = normal_noise(seen.chains, noise.force, noise.error, noise.law)
+    normal = replace(normal_noise(seen.chains, noise.force, noise.error, noise.law), mixing=noise.mixing)
     return [replace(seen, estimate=_normal_estimate(seen.chains, normal, space, known))]
 
 
@@ -635,12 +637,14 @@ def _white_spectra(
     n = len(directions.names)
     if not space.simulator.state_names or _segments(space)[1] < LEAST_SPECTRUM_ROWS:
         return np.zeros(0), [np.zeros(0)] * n
-    plain, chains, noise = fitted.linear.chains, fitted.chains, fitted.estimate.noise
+    noise = fitted.estimate.noise
+    plain, chains = (one.mixed(noise.mixings) for one in (fitted.linear.chains, fitted.chains))
     d, k = space.d, plain.carrier.shape[-1]
-    forces = noise.force[:, :k].copy()
-    if len(fitted.memory):
-        forces += fitted.memory.variance(noise.force[:, k:])
-    mean = forces.mean(axis=0)
+
+    def sizes(force: Array) -> Array:
+        return force[:, :k] + (fitted.memory.variance(force[:, k:]) if len(fitted.memory) else 0.0)
+
+    forces, mean = sizes(noise.force), sizes(noise.joint_force).mean(axis=0)
     variances = noise.force_variances, noise.error_variances
     spectra = [np.zeros(0)] * n
     frequencies = np.zeros(0)
@@ -658,7 +662,7 @@ def _white_spectra(
             chains, measured=np.where(chains.mask, readings, 0.0), drive=np.zeros_like(chains.drive)
         )
         smoothed = smooth(drawn, kalman_filter(drawn, *variances), *variances, covariances=False)
-        shown, _ = _total_forces(space, fitted.memory, smoothed.forces, smoothed.means)
+        shown = _total_forces(space, fitted.memory, noise, smoothed)
         for index in range(n):
             frequencies, power = _welch(space, shown[:, index] / np.sqrt(max(mean[index], 1e-300)))
             spectra[index] = power / DRAWS if draw == 0 else spectra[index] + power / DRAWS

@@ -18,7 +18,6 @@ from skat.diagnosis.fitting import (
     _force_guess,
     _steps,
     _with_memory,
-    _without_memory,
     _worth_of_memories,
     coordinate,
     first_fit,
@@ -198,10 +197,9 @@ def test_a_noise_with_memory_is_as_large_as_without_and_comes_back_as_it_was():
     assert both.error.tolist() == [[1.0, 2.0, 1.0]]
     assert (both.force_weights.shape, both.error_weights.shape) == ((2, 3, 2), (2, 4, 3))
     assert np.isinf(both.force_nu[0, 1])
-    back = _without_memory(both, 2, 1)
+    back = both.part(np.arange(2), np.arange(1))
     for name in ("force", "error", "force_nu", "error_nu", "force_weights", "error_weights"):
         np.testing.assert_array_equal(getattr(back, name), getattr(noise, name))
-    assert _without_memory(noise, 2, 1) is noise
 
 
 @pytest.mark.parametrize("share", [0.0, 0.9])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from skat.diagnosis.chains import Chains, Memory
+from skat.diagnosis.chains import NO_MEMORY, Chains, Memory
 from skat.diagnosis.filtering import filter_columns, kalman_filter, smooth, student_log_density
 from skat.diagnosis.noise import Noise, estimate_noise, normal_noise, passed
 
@@ -261,3 +261,61 @@ def test_the_bound_is_near_the_likelihood_by_quadrature():
         exact += np.log(density)
     assert exact - 0.1 <= bound <= exact + 1e-6
     assert student_log_density(measured**2, scale, nu).sum() == pytest.approx(exact, abs=1e-6)
+
+
+# -- forces that act together ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("memory", [NO_MEMORY, Memory(2, 0.6), Memory(2, 0.6, returns=True)])
+def test_slopes_by_how_forces_act_together_are_those_of_the_likelihood(log, memory):
+    chains, forces, errors = log
+    chains = chains.with_memory(memory)
+    forces = np.concatenate([forces, 0.5 + forces], axis=2) if memory else forces
+    errors = np.pad(errors, [(0, 0), (0, 0), (0, 2 if memory else 0)], constant_values=1.0)
+    # What is hidden at first has the variance of the pushes, which are those of the first step at all times.
+    forces = np.repeat(forces[:, :1], forces.shape[1], axis=1)
+    mixing = np.tile([[1.0, 0.0], [0.7, 1.0]], (len(forces), 1, 1))
+
+    def likelihood(step):
+        mixed = chains.mixed(mixing @ (np.eye(2) + step * np.array([[0, 0], [1, 0]])))
+        return kalman_filter(mixed, forces, errors).log_likelihood
+
+    whole = chains.mixed(mixing)
+    smoothed = smooth(whole, kalman_filter(whole, forces, errors), forces, errors)
+    blocks = smoothed.force_scores.sum(axis=(0, 1))
+    found = blocks[1, 0] + (blocks[3, 2] if memory else 0.0)
+    step = 1e-5
+    slope = (likelihood(step) - likelihood(-step)) / (2 * step)
+    assert found == pytest.approx(slope, rel=1e-5)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.0])
+def test_forces_that_act_together_are_told_from_those_that_do_not(share):
+    """Two places, read with noise; what pushes the first pushes the second by a share as well."""
+    rng, n, steps = np.random.default_rng(6), 6, 300
+    pushes = rng.normal(size=(n, steps, 2)) * [1.0, 0.4]
+    forces = pushes @ np.array([[1.0, 0.0], [share, 1.0]]).T
+    places = np.concatenate([np.zeros((n, 1, 2)), np.cumsum(forces, axis=1)], axis=1)
+    eye = np.tile(np.eye(2), (n, steps, 1, 1))
+    chains = Chains(
+        eye, np.zeros((n, steps, 2)), 0 * eye, eye, places + 0.2 * rng.normal(size=places.shape),
+        np.ones(places.shape, dtype=bool), np.full(2, 100.0),
+    )  # fmt: skip
+    # Neither place acts on the other, and what they have in common shows only if they may have it.
+    assert len(chains.parts) == 2
+    chains = replace(chains, transitions=eye + 1e-9)
+    real = np.ones((n, steps), dtype=bool)
+    noise = normal_noise(chains, [1.0, 1.0], [0.1, 0.1])
+    apart = estimate_noise(chains, noise, real, floor=np.zeros(2))
+    both = estimate_noise(chains, apart.noise.together(2), real, floor=np.zeros(2))
+    mixing = both.noise.mixing
+    np.testing.assert_array_equal(mixing[0, [0, 0, 1], [0, 1, 1]], [1, 0, 1])
+    assert mixing[0, 1, 0] == pytest.approx(share, abs=0.03)
+    # From another start the same is found.
+    again = estimate_noise(chains, noise.together(2), real, floor=np.zeros(2))
+    assert again.bound == pytest.approx(both.bound, abs=0.2)
+    # Had the forces been seen it would be worth so much.
+    most = -0.5 * n * steps * np.log(1 - np.corrcoef(forces.reshape(-1, 2).T)[0, 1] ** 2)
+    assert 0.5 * most - 2 < both.bound - apart.bound < most + 2
+    np.testing.assert_allclose(both.noise.joint_force[0], np.diag(np.cov(forces.reshape(-1, 2).T)), rtol=0.15)
+    np.testing.assert_allclose(both.noise.on_joints(pushes), pushes @ mixing[0].T)

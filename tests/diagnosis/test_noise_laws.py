@@ -11,7 +11,7 @@ from skat.diagnosis.noise import (
     Noise,
     _best_scales,
     _cost_of_scales,
-    _off,
+    _of_variances,
     _scales,
     estimate_noise,
     normal_noise,
@@ -167,16 +167,21 @@ def test_a_variance_is_multiplied_by_what_is_left_of_it_over_what_was_told():
     means, prior = rng.normal(size=(2, 30, 1)), np.full((2, 30, 1), 0.5)
     present = np.ones((2, 30, 1), dtype=bool)
     present[1, 10:] = False
-    known = np.exp(_off(means, np.zeros((2, 30, 1)), prior, np.ones((2, 30, 1)), present))
+
+    def ratio(means, variances, prior):
+        slopes, curvatures, _ = _of_variances(means, variances, prior, present)
+        return np.exp(slopes / curvatures)
+
+    known = ratio(means, np.zeros((2, 30, 1)), prior)
     assert known[0] == pytest.approx(np.mean(means[present] ** 2) / 0.5)
     # Of what was told half, squares count for as much less.
-    told = np.exp(_off(means, prior / 2, prior, np.ones((2, 30, 1)), present))
+    told = ratio(means, prior / 2, prior)
     assert told[0] == pytest.approx(2 * known[0])
     # What nothing tells of stays.
-    assert _off(means, prior, prior, np.ones((2, 30, 1)), present)[0] == 0.0
+    assert ratio(means, prior, prior)[0] == 1.0
     # A sample of twice the precision has half of the variance.
     weights = np.where(np.arange(30) % 2, 2.0, 1.0)[None, :, None] * np.ones((2, 1, 1))
-    even = np.exp(_off(means / np.sqrt(weights), 0 * prior, prior / weights, weights, present))
+    even = ratio(means / np.sqrt(weights), 0 * prior, prior / weights)
     assert even[0] == pytest.approx(known[0])
 
 
@@ -188,6 +193,24 @@ def test_a_start_far_off_comes_to_the_same_variances(start):
     near, far = (estimate_noise(chains, one, real, floor=np.zeros(1), tolerance=1e-6) for one in begun)
     assert far.bound == pytest.approx(near.bound, abs=0.01)
     np.testing.assert_allclose(far.noise.force, near.noise.force, rtol=0.02)
+
+
+@pytest.mark.parametrize("given", [False, True])
+def test_beside_a_noise_that_does_not_move_the_force_is_the_likeliest(given):
+    """What would lower the sensor's noise is not taken from the force."""
+    chains, real = walks(n=6, steps=60, force=0.09, error=0.01), np.ones((6, 60), dtype=bool)
+    floor = np.array([0.0 if given else 0.09])
+    begun = normal_noise(chains, np.array([0.09]), np.array([0.09]))
+    held = np.array([given])
+    found = estimate_noise(chains, begun, real, floor=floor, held=held, heavy=False, tolerance=1e-6)
+    assert found.noise.error[0, 0] == 0.09
+    best = optimize.minimize_scalar(
+        lambda force: -likelihood(chains, force, 0.09),
+        bounds=(0.01, 0.2),
+        method="bounded",
+        options={"xatol": 1e-6},
+    )
+    assert found.noise.force[0, 0] == pytest.approx(best.x, rel=1e-3)
 
 
 def test_passes_are_few_where_a_variance_is_hardly_told_from_another():

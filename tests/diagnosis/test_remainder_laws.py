@@ -12,7 +12,7 @@ from skat.diagnosis.ahead import Seen
 from skat.diagnosis.chains import NO_MEMORY, Memory
 from skat.diagnosis.findings import Gain
 from skat.diagnosis.fitting import NOTHING_KNOWN, Fitted, Known, first_fit
-from skat.diagnosis.noise import normal_noise, passed
+from skat.diagnosis.noise import Noise, normal_noise, passed
 from skat.diagnosis.remainder import (
     SIZES,
     Law,
@@ -375,16 +375,22 @@ def test_a_joint_s_force_is_that_of_its_motor_and_without_one_that_of_gravity():
 
 def test_the_past_predicts_of_a_force_with_memory_what_is_left_of_it_a_row_later():
     """A lasting force of variance 1, of which half is left a row later, beside a white one of variance 1."""
-    noise = SimpleNamespace(force=np.array([[9.0, 1.0, 5.0, 0.75]]))
-    seen = SimpleNamespace(memory=Memory(2, 0.5), estimate=SimpleNamespace(noise=noise))
-    assert _past(seen, 1) == pytest.approx(0.25 / 2)
+
+    def past(memory, force, index, mixing=None):
+        some = np.ones((1, len(force)))
+        law = np.zeros(1, dtype=int), some[None], some[None]
+        noise = Noise(np.array([force]), some, np.inf * some, np.inf * some, *law, mixing)
+        return _past(SimpleNamespace(memory=memory, estimate=SimpleNamespace(noise=noise)), index)
+
+    four = [9.0, 1.0, 5.0, 0.75]
+    assert past(Memory(2, 0.5), four, 1) == pytest.approx(0.25 / 2)
     # Of pushes of .75 a third of the variance is taken back in later rows.
-    back = SimpleNamespace(memory=Memory(2, 0.5, returns=True), estimate=SimpleNamespace(noise=noise))
-    assert _past(back, 1) == pytest.approx(0.25 / 2)
-    white = SimpleNamespace(memory=NO_MEMORY, estimate=SimpleNamespace(noise=noise))
-    assert _past(white, 0) == 0.0
-    none = SimpleNamespace(force=np.zeros((1, 2)))
-    assert _past(SimpleNamespace(memory=Memory(1, 0.5), estimate=SimpleNamespace(noise=none)), 0) == 0.0
+    assert past(Memory(2, 0.5, returns=True), four, 1) == pytest.approx(0.25 / 2)
+    assert past(NO_MEMORY, [9.0, 1.0], 0) == 0.0
+    assert past(Memory(1, 0.5), [0.0, 0.0], 0) == 0.0
+    # The first pushes act on the second joint, too: white ones of 9 and 1, and lasting ones of 4 and 1.
+    mixing = np.array([[[1.0, 0.0], [1.0, 1.0]]])
+    assert past(Memory(2, 0.5), [9.0, 1.0, 3.0, 0.75], 1, mixing) == pytest.approx(0.25 * 5 / 15)
 
 
 def test_a_log_with_heavy_tails_is_looked_at_with_normal_noise_too():
