@@ -12,11 +12,11 @@ import pytest
 from matplotlib import pyplot
 
 from skat.diagnosis import Cause, Gain, SimulationDiagnosis
-from skat.diagnosis.chains import Memory
+from skat.diagnosis.chains import NO_MEMORY, Memory
 from skat.diagnosis.comparison import EXTENDED, NOMINAL
 from skat.diagnosis.findings import Alias
 from skat.diagnosis.prediction import Overlay
-from skat.diagnosis.report.from_diagnosis import _by_error, _rows, _with_breaks
+from skat.diagnosis.report.from_diagnosis import _beside, _by_error, _rows, _with_breaks
 from skat.diagnosis.report.machine import findings_as_data
 from skat.diagnosis.report.sentences import (
     capital,
@@ -359,6 +359,29 @@ def test_a_force_with_memory_is_told_with_its_time_constant(returns):
     forces = type(diagnosis.report_)(diagnosis, diagnosis.report_.log).content.forces
     assert [one.memory_s for one in forces] == [pytest.approx(4 * 0.05), 0.0]
     assert [one.returns for one in forces] == [returns, False]
+
+
+@pytest.mark.parametrize("lasting", [False, True])
+def test_of_each_random_force_the_one_that_goes_most_with_it_is_told(lasting):
+    """What pushes the first joint pushes the third half as much, the other way; the second one is pushed alone."""
+    mixing = np.array([[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-0.5, 0.0, 1.0]]])
+    white, memory = [4.0, 1.0, 3.0], NO_MEMORY
+    if lasting:
+        # Half of a lasting force's variance is of pushes that come to 1 / (1 - 1 / 4) of it.
+        white, memory = [2.0, 0.5, 1.5, 1.5, 0.375, 1.125], Memory(3, 0.5)
+    noise = SimpleNamespace(force=np.array([white]), mixing=mixing)
+    joints = [(SimpleNamespace(target=name, name=""), ()) for name in ("hip", "knee", "ankle")]
+    diagnosis = SimpleNamespace(
+        simulator=SimpleNamespace(joint_forces=lambda: joints),
+        _found=SimpleNamespace(fitted=SimpleNamespace(estimate=SimpleNamespace(noise=noise), memory=memory)),
+    )
+    found = _beside(diagnosis)
+    # The third's variance is 4 / 4 + 3.
+    assert found["hip"] == ("ankle", pytest.approx(-2 / np.sqrt(4 * 4)))
+    assert found["ankle"] == ("hip", pytest.approx(-0.5))
+    assert found["knee"][1] == 0.0
+    noise.mixing = None
+    assert _beside(diagnosis) == {}
 
 
 def test_findings_as_data_hold_probabilities_aliases_and_what_is_left():

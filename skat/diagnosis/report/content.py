@@ -354,6 +354,10 @@ class ForceNoise:
         Time constant; 0 where it is white.
     returns : bool
         Whether it is taken back within that time, as a vibration's; otherwise it lasts that long.
+    beside : str
+        The joint whose random force goes most with it; empty where there is no other.
+    correlation : float
+        Of both, from -1 to 1: a base that shakes or a link that bends pushes several joints at once.
     """
 
     name: str
@@ -361,6 +365,8 @@ class ForceNoise:
     rms: float
     memory_s: float | None = None
     returns: bool = False
+    beside: str = ""
+    correlation: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -402,12 +402,28 @@ def _forces(diagnosis: Any) -> tuple[ForceNoise, ...]:
     if not simulator.state_names:
         return ()
     time = -simulator.dt / np.log(memory.share) if memory and simulator.dt else None
-    return tuple(
-        ForceNoise(part.name, part.unit, part.rms, time, memory.returns)
-        if part.past > memory.predicted / 2
-        else ForceNoise(part.name, part.unit, part.rms, 0.0)
-        for part in diagnosis.remainder_.parts
-    )
+    beside, forces = _beside(diagnosis), []
+    for part in diagnosis.remainder_.parts:
+        lasts, (other, correlation) = part.past > memory.predicted / 2, beside.get(part.name, ("", 0.0))
+        memory_s, returns = (time, memory.returns) if lasts else (0.0, False)
+        forces.append(ForceNoise(part.name, part.unit, part.rms, memory_s, returns, other, correlation))
+    return tuple(forces)
+
+
+def _beside(diagnosis: Any) -> dict[str, tuple[str, float]]:
+    """Return for each joint the other one whose random force goes most with its own, and their correlation."""
+    names = [effect.target or effect.name for effect, _ in diagnosis.simulator.joint_forces()]
+    noise, memory = diagnosis._found.fitted.estimate.noise, diagnosis._found.fitted.memory
+    if noise.mixing is None or len(names) < 2:
+        return {}
+    force, k = noise.force, len(names)
+    pushes = force[:, :k] + (memory.variance(force[:, k:]) if len(memory) else 0.0)
+    covariance = ((noise.mixing * pushes[:, None]) @ noise.mixing.swapaxes(1, 2)).mean(axis=0)
+    sizes = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    correlations = covariance / np.outer(sizes, sizes)
+    np.fill_diagonal(correlations, 0.0)
+    most = np.argmax(np.abs(correlations), axis=1)
+    return {name: (names[other], float(row[other])) for name, other, row in zip(names, most, correlations)}
 
 
 def _visibility(diagnosis: Any) -> tuple[Visibility, ...]:

@@ -270,6 +270,13 @@ def force_grid(title: str, forces: Sequence[ForceNoise]) -> Grid:
             ],
             "number",
         ),
+        "goes with": (
+            [
+                Cell(f"{one.beside}{GAP}({one.correlation:+.2f})" if one.beside else "", one.correlation)
+                for one in forces
+            ],
+            "text",
+        ),
     }
     return _grid(title, columns)
 
