@@ -206,7 +206,8 @@ def _line(
     variances : ndarray of shape (n_starts, horizon, d)
     """
     (n_points, n_starts, horizon, d), noise, k = pushes.shape, seen.estimate.noise, len(seen.memory)
-    chains = seen.chains.mixed(noise.mixings)
+    # These chains may be others than those that the noise was found in.
+    chains = seen.chains.mixed(None if noise.mixing is None else noise.mixing[space.origin])
     A, F = (one[space.places] for one in (chains.transitions, chains.carrier))
     law = space.origins[starts]
     force = variances_of(noise.force, noise.force_nu)[law, None]

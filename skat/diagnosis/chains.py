@@ -161,7 +161,7 @@ class Chains:
         mixing : ndarray of shape (n_chains, k, k) or None
             Forces on k joints are this times k pushes, as are those of memory.
         """
-        if mixing is None:
+        if mixing is None or not mixing.shape[-1]:
             return self
         blocks = np.kron(np.eye(self.carrier.shape[-1] // mixing.shape[-1]), mixing)
         before = None if self.before is None else self.before @ blocks

@@ -146,14 +146,24 @@ class Noise:
         return replace(self, law=self.law[:0], force_weights=force, error_weights=error)
 
     def pooled(self) -> "Noise":
-        """Return one law for all chains: mean variances, the heaviest tails."""
+        """Return one law for all chains: mean variances, of forces on joints, the heaviest tails."""
+        force, mixing = self.force.mean(axis=0, keepdims=True), self.mixing
+        if mixing is not None:
+            n, k = mixing.shape[:2]
+            own = mixing[:, None] * self.force.reshape(n, -1, 1, k)
+            means = np.mean(own @ mixing[:, None].swapaxes(2, 3), axis=0)
+            whole = means.sum(axis=0)
+            root = np.linalg.cholesky(whole + np.diag(FINEST * np.diag(whole) + SMALLEST))
+            mixing = (root / np.diag(root))[None]
+            back = np.linalg.inv(mixing)
+            force = np.diagonal(back @ means @ back.swapaxes(1, 2), axis1=1, axis2=2).reshape(1, -1)
         return replace(
             self,
-            force=self.force.mean(axis=0, keepdims=True),
+            force=force,
             error=self.error.mean(axis=0, keepdims=True),
             force_nu=self.force_nu.min(axis=0, keepdims=True),
             error_nu=self.error_nu.min(axis=0, keepdims=True),
-            mixing=None if self.mixing is None else self.mixing.mean(axis=0, keepdims=True),
+            mixing=mixing,
             law=np.zeros_like(self.law),
         )
 
@@ -297,7 +307,8 @@ def _of_parts(chains: Chains, noise: Noise, parts: Sequence[Estimate]) -> Estima
     force, error, force_nu, error_nu = map(filled, ("force", "error", "force_nu", "error_nu"))
     weights, mixing = (filled("force_weights"), filled("error_weights")), noise.mixing
     if mixing is not None:
-        mixing, k = mixing.copy(), mixing.shape[-1]
+        k = mixing.shape[-1]
+        mixing = np.tile(np.eye(k), (len(mixing), 1, 1))
         for (_, forces), one in zip(chains.parts, parts):
             own = forces[forces < k]
             mixing[:, own[:, None], own] = one.noise.mixing

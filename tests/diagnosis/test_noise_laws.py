@@ -1,5 +1,7 @@
 """What the noise is estimated by, against quadrature, dense normal laws and general optimisers."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import integrate, optimize, stats
@@ -246,3 +248,42 @@ def test_a_noise_of_samples_with_weights_has_their_variances():
     )
     assert noise.force_variances.ravel().tolist() == [2.0, 2.0]
     np.testing.assert_allclose(noise.error_variances.ravel(), 27.0)
+
+
+def two_walks(rng, *, n, steps):
+    pushes = rng.normal(size=(n, steps, 2)) @ np.array([[1.0, 0.5], [0.0, 0.7]])
+    places = np.concatenate([np.zeros((n, 1, 2)), np.cumsum(pushes, axis=1)], axis=1)
+    eye = np.tile(np.eye(2), (n, steps, 1, 1))
+    return Chains(
+        eye + 1e-9, np.zeros((n, steps, 2)), 0 * eye, eye, places + 0.3 * rng.normal(size=places.shape),
+        np.ones(places.shape, dtype=bool), np.full(2, 4.0),
+    )  # fmt: skip
+
+
+def test_laws_of_several_logs_are_pooled_by_what_acts_on_joints():
+    """Each log's pushes act on the second joint as well, in one to one side, in the other to the other."""
+    chains = two_walks(np.random.default_rng(0), n=2, steps=3)
+    noise = normal_noise(chains, [[1.0, 0.01], [1.0, 0.01]], np.ones((2, 2)), np.array([0, 1]))
+    noise = replace(noise, mixing=np.array([[[1.0, 0.0], [1.0, 1.0]], [[1.0, 0.0], [-1.0, 1.0]]]))
+    pooled = noise.pooled()
+    np.testing.assert_allclose(pooled.joint_force, noise.joint_force.mean(axis=0, keepdims=True))
+    np.testing.assert_allclose(pooled.mixing, np.eye(2)[None], atol=1e-9)
+    same = replace(noise, mixing=noise.mixing[[0, 0]]).pooled()
+    np.testing.assert_allclose(same.mixing, noise.mixing[:1], rtol=1e-6)
+    np.testing.assert_allclose(same.force, noise.force[:1], rtol=1e-6)
+    # Without a joint that pushes act on there is nothing to mix.
+    assert chains.mixed(np.zeros((2, 0, 0))) is chains
+
+
+def test_forces_of_channels_that_came_apart_act_together_no_more():
+    chains = two_walks(np.random.default_rng(0), n=4, steps=30)
+    apart = replace(chains, transitions=chains.transitions - 1e-9)
+    assert (len(chains.parts), len(apart.parts)) == (1, 2)
+    real = np.ones((4, 30), dtype=bool)
+    both = estimate_noise(
+        chains, normal_noise(chains, [1.0, 1.0], [0.1, 0.1]).together(2), real, floor=np.zeros(2)
+    )
+    assert both.noise.mixing[0, 1, 0] > 0.3
+    found = estimate_noise(apart, both.noise, real, floor=np.zeros(2))
+    np.testing.assert_array_equal(found.noise.mixing, np.eye(2)[None])
+    assert passed(apart, found.noise, real).bound == pytest.approx(found.bound, abs=1e-6)

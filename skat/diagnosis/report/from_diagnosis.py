@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from skat.diagnosis.ahead import variances_of
 from skat.diagnosis.comparison import EXTENDED, NOMINAL, ceiling_sentence, compare_transports
 from skat.diagnosis.evidence import weigh
 from skat.diagnosis.fitting import around
@@ -411,19 +412,23 @@ def _forces(diagnosis: Any) -> tuple[ForceNoise, ...]:
 
 
 def _beside(diagnosis: Any) -> dict[str, tuple[str, float]]:
-    """Return for each joint the other one whose random force goes most with its own, and their correlation."""
+    """Return for each joint the other one whose random force goes most with its own, if any, and their correlation."""
     names = [effect.target or effect.name for effect, _ in diagnosis.simulator.joint_forces()]
     noise, memory = diagnosis._found.fitted.estimate.noise, diagnosis._found.fitted.memory
     if noise.mixing is None or len(names) < 2:
         return {}
-    force, k = noise.force, len(names)
+    force, k = variances_of(noise.force, noise.force_nu), len(names)
     pushes = force[:, :k] + (memory.variance(force[:, k:]) if len(memory) else 0.0)
     covariance = ((noise.mixing * pushes[:, None]) @ noise.mixing.swapaxes(1, 2)).mean(axis=0)
     sizes = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     correlations = covariance / np.outer(sizes, sizes)
     np.fill_diagonal(correlations, 0.0)
     most = np.argmax(np.abs(correlations), axis=1)
-    return {name: (names[other], float(row[other])) for name, other, row in zip(names, most, correlations)}
+    return {
+        name: (names[other], float(row[other]))
+        for name, other, row in zip(names, most, correlations)
+        if row[other] != 0
+    }
 
 
 def _visibility(diagnosis: Any) -> tuple[Visibility, ...]:
