@@ -552,4 +552,4 @@ def _live(ranked: Ranked, members: Sequence[int]) -> list[int]:
     return list(live)
 
 
-__all__ = ["QUICK_TURNS", "TURNS", "Found", "Search", "find_causes"]
+__all__ = ["QUICK_TURNS", "TURNS", "Search", "find_causes"]

@@ -1,6 +1,6 @@
 r"""Sensor noise and random forces, by variational inference.
 
-Each measured channel has noise of variance r, each degree of freedom a random acceleration of variance q, both with
+Each measured channel has noise of variance r, each degree of freedom a random force of variance q, both with
 Student's t: a normal law whose precision is scaled by a Gamma variable of its own for each sample. Path and scales are
 factorised, and a bound of the log likelihood is raised in turns: by the scales in closed form, by the degrees of
 freedom over a grid, and by the variances, and how forces act together, with steps of Newton on the average information.
@@ -38,7 +38,7 @@ FINEST = 1e-13
 TOLERANCE = 0.1
 # In a pass no variance is moved by more on its logarithm.
 FURTHEST = float(np.log(1e3))
-# A step that lowers the bound is damped by so many times as much; at 2 none does, as in [1].
+# A step that lowers the bound is damped by so many times as much.
 LEAST_DAMPING, DAMPED = 1 / 64, 8.0
 DEGREES_OF_FREEDOM = (np.inf, 10.0, 5.0, 3.0)
 Part = TypeVar("Part")
