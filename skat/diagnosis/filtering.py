@@ -110,6 +110,10 @@ class Smoothed:
         Of w.
     errors, error_variances : ndarray of shape (n_chains, n_steps + 1, d)
         Of e; zero and the prior variance where nothing was measured.
+    force_known, error_known : ndarray of the same shapes
+        Share of the prior variance of each that measurements take away.
+    force_first, force_first_known : ndarray of shape (n_chains, 1, n_forces)
+        Of the forces before a chain that enter its first state.
     force_scores : ndarray of shape (n_chains, 1, n_forces, n_forces)
         Slope of the log likelihood by the share of the force of each column that acts in the place of that of each row
         as well.
@@ -121,6 +125,10 @@ class Smoothed:
     force_variances: Array
     errors: Array
     error_variances: Array
+    force_known: Array
+    error_known: Array
+    force_first: Array
+    force_first_known: Array
     force_scores: Array
 
 
@@ -347,12 +355,12 @@ def _smoothed(
         before[:, t], information[:, t] = r, N
     q = force_variances
     u, D = _scores(F, after[:, :-1], later[:, :-1])
-    informed = np.diagonal(D, axis1=2, axis2=3)
-    forces, force_spreads = q * u, q - q**2 * informed
-    scores = _of_shares(u, D, q)
+    forces, known = q * u, q * np.diagonal(D, axis1=2, axis2=3)
+    scores, first, first_known = _of_shares(u, D, q), np.zeros_like(q[:, :1]), np.zeros_like(q[:, :1])
     if chains.before is not None:
-        first = _scores(chains.before[:, None], before[:, :1], information[:, :1])
-        scores = scores + _of_shares(*first, q[:, :1])
+        u, D = _scores(chains.before[:, None], before[:, :1], information[:, :1])
+        scores = scores + _of_shares(u, D, q[:, :1])
+        first, first_known = q[:, :1] * u, q[:, :1] * np.diagonal(D, axis1=2, axis2=3)
     r_of_noise = error_variances[..., read]
     ahead = np.zeros(G.shape)
     ahead[:, :-1] = chains.transitions @ G[:, :-1]
@@ -361,10 +369,13 @@ def _smoothed(
     of_errors = np.diagonal(filtered.precisions, axis1=2, axis2=3)[..., read] + np.sum(
         ahead * (later @ ahead), axis=2
     )
-    error_spreads[..., read] -= r_of_noise**2 * of_errors
+    errors_known = np.zeros(error_variances.shape)
+    errors_known[..., read] = r_of_noise * of_errors
+    error_spreads -= error_variances * errors_known
     means = filtered.means + (P @ before[..., None])[..., 0]
     spreads = P - P @ information @ P if covariances else np.zeros((n, steps + 1, d, d))
-    return Smoothed(means, spreads, forces, force_spreads, errors, error_spreads, scores)
+    own = forces, q - q * known, errors, error_spreads, known, errors_known
+    return Smoothed(means, spreads, *own, first, first_known, scores)
 
 
 def _scores(F: Array, r: Array, N: Array) -> tuple[Array, Array]:
@@ -418,7 +429,7 @@ def average_information(
 
     moved = np.zeros((n, d, n_forces + d + len(to)))
     if chains.before is not None:
-        moved = pushed(chains.before, found[:, 0], q[:, 0])
+        moved = pushed(chains.before, smoothed.force_first[:, 0], q[:, 0])
     information = np.zeros((moved.shape[-1], moved.shape[-1]))
     factors, gains = filtered.factors[:, :, read[:, None], read], filtered.gains[..., read]
     errors = np.where(chains.mask, smoothed.errors, 0.0)[..., read]

@@ -150,13 +150,13 @@ class Noise:
         force, mixing = self.force.mean(axis=0, keepdims=True), self.mixing
         if mixing is not None:
             n, k = mixing.shape[:2]
-            own = mixing[:, None] * self.force.reshape(n, -1, 1, k)
-            means = np.mean(own @ mixing[:, None].swapaxes(2, 3), axis=0)
-            whole = means.sum(axis=0)
+            pushes = self.force.reshape(n, -1, k)
+            whole = np.mean((mixing * pushes.sum(axis=1)[:, None]) @ mixing.swapaxes(1, 2), axis=0)
             root = np.linalg.cholesky(whole + np.diag(FINEST * np.diag(whole) + SMALLEST))
-            mixing = (root / np.diag(root))[None]
-            back = np.linalg.inv(mixing)
-            force = np.diagonal(back @ means @ back.swapaxes(1, 2), axis1=1, axis2=2).reshape(1, -1)
+            pooled = root / np.diag(root)
+            # As sums of squares they are not below zero by rounding where pushes have all but gone.
+            force = np.mean(pushes @ (np.linalg.inv(pooled) @ mixing).swapaxes(1, 2) ** 2, axis=0).reshape(1, -1)
+            mixing = pooled[None]
         return replace(
             self,
             force=force,
@@ -346,8 +346,8 @@ def _estimated(
     best = passed(chains, noise, real)
     look, damping = _look(chains, best, real, floor, held), LEAST_DAMPING
     for _ in range(n_passes):
-        proposed = _moved(chains, best, real, look.step(damping), floor, heavy, held)
         try:
+            proposed = _moved(chains, best, real, look.step(damping), floor, heavy, held)
             tried = passed(chains, proposed, real)
         except np.linalg.LinAlgError:  # too far for rounding
             gain = -np.inf
@@ -396,9 +396,13 @@ def _look(chains: Chains, last: Estimate, real: Mask, floor: Array, held: Mask |
     """Return the bound about an estimate. What is held, or would go below its floor, does not move."""
     noise, smoothed = last.noise, last.smoothed
     force, error = noise.force_variances, noise.error_variances
+    # Those before a chain are of the variances of its first step.
+    forces = np.concatenate([smoothed.forces, smoothed.force_first], axis=1)
+    known = np.concatenate([smoothed.force_known, smoothed.force_first_known], axis=1)
+    acting = np.pad(real[..., None], [(0, 0), (0, 1), (0, 0)], constant_values=True)
     laws = [
-        _of_variances(smoothed.forces, smoothed.force_variances, force, real[..., None]),
-        _of_variances(smoothed.errors, smoothed.error_variances, error, chains.mask),
+        _of_variances(forces, known, np.concatenate([force, force[:, :1]], axis=1), acting),
+        _of_variances(smoothed.errors, smoothed.error_known, error, chains.mask),
     ]
     slopes, damping, scale = map(np.concatenate, zip(*laws))
     longest = np.full(len(slopes), FURTHEST)
@@ -421,15 +425,15 @@ def _look(chains: Chains, last: Estimate, real: Mask, floor: Array, held: Mask |
     return _Look(np.where(moves, slopes, 0.0), information * scale * scale[:, None], damping, longest)
 
 
-def _of_variances(means: Array, variances: Array, prior: Array, present: Mask) -> tuple[Array, Array, Array]:
+def _of_variances(means: Array, known: Array, prior: Array, present: Mask) -> tuple[Array, Array, Array]:
     """Return slopes by logarithms of variances, the curvature with which a step is the ratio of [1]_, and a scale.
 
     By that of the information: where a variance alone says what is left, a step is then that ratio, too, far from it.
     """
     top = np.sum(np.where(present, means**2 / prior, 0.0), axis=(0, 1))
-    bottom = np.sum(np.where(present, 1 - variances / prior, 0.0), axis=(0, 1))
-    known = (bottom > 0) & (top > 0)
-    top, bottom = np.where(known, top, 1.0), np.where(known, bottom, 1.0)
+    bottom = np.sum(np.where(present, known, 0.0), axis=(0, 1))
+    told = (bottom > SMALLEST) & (top > SMALLEST)
+    top, bottom = np.where(told, top, 1.0), np.where(told, bottom, 1.0)
     apart = np.log(top / bottom)
     far = np.abs(apart) > 1e-6
     curvature = np.where(far, (top - bottom) / np.where(far, apart, 1.0), bottom)

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from scipy import integrate, optimize, stats
 
-from skat.diagnosis.chains import Chains
+from skat.diagnosis.chains import Chains, Memory
 from skat.diagnosis.noise import (
     DEGREES_OF_FREEDOM,
     FINEST,
     Noise,
     _best_scales,
     _cost_of_scales,
+    _look,
     _of_variances,
     _scales,
     estimate_noise,
@@ -171,7 +172,7 @@ def test_a_variance_is_multiplied_by_what_is_left_of_it_over_what_was_told():
     present[1, 10:] = False
 
     def ratio(means, variances, prior):
-        slopes, curvatures, _ = _of_variances(means, variances, prior, present)
+        slopes, curvatures, _ = _of_variances(means, 1 - variances / prior, prior, present)
         return np.exp(slopes / curvatures)
 
     known = ratio(means, np.zeros((2, 30, 1)), prior)
@@ -248,6 +249,35 @@ def test_a_noise_of_samples_with_weights_has_their_variances():
     )
     assert noise.force_variances.ravel().tolist() == [2.0, 2.0]
     np.testing.assert_allclose(noise.error_variances.ravel(), 27.0)
+
+
+# -- what a step is taken from ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("returns", [False, True])
+def test_slopes_are_those_of_the_likelihood_of_lasting_forces_and_of_shares_too(returns):
+    """Two walks that the same pushes drive, white and lasting ones, from chains that begin with what lasts."""
+    rng, memory = np.random.default_rng(3), Memory(2, 0.9, returns=returns)
+    chains = two_walks(rng, n=12, steps=15).with_memory(memory)
+    mixing = np.tile([[1.0, 0.0], [0.6, 1.0]], (1, 1, 1))
+    noise = replace(normal_noise(chains, [0.5, 0.3, 0.2, 0.1], [0.1, 0.2, 1.0, 1.0]), mixing=mixing)
+    real = np.ones((12, 15), dtype=bool)
+    look = _look(chains, passed(chains, noise, real), real, np.zeros(4), None)
+
+    def bound(place, step):
+        force, error, share = noise.force.copy(), noise.error.copy(), np.eye(2)
+        if place < 4:
+            force[0, place] *= np.exp(step)
+        elif place < 8:
+            error[0, place - 4] *= np.exp(step)
+        else:
+            share[1, 0] = step
+        return passed(chains, replace(noise, force=force, error=error, mixing=mixing @ share), real).bound
+
+    slopes = [(bound(place, 1e-5) - bound(place, -1e-5)) / 2e-5 for place in range(9)]
+    np.testing.assert_allclose(look.slopes, slopes, rtol=1e-4, atol=1e-4)
+    # Of hidden channels nothing is known.
+    assert (look.information[6:8] == 0).all()
 
 
 def two_walks(rng, *, n, steps):
