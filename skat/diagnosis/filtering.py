@@ -110,9 +110,11 @@ class Smoothed:
         Of w.
     errors, error_variances : ndarray of shape (n_chains, n_steps + 1, d)
         Of e; zero and the prior variance where nothing was measured.
-    force_known, error_known : ndarray of the same shapes
-        Share of the prior variance of each that measurements take away.
-    force_first, force_first_known : ndarray of shape (n_chains, 1, n_forces)
+    force_information : ndarray of shape (n_chains, n_steps, n_forces, n_forces)
+        Of what was measured, on the forces of a step: q less q times this times q is their covariance.
+    error_known : ndarray of shape (n_chains, n_steps + 1, d)
+        Share of the prior variance of each error that measurements take away.
+    force_first, force_first_information : ndarray of shape (n_chains, 1, n_forces), (..., n_forces, n_forces)
         Of the forces before a chain that enter its first state.
     force_scores : ndarray of shape (n_chains, 1, n_forces, n_forces)
         Slope of the log likelihood by the share of the force of each column that acts in the place of that of each row
@@ -125,10 +127,10 @@ class Smoothed:
     force_variances: Array
     errors: Array
     error_variances: Array
-    force_known: Array
+    force_information: Array
     error_known: Array
     force_first: Array
-    force_first_known: Array
+    force_first_information: Array
     force_scores: Array
 
 
@@ -355,12 +357,11 @@ def _smoothed(
         before[:, t], information[:, t] = r, N
     q = force_variances
     u, D = _scores(F, after[:, :-1], later[:, :-1])
-    forces, known = q * u, q * np.diagonal(D, axis1=2, axis2=3)
-    scores, first, first_known = _of_shares(u, D, q), np.zeros_like(q[:, :1]), np.zeros_like(q[:, :1])
+    forces, force_spreads = q * u, q - q**2 * np.diagonal(D, axis1=2, axis2=3)
+    scores, first, of_first = _of_shares(u, D, q), np.zeros_like(q[:, :1]), np.zeros_like(D[:, :1])
     if chains.before is not None:
-        u, D = _scores(chains.before[:, None], before[:, :1], information[:, :1])
-        scores = scores + _of_shares(u, D, q[:, :1])
-        first, first_known = q[:, :1] * u, q[:, :1] * np.diagonal(D, axis1=2, axis2=3)
+        u, of_first = _scores(chains.before[:, None], before[:, :1], information[:, :1])
+        scores, first = scores + _of_shares(u, of_first, q[:, :1]), q[:, :1] * u
     r_of_noise = error_variances[..., read]
     ahead = np.zeros(G.shape)
     ahead[:, :-1] = chains.transitions @ G[:, :-1]
@@ -374,8 +375,8 @@ def _smoothed(
     error_spreads -= error_variances * errors_known
     means = filtered.means + (P @ before[..., None])[..., 0]
     spreads = P - P @ information @ P if covariances else np.zeros((n, steps + 1, d, d))
-    own = forces, q - q * known, errors, error_spreads, known, errors_known
-    return Smoothed(means, spreads, *own, first, first_known, scores)
+    own = forces, force_spreads, errors, error_spreads, D, errors_known
+    return Smoothed(means, spreads, *own, first, of_first, scores)
 
 
 def _scores(F: Array, r: Array, N: Array) -> tuple[Array, Array]:

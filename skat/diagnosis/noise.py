@@ -97,9 +97,16 @@ class Noise:
         """Return what pushes (n_chains, n_steps, k) amount to on joints."""
         return pushes if self.mixings is None else pushes @ self.mixings.swapaxes(1, 2)
 
-    def variances_on_joints(self, variances: Array) -> Array:
-        """Return the variances on joints of pushes of such variances, (n_chains, n_steps, k)."""
-        return variances if self.mixings is None else variances @ (self.mixings**2).swapaxes(1, 2)
+    def variances_on_joints(self, smoothed: Smoothed, k: int) -> Array:
+        """Return the variances of what the first k pushes amount to on joints, given all measurements."""
+        if self.mixings is None:
+            return smoothed.force_variances[..., :k]
+        q, information = self.force_variances[..., :k], smoothed.force_information[..., :k, :k]
+        pushed = self.mixings[:, None] * q[:, :, None]
+        variances: Array = q @ (self.mixings**2).swapaxes(1, 2) - np.sum(
+            (pushed @ information) * pushed, axis=-1
+        )
+        return variances
 
     @property
     def joint_force(self) -> Array:
@@ -155,7 +162,9 @@ class Noise:
             root = np.linalg.cholesky(whole + np.diag(FINEST * np.diag(whole) + SMALLEST))
             pooled = root / np.diag(root)
             # As sums of squares they are not below zero by rounding where pushes have all but gone.
-            force = np.mean(pushes @ (np.linalg.inv(pooled) @ mixing).swapaxes(1, 2) ** 2, axis=0).reshape(1, -1)
+            force = np.mean(pushes @ (np.linalg.inv(pooled) @ mixing).swapaxes(1, 2) ** 2, axis=0).reshape(
+                1, -1
+            )
             mixing = pooled[None]
         return replace(
             self,
@@ -398,10 +407,12 @@ def _look(chains: Chains, last: Estimate, real: Mask, floor: Array, held: Mask |
     force, error = noise.force_variances, noise.error_variances
     # Those before a chain are of the variances of its first step.
     forces = np.concatenate([smoothed.forces, smoothed.force_first], axis=1)
-    known = np.concatenate([smoothed.force_known, smoothed.force_first_known], axis=1)
+    information = np.concatenate([smoothed.force_information, smoothed.force_first_information], axis=1)
+    prior = np.concatenate([force, force[:, :1]], axis=1)
+    known = prior * np.diagonal(information, axis1=2, axis2=3)
     acting = np.pad(real[..., None], [(0, 0), (0, 1), (0, 0)], constant_values=True)
     laws = [
-        _of_variances(forces, known, np.concatenate([force, force[:, :1]], axis=1), acting),
+        _of_variances(forces, known, prior, acting),
         _of_variances(smoothed.errors, smoothed.error_known, error, chains.mask),
     ]
     slopes, damping, scale = map(np.concatenate, zip(*laws))

@@ -366,7 +366,7 @@ def _directions(space: StateSpace, fitted: Fitted) -> _Directions:
     k = columns.shape[-1]
     noise = fitted.estimate.noise
     forces = _total_forces(space, fitted.memory, noise, smoothed)
-    variances = noise.variances_on_joints(smoothed.force_variances[..., :k])[space.places]
+    variances = noise.variances_on_joints(smoothed, k)[space.places]
     if len(fitted.memory):
         diagonal = np.einsum("ctii->cti", smoothed.covariances)[..., d:]
         variances = variances + np.maximum(diagonal[:, :-1][space.places], 0.0)

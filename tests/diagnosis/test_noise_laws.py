@@ -301,8 +301,32 @@ def test_laws_of_several_logs_are_pooled_by_what_acts_on_joints():
     same = replace(noise, mixing=noise.mixing[[0, 0]]).pooled()
     np.testing.assert_allclose(same.mixing, noise.mixing[:1], rtol=1e-6)
     np.testing.assert_allclose(same.force, noise.force[:1], rtol=1e-6)
+    gone = replace(noise, force=np.array([[1.0, 1e-30], [1e-30, 1e-30]])).pooled()
+    assert (gone.force >= 0).all()
     # Without a joint that pushes act on there is nothing to mix.
     assert chains.mixed(np.zeros((2, 0, 0))) is chains
+
+
+def test_what_is_not_known_of_forces_on_joints_is_so_in_whatever_order_the_joints_are():
+    """The same normal law of two forces as pushes on the first and both joints, and on the second and both."""
+    chains = two_walks(np.random.default_rng(1), n=3, steps=12)
+    mixing, real = np.array([[[1.0, 0.0], [1.5, 1.0]]]), np.ones((3, 12), dtype=bool)
+    noise = replace(normal_noise(chains, [0.8, 0.3], [0.1, 0.4]), mixing=mixing)
+    found = passed(chains, noise, real).smoothed
+    root = np.linalg.cholesky((mixing[0] * noise.force[0] @ mixing[0].T)[::-1, ::-1])
+    turned = replace(chains, carrier=chains.carrier[..., ::-1])
+    other = replace(noise, force=np.diag(root)[None] ** 2, mixing=(root / np.diag(root))[None])
+    same = passed(turned, other, real).smoothed
+    np.testing.assert_allclose(
+        other.variances_on_joints(same, 2)[..., ::-1], noise.variances_on_joints(found, 2), rtol=1e-9
+    )
+    np.testing.assert_allclose(
+        other.on_joints(same.forces)[..., ::-1], noise.on_joints(found.forces), rtol=1e-9
+    )
+    # Pushes that are told apart by both joints alone are not independent of each other once these were read.
+    assert (noise.variances_on_joints(found, 2) < found.force_variances @ (mixing[0] ** 2).T - 1e-3)[
+        ..., 1
+    ].all()
 
 
 def test_forces_of_channels_that_came_apart_act_together_no_more():
