@@ -490,7 +490,7 @@ def _scales(squares: Array, variance: Array, present: Mask) -> tuple[Array, Arra
     bounds = []
     for nu in DEGREES_OF_FREEDOM:
         scale = _best_scales(flat, seen, variance, nu)
-        bounds.append(np.sum(student_log_density(flat, scale, nu), axis=0, where=seen))
+        bounds.append(np.where(seen, student_log_density(flat, scale, nu), 0.0).sum(axis=0))
     nus[there] = np.array(DEGREES_OF_FREEDOM)[np.argmax(bounds, axis=0)][there]
     return nus, precisions(squares, variance, nus, present)
 
@@ -505,14 +505,14 @@ def precisions(squares: Array, scale: Array, nu: Array, present: Mask) -> Array:
 def _best_scales(squares: Array, seen: Mask, start: Array, nu: float) -> Array:
     """Return the likeliest squared scale of each column of squares (n, k)."""
     # Of a log that a model repeats exactly nothing is left.
-    counts = np.maximum(seen.sum(axis=0), 1)
+    counts, squares = np.maximum(seen.sum(axis=0), 1), np.where(seen, squares, 0.0)
     if np.isinf(nu):
-        mean: Array = np.sum(squares, axis=0, where=seen) / counts
+        mean: Array = squares.sum(axis=0) / counts
         return np.maximum(mean, SMALLEST)
     scale = np.maximum(start, SMALLEST)
     for _ in range(8):
         shares = (nu + 1) / (nu + squares / scale) * squares
-        scale = np.maximum(np.sum(shares, axis=0, where=seen) / counts, SMALLEST)
+        scale = np.maximum(shares.sum(axis=0) / counts, SMALLEST)
     return scale
 
 
