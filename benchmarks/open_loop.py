@@ -195,6 +195,8 @@ def sysid(mjcf, parameters, stretches, frame_skip, *, seconds=600.0):
     """
     from mujoco import sysid as toolbox
 
+    if not hasattr(toolbox, "build_residual_fn"):
+        raise ImportError('mujoco.sysid lacks what it needs: pip install "mujoco[sysid]"')
     mine = [one for one in parameters if one.write is not None]
     given = toolbox.ParameterDict()
     for one in mine:
