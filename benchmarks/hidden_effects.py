@@ -42,7 +42,7 @@ EPISODES = {"hopper": 12, "halfcheetah": 12, "ant": 6, "puck": 12}
 def main():
     arguments = _arguments()
     source = arguments.source or tables.source_hash()
-    done = [line for line in _read(arguments.output) if line.get("source") == source]
+    done = [line for line in _read(arguments.output) if source in (line.get("source"), line.get("commit"))]
     if not arguments.report:
         tasks = [task for task in _tasks(arguments) if task["key"] not in {run["key"] for run in done}]
         tasks = tasks[: arguments.at_most]
@@ -59,7 +59,7 @@ def main():
         with Progress(*columns) as progress, arguments.output.open("a") as file:
             bar = progress.add_task("worlds", total=len(tasks))
             for result in runs:
-                result["source"] = source
+                result |= {"source": source, "commit": tables.commit()}
                 file.write(json.dumps(result) + "\n")
                 file.flush()
                 done.append(result)
@@ -246,7 +246,9 @@ def _arguments():
     parser.add_argument("--at-most", type=int, default=None, help="stop after so many runs")
     parser.add_argument("--n-jobs", type=int, default=2, help="processes")
     parser.add_argument("--output", type=Path, default=RESULTS)
-    parser.add_argument("--source", help="hash of the lines to count; by default of the sources at hand")
+    parser.add_argument(
+        "--source", help="hash or commit of the lines to count; by default of the sources at hand"
+    )
     parser.add_argument("--report", action="store_true", help="print what is there, run nothing")
     parser.add_argument("--wide", action="store_true", help="print for 200 columns")
     return parser.parse_args()

@@ -1,9 +1,9 @@
 """Tables of a diagnosis: cases whose truth is known, a line of JSON for each, and what is counted of them.
 
-Every script of a table calls `main`. A case is asked once: its line holds a hash of the sources that decide, and a
-report counts the lines of one hash alone, by default that of the sources at hand. So a table may be interrupted, gone
-on with later, and filled by several processes at once, which take cases from each other by file locks (or by
-``--shard 0/2`` and ``--shard 1/2`` where a file system has none)::
+Every script of a table calls `main`. A case is asked once: its line holds a hash of the sources that decide, and the
+commit; a report counts the lines of one hash alone, by default that of the sources at hand. So a table may be
+interrupted, gone on with later, and filled by several processes at once, which take cases from each other by file
+locks (or by ``--shard 0/2`` and ``--shard 1/2`` where a file system has none)::
 
     python benchmarks/sensors.py --cut                    # a small cut
     python benchmarks/sensors.py --cases "two_link"       # cases whose name contains this
@@ -22,6 +22,7 @@ import hashlib
 import json
 import os
 import resource
+import subprocess
 import time
 import warnings
 from collections.abc import Callable
@@ -313,6 +314,15 @@ def source_hash(of_changes=False):
     return _hash(files, root)
 
 
+def commit():
+    """Return the commit at hand, empty outside of a repository."""
+    asked = ["git", "-C", str(HERE), "rev-parse", "--short", "HEAD"]
+    try:
+        return subprocess.run(asked, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return ""
+
+
 def world_hash():
     """Return a hash of the sources that make the worlds."""
     return _hash(sorted((HERE / "worlds").glob("*.py")), HERE)
@@ -326,13 +336,13 @@ def _hash(files, root):
 
 
 def lines_of(path, source=None, parameters=None):
-    """Return the lines of a file, of one hash and one set of parameters if given; of a case the last."""
+    """Return the lines of a file, of one hash or commit and one set of parameters if given; of a case the last."""
     if not path.exists():
         return []
     found = {}
     for text in path.read_text().splitlines():
         line = json.loads(text)
-        wanted = source is None or line.get("source") == source
+        wanted = source is None or source in (line.get("source"), line.get("commit"))
         if wanted and (parameters is None or line.get("parameters") == parameters):
             asked = json.dumps(line.get("parameters"), sort_keys=True)
             found[line.get("source"), asked, line["key"]] = line
@@ -361,6 +371,7 @@ def main(table, description, arguments=None):
                 "case": case.name,
                 "seed": case.seed,
                 "source": source,
+                "commit": commit(),
                 "worlds": worlds,
                 "parameters": parameters,
                 **table.run(case, parameters),
@@ -442,7 +453,9 @@ def _options(description):
     parser.add_argument("--limit", type=int, help="stop after so many")
     parser.add_argument("--shard", default="0/1", help="i/n: every n-th case, from the i-th on")
     parser.add_argument("--report", action="store_true", help="print what is there, run nothing")
-    parser.add_argument("--source", help="hash of the lines to report; by default of the sources at hand")
+    parser.add_argument(
+        "--source", help="hash or commit of the lines to report; by default of the sources at hand"
+    )
     parser.add_argument(
         "--velocities", choices=("auto", "measured", "computed"), help="passed on, only if given"
     )
