@@ -488,6 +488,18 @@ def test_too_few_rows_are_refused(here):
     )
 
 
+@pytest.mark.parametrize(("every", "has_whole_rows"), [(17, True), (2, False)])
+def test_rows_with_a_missing_reading_tell_of_the_rest(here, every, has_whole_rows):
+    table = pd.read_csv(here / "log.csv")
+    table.loc[1::every, "qvel.rail"] = np.nan
+    table.to_csv(here / "lost.csv", index=False)
+    result = skat("diagnose", "model.xml", "lost.csv", "--json", "found.json")
+    assert result.exit_code == 0, result.output
+    found = json.loads((here / "found.json").read_text())
+    assert [cause["name"] for cause in found["causes"]] == ["damping[rail]"]
+    assert ("One-step error" in result.stdout) == has_whole_rows  # as maps need them
+
+
 def test_a_lost_row_is_told(here):
     time = pd.read_csv(here / "log.csv")["time"]
     time[10:15] += 0.02

@@ -53,7 +53,8 @@ class Study:
 
     errors : DataFrame or None
         Columns method and error: the error of one step on the data set aside, for the simulation, for maps
-        that carry its output onto the measurement, and for the extended simulation. None of a first look (`quick`).
+        that carry its output onto the measurement, and for the extended simulation. None of a first look (`quick`),
+        and where no row was measured as a whole.
 
     truth : str or None
         What differed between the simulation and the measured world, where that is known.
@@ -288,7 +289,7 @@ def study_log(
     Parameters
     ----------
     log : Log
-        As `load_log` returns it. Channels that were not measured are hidden; where a frame is lost, an episode ends.
+        As `load_log` returns it. Channels that were not measured are hidden; single readings may be missing.
         Of several files each has noise of its own.
 
     test : Log, default=None
@@ -314,9 +315,9 @@ def study_log(
     floor = log.floor
     if parameters.get("actions", "auto") == "auto":
         parameters["actions"] = log.actions
-    log, parameters = _complete(log, parameters)
+    log, parameters = _as_rows(log, parameters)
     if test is not None:
-        fit, (test, _) = log, _complete(test, parameters)
+        fit, (test, _) = log, _as_rows(test, parameters)
     elif test_size == 0:
         fit, test = log, None
     else:
@@ -336,12 +337,12 @@ def study_log(
     return _study("Log", log.simulator, fit, test, random_state, progress, floor=floor, **parameters)
 
 
-def _complete(log: Any, parameters: Any) -> Any:
-    """Return rows without NaN, and the parameters that name what was not measured."""
+def _as_rows(log: Any, parameters: Any) -> Any:
+    """Return a log's rows, NaN where a reading is missing, and the parameters that name what was never measured."""
     X, y = log.X.copy(), log.y.copy()
     lacking = [log.simulator.state_names.index(name) for name in log.unmeasured]
     X[:, lacking] = y[:, lacking] = 0.0
-    log = replace(log, X=X, y=y).rows(np.isfinite(X).all(axis=1) & np.isfinite(y).all(axis=1))
+    log = replace(log, X=X, y=y)
     hidden = tuple(
         dict.fromkeys(
             (*parameters.get("hidden", ()), *(log.simulator.state_names[column] for column in lacking))
@@ -362,6 +363,10 @@ def _each(fit: Bunch, floor: Any) -> list[Any]:
             X, y, groups = (fit[one][own] for one in ("data", "target", "groups"))
             logs.append(SimpleNamespace(X=X, y=y, groups=groups, floor=floor, source=name))
     return logs
+
+
+def _has_whole_rows(rows: Any) -> bool:
+    return bool((np.isfinite(rows.data).all(axis=1) & np.isfinite(rows.target).all(axis=1)).any())
 
 
 def _study(
@@ -392,7 +397,8 @@ def _study(
     try:
         gain = diagnosis.evaluate(test.data, test.target, test.get("groups"), **(evaluation or {}))
         errors = None
-        if not diagnosis.quick:  # maps take longer than a first look
+        # Maps take longer than a first look, and whole rows.
+        if not diagnosis.quick and _has_whole_rows(fit) and _has_whole_rows(test):
             errors = compare_transports(
                 diagnosis,
                 fit.data,
