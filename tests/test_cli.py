@@ -383,6 +383,8 @@ def test_effects_are_listed_with_unit_and_range(here):
     assert all(row[-1] and row[-1] != name for name, row in rows.items()), rows
     longer = skat("effects", "model.xml", "--frame-skip", 4).stdout
     assert longer != result.stdout
+    assert "backlash[rail]" not in result.stdout
+    assert "backlash[rail]" in skat("effects", "model.xml", "--all").stdout
     assert "There is no file none.xml" in refused("effects", "none.xml")
 
 

@@ -162,6 +162,9 @@ def effects(
     motors: Annotated[
         str | None, typer.Option(metavar="torque|position:KP,KV", help="What drives the joints of a URDF.")
     ] = None,
+    every: Annotated[
+        bool, typer.Option("--all", help="Also those that are sought only where --effect names them.")
+    ] = False,
 ) -> None:
     """List the effects that MODEL may be diagnosed for."""
     with clear_errors():
@@ -170,7 +173,8 @@ def effects(
         from skat.simulators import MujocoSimulator
 
         path = existing_path(model, "a model: MJCF, URDF or a robot's folder")
-        listed = MujocoSimulator(path, frame_skip=frame_skip, base=base, motors=motors).effects()
+        simulator = MujocoSimulator(path, frame_skip=frame_skip, base=base, motors=motors)
+        listed = simulator.effects(also="all" if every else ())
         rows = [
             (effect.name, effect.unit, effect.neutral, *effect.bounds, effect.meaning) for effect in listed
         ]

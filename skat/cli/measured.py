@@ -77,7 +77,8 @@ Motors = Annotated[
     ),
 ]
 FrameSkip = Annotated[
-    int | None, typer.Option(min=1, help="Steps of the model between two rows; sets the rate.")
+    int | None,
+    typer.Option(min=1, help="Steps of the model between two rows; sets the rate, as --rate does."),
 ]
 
 
