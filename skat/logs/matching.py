@@ -114,7 +114,7 @@ def plan(
         if name not in matched:
             continue
         column, how = matched[name]
-        text = told_units.get(name) or known[column].said.unit
+        text = told_units.get(name) or _named_unit(known[column], inputs, recording)
         if text and name not in told_units:
             with_units.add(name)
         found[name] = (known[column].stream, column, _unit(text, name, inputs, simulator, recording))
@@ -626,6 +626,12 @@ def _units(
     found: dict[str, str] = {}
     if isinstance(units, str):
         units = {"*": units}
+    if not isinstance(units, Mapping | None) or not all(
+        isinstance(one, str) for one in (units or {}).values()
+    ):
+        raise TypeError(
+            f'units must be a unit such as "deg", or a mapping such as {{"qpos.*": "deg"}}; got {units!r}.'
+        )
     for pattern, unit in (units or {}).items():
         if pattern in ("time", "episode"):
             found[pattern] = unit
@@ -648,6 +654,12 @@ def _meant(pattern: str, names: list[str], unit: str, inputs: Inputs) -> list[st
         return names
     own = {"A": "rad", "L": "m"}.get(kind[:1], "")
     return [name for name in names if (inputs.units.get(name) or own).startswith(own)] or names
+
+
+def _named_unit(column: Column, inputs: Inputs, recording: Recording) -> str:
+    """Return the unit in a column's name; "" where the simulator's own name ends so (``qpos.slide_mm``)."""
+    own = column.name.removeprefix(f"{recording.streams[column.stream].name}.")
+    return "" if {own, column.name} & {*inputs.names} else column.said.unit
 
 
 def _unit(text: str, name: str, inputs: Inputs, simulator: Simulator, recording: Recording) -> Unit:

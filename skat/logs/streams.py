@@ -126,6 +126,15 @@ def as_numbers(array: np.ndarray) -> np.ndarray:
     raise LogError("an array", f"holds {array.dtype}, no numbers.", "Give real numbers.")
 
 
+def is_number(text: str) -> bool:
+    """Whether a text is a number as tables have them; Python also takes 1_0 and digits of other scripts for one."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return text.isascii() and "_" not in text
+
+
 def _text(cell: object) -> object:
     return cell.decode("utf-8", "replace") if isinstance(cell, bytes) else cell
 
