@@ -673,6 +673,8 @@ def fleet_of(folder, *options):
 
 def test_diagnose_writes_a_table_of_many_logs_and_tells_what_changed(carts):
     pattern = r"(?P<robot>\w)_(?P<time>[\d-]+)\.csv"
+    (carts / "fleet.parquet.part").mkdir()
+    (carts / "fleet.parquet.part" / "mine.txt").write_text("mine")
     result = fleet_of(carts, "--table", carts / "fleet.parquet", "--robots", pattern)
     assert result.exit_code == 0, result.output
     table = pd.read_parquet(carts / "fleet.parquet")
@@ -684,7 +686,7 @@ def test_diagnose_writes_a_table_of_many_logs_and_tells_what_changed(carts):
     assert "1 of 3 logs have a cause that holds" in text
     assert "a: damping[rail] went from" in text
     assert "2026-03-09" in text
-    assert sorted(path.name for path in carts.iterdir() if "fleet" in path.name) == ["fleet.parquet"]
+    assert [path.name for path in (carts / "fleet.parquet.part").iterdir()] == ["mine.txt"]
 
 
 @pytest.mark.parametrize(
