@@ -127,9 +127,11 @@ def test_where_nothing_changed_it_is_said_what_would_have_been_told(here):
     names = ["qpos.shoulder", "qpos.elbow", "qvel.shoulder", "qvel.elbow", "ctrl.shoulder", "ctrl.elbow"]
     rows = pd.DataFrame(log_of(4, rows=600, friction=(0.12, 0.06))[0], columns=names)
     rows.assign(time=0.01 * rows.index).to_csv(here / "june.csv", index=False)
+    rows.assign(time=0.01 * rows.index, fan=1).to_csv(here / "july.csv", index=False)
     effects = ("--effect", "damping[elbow]", "--effect", "gain[elbow]", "--effect", "delay[action]")
-    result = skat("changed", "arm.xml", "june.csv", "june.csv", *effects)
+    result = skat("changed", "arm.xml", "june.csv", "july.csv", *effects)
     assert result.exit_code == 0, result.output
+    assert "july.csv:\n  Left aside: fan." in result.stdout
     assert "Verdict: nothing changed" in result.stdout
     assert re.search(r"gain\[elbow\] +│ [\d.]+ %", result.stdout)
     assert re.search(r"damping\[elbow\] +│ [\d.]+ N m s/rad", result.stdout)
@@ -673,6 +675,8 @@ def fleet_of(folder, *options):
 
 def test_diagnose_writes_a_table_of_many_logs_and_tells_what_changed(carts):
     pattern = r"(?P<robot>\w)_(?P<time>[\d-]+)\.csv"
+    (carts / "fleet.parquet.part").mkdir()
+    (carts / "fleet.parquet.part" / "mine.txt").write_text("mine")
     result = fleet_of(carts, "--table", carts / "fleet.parquet", "--robots", pattern)
     assert result.exit_code == 0, result.output
     table = pd.read_parquet(carts / "fleet.parquet")
@@ -684,7 +688,7 @@ def test_diagnose_writes_a_table_of_many_logs_and_tells_what_changed(carts):
     assert "1 of 3 logs have a cause that holds" in text
     assert "a: damping[rail] went from" in text
     assert "2026-03-09" in text
-    assert sorted(path.name for path in carts.iterdir() if "fleet" in path.name) == ["fleet.parquet"]
+    assert [path.name for path in (carts / "fleet.parquet.part").iterdir()] == ["mine.txt"]
 
 
 @pytest.mark.parametrize(

@@ -111,6 +111,29 @@ BAD_CALLS = [
     ("diagnose model.xml log.csv --extended mine.xml", "mine.xml exists", "--force"),
     ("check model.xml log.csv --save-map mine.toml", "mine.toml exists", "--force"),
     ("diagnose model.xml log.csv --report no/new.html", "no folder no", "Make it first"),
+    (
+        "diagnose model.xml log.csv -o same.out --json ./same.out",
+        "same.out is given for two",
+        "Choose another",
+    ),
+    ("diagnose model.xml log.csv --save-map q --json q", "q is given for two outputs", "Choose another name"),
+    (
+        "diagnose model.xml log.csv --json log-report.html",
+        "log-report.html is given for two",
+        "Choose another",
+    ),
+    (
+        "diagnose model.xml log.csv --extended b.xml --json b.effects.json",
+        "b.effects.json is given for two",
+        "Choose another name",
+    ),
+    ("experiment puck -o p.png --plot p.png", "p.png is given for two outputs", "Choose another name"),
+    ("diagnose model.xml log.csv --test ./log.csv", "--test log.csv: this log is fitted", "--test-size"),
+    ("diagnose model.xml log.csv folder/../log.csv", "log.csv is given 2 times", "each log once"),
+    ("diagnose model.xml log.csv ./log.csv --table t.csv", "log.csv is given 2 times", "each log once"),
+    ("diagnose model.xml log.csv --test a.csv --test a.csv", "a.csv is given 2 times", "each log once"),
+    ("check model.xml log.csv ./log.csv", "log.csv is given 2 times", "each log once"),
+    ("preflight model.xml log.csv ./log.csv", "log.csv is given 2 times", "each log once"),
     ("diagnose model.xml log.csv --extended better.txt", "better.txt", "ends in .xml"),
     ("diagnose model.xml log.csv --extended better.urdf", "better.urdf", "where MODEL is one"),
     ("diagnose model.xml log.csv --jobs 0", "n_jobs", "--jobs"),
@@ -194,15 +217,20 @@ def test_findings_for_programs_have_the_documented_fields(here):
     log["qpos.rail"] += 0.001 * np.random.default_rng(1).normal(size=len(log))
     log["qvel.rail"] = np.gradient(log["qpos.rail"], 0.02)
     log.to_csv("log.csv", index=False)
-    call = "diagnose model.xml log.csv --effect damping[rail] --json found.json --test log.csv --save-map used.toml"
+    log.drop(5).to_csv("other.csv", index=False)
+    call = "diagnose model.xml log.csv --effect damping[rail] --json found.json --test other.csv --save-map used.toml"
     result = CliRunner().invoke(app, shlex.split(call))
     assert result.exit_code == 0, result.output
+    lost = "1 of 60 rows are lost (0.017 of them): not measured there, commands held."
+    told = result.stdout.splitlines()
+    assert told[told.index("other.csv:") + 1].strip() == lost
     found = json.loads((here / "found.json").read_text())
     assert found["schema"] == 2
     assert found["verdict"] in ("nothing detected", "named", "ambiguous", "unexplained")
     assert set(found["log"]) == {"source", "rows", "episodes", "dt", "matches", "notes", "test"}
     assert found["log"]["rows"] == 59
-    assert found["log"]["test"] == "log.csv"
+    assert found["log"]["test"] == "other.csv"
+    assert f"other.csv: {lost}" in found["log"]["notes"]
     assert found["computed_velocities"] == ["qvel.rail"]
     assert set(found["noise"]) == {"qpos.rail"}
     guide = documented_fields()

@@ -9,6 +9,7 @@ import typer
 
 from skat import __version__
 from skat.cli.terminal import (
+    check_apart,
     clear_errors,
     existing_file,
     existing_path,
@@ -277,6 +278,7 @@ def experiment(
         if plot is not None and plot.suffix.lower() not in PICTURES:
             raise ValueError(f"--plot {plot}: expected a name that ends in {', '.join(PICTURES)}.")
         plot = None if plot is None else output_file(plot, force=force)
+        check_apart(output, plot)
         options: dict[str, Any] = {"random_state": seed}
         if n_repeats is not None:
             options["n_repeats"] = n_repeats

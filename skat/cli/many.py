@@ -1,7 +1,6 @@
 """What ``skat diagnose --table`` does: many logs, each by itself, in one table."""
 
 import re
-import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,6 +25,7 @@ def diagnose_fleet(
 ) -> None:
     """Diagnose each log by itself, show and write the table of all; what is done is kept beside it until all is."""
     from skat.fleet import diagnose_many
+    from skat.fleet.many import clear_store
 
     forms = {".parquet": "to_parquet", ".csv": "to_csv"}
     if table.suffix.lower() not in forms:
@@ -49,7 +49,7 @@ def diagnose_fleet(
         )
     with whole(table) as draft:
         getattr(fleet.table, forms[table.suffix.lower()])(draft, index=False)
-    shutil.rmtree(kept)
+    clear_store(kept)
     found = fleet.table[fleet.table["held"]]
     if len(found):
         shown = ["log", "cause", "value", "low", "high", "unit", "probability", "aliases"]

@@ -22,6 +22,7 @@ from skat.cli.commands import (
 )
 from skat.cli.many import diagnose_fleet
 from skat.cli.terminal import (
+    check_apart,
     clear_errors,
     existing_path,
     heard,
@@ -175,6 +176,7 @@ def diagnose(
 
         if robots is not None and table is None:
             raise ValueError("--robots says whose log each is, of many: give --table as well.")
+        check_logs_apart(log, test or ())
         if table is not None:
             single = {
                 "--test": test,
@@ -202,10 +204,13 @@ def diagnose(
         simulator = model_simulator(model, base, motors)
         if extended is not None:
             extended = _extended_file(extended, simulator, force)
+        check_apart(path, save_map, json, extended, None if extended is None else _beside(extended))
         options = log_options(simulator, maps, columns, topic, rate, episodes, base, frame_skip)
         fit = read_log(log, simulator, options)
         told = show_log(fit, save_map, force)
         tested = None if not test else read_log(test, fit.simulator, options | {"rate": 1 / fit.dt})
+        if tested is not None:
+            told += show_second_log(tested, fit)
         with progress_bars() as progress:
             study = study_log(
                 fit,
@@ -287,6 +292,7 @@ def changed(
         first = read_log([before], simulator, options)
         show_log(first, None, False)
         second = read_log([after], first.simulator, options | {"rate": 1 / first.dt})
+        show_second_log(second, first)
         diagnosis = SimulationDiagnosis(
             first.simulator, effects=effect or "all", hidden=hidden or (), alpha=alpha, test_size=test_size
         ).fit_change(first, second)
@@ -358,6 +364,7 @@ def check(
     with clear_errors():
         from skat.diagnosis.checks import channel_table
 
+        check_logs_apart(log)
         save_map = None if save_map is None else output_file(save_map, force=force)
         simulator = model_simulator(model, base, motors)
         found = read_log(
@@ -401,6 +408,7 @@ def preflight_log(
     LOG has states and actions such as you plan to measure; it may come from the simulation.
     """
     with clear_errors():
+        check_logs_apart(log)
         output = None if output is None else output_file(output, force=force)
         simulator = model_simulator(model, base, motors)
         found = read_log(
@@ -456,6 +464,22 @@ def log_options(
     }
 
 
+def check_logs_apart(logs: Sequence[Path], tests: Sequence[Path] = ()) -> None:
+    """Raise where the same rows would count twice, or be a test of what was fitted to them."""
+    fitted = {path.resolve() for path in logs}
+    for path in tests:
+        if path.resolve() in fitted:
+            raise ValueError(
+                f"--test {path}: this log is fitted, so it is no test. Give another one; without any a part of LOG is "
+                "set aside (--test-size)."
+            )
+    for paths in (logs, tests):
+        places = [path.resolve() for path in paths]
+        for path, place in zip(paths, places):
+            if places.count(place) > 1:
+                raise ValueError(f"{path} is given {places.count(place)} times; give each log once.")
+
+
 def read_log(paths: Sequence[Path], simulator: "Simulator", options: Mapping[str, Any]) -> "Log":
     """Return the log of the files that the user named."""
     from skat.logs import load_log
@@ -479,6 +503,14 @@ def show_log(log: "Log", save_map: Path | None, force: bool, *, table: bool = Tr
     if save_map is not None:
         print_line(f"Map: {write_map(save_map, log, force=force)}")
     return list(log.notes)
+
+
+def show_second_log(log: "Log", first: "Log") -> list[str]:
+    """Show what was done to a log that comes after another; return it with the log's name."""
+    if log.notes:
+        print_line(f"{log.source}:")
+    told = show_log(log, None, False, table=log.matches != first.matches)
+    return told if log.origins is not None else [f"{log.source}: {note}" for note in told]
 
 
 def _describe(
@@ -570,8 +602,13 @@ def _extended_file(path: Path, simulator: "MujocoSimulator", force: bool) -> Pat
     if path.suffix.lower() not in forms:
         why = " (a URDF is written where MODEL is one)" if path.suffix.lower() == ".urdf" else ""
         raise ValueError(f"--extended {path}: expected a name that ends in {' or '.join(forms)}{why}.")
-    output_file(path.with_suffix(".effects.json"), force=force)
+    output_file(_beside(path), force=force)
     return output_file(path, force=force)
+
+
+def _beside(extended: Path) -> Path:
+    """Return where what an extended model's form cannot hold is written."""
+    return extended.with_suffix(".effects.json")
 
 
 def _write_json(path: Path, content: Any) -> None:

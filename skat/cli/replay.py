@@ -52,7 +52,7 @@ def replay(
         ),
     ] = None,
     speed: Annotated[float, typer.Option(help="Seconds of the log per second shown.")] = 1.0,
-    fps: Annotated[float, typer.Option(help="Pictures per second of a film.")] = 25.0,
+    fps: Annotated[float, typer.Option(help="Pictures per second of a film; of a GIF 50 at most.")] = 25.0,
     width: Annotated[
         int, typer.Option(min=64, help="Width of each picture in pixels; 3/4 of it is its height.")
     ] = 640,

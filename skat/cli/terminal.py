@@ -94,6 +94,15 @@ def output_file(path: str | PathLike[str], *, force: bool) -> Path:
     return writable(path, force=force, remedy="--force")
 
 
+def check_apart(*outputs: Path | None) -> None:
+    """Raise where two outputs of a command are one file, in which the second would replace the first."""
+    paths = [path for path in outputs if path is not None]
+    places = [path.resolve() for path in paths]
+    for path, place in zip(paths, places):
+        if places.count(place) > 1:
+            raise ValueError(f"{path} is given for two outputs. Choose another name for one of them.")
+
+
 def unused(path: str | PathLike[str]) -> Path:
     """Return the path, with a number added where a file of that name exists."""
     path, number = Path(path), 1

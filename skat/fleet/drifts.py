@@ -79,8 +79,9 @@ def drifts_of(
     Returns
     -------
     DataFrame
-        With columns robot, effect, since, before, after, change, low, high, unit and p. `change` is a ratio of factors
-        and a difference of others; low and high are its 95 % interval; p that it is none.
+        With columns robot, effect, since, before, after, change, low, high, unit, neutral and p. `change` is a ratio of
+        factors and a difference of others; low and high are its 95 % interval; neutral is the value of the model as
+        given; p that it is none.
 
     References
     ----------
@@ -109,8 +110,8 @@ def drifts_of(
             p = min(1.0, 2 * step.tries * float(stdtr(free, -abs(step.last - step.first) / error)))
             half = -float(stdtrit(free, 0.025)) * error
             effect = effects[name]
-            rows.append((robot, name, since, *_values(effect, step, half), effect.unit, p))
-    names = ["robot", "effect", "since", "before", "after", "change", "low", "high", "unit", "p"]
+            rows.append((robot, name, since, *_values(effect, step, half), effect.unit, effect.neutral, p))
+    names = ["robot", "effect", "since", "before", "after", "change", "low", "high", "unit", "neutral", "p"]
     table = pd.DataFrame(rows, columns=names)
     if table.empty:
         return table

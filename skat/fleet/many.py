@@ -1,6 +1,7 @@
 """Diagnoses of many logs, side by side on all processes, kept as they are done."""
 
 import json
+import re
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -30,6 +31,8 @@ COLUMNS = (
     *("log", "robot", "time", "verdict", "cause", "value", "low", "high", "unit", "probability", "evidence"),
     *("aliases", "held", "explained", "error"),
 )
+# A file of the store, or a draft of one that a killed process left.
+STORED = re.compile(r"\.?[0-9a-f]{32}(-\d+)?\.json")
 # How often work goes on after a process was killed without that a log was done in between.
 TRIES = 2
 
@@ -48,7 +51,7 @@ class Fleet:
     drifts : DataFrame
         What changed on a robot from one log to the next, likeliest first: robot, effect, since (the time of the first
         log after it), before, after, change (a ratio of factors, a difference of others), low, high (95 % interval),
-        unit, p.
+        unit, neutral (of the model as given), p.
     findings : tuple of dict
         Of each log what `skat diagnose --json` writes, or its error.
     """
@@ -207,6 +210,15 @@ def _all_findings(
     return [done[at] for at in range(len(logs))]
 
 
+def clear_store(store: Path) -> None:
+    """Delete the findings in a store, and its folder where it holds nothing else."""
+    for file in list(store.iterdir()):
+        if STORED.fullmatch(file.name):
+            file.unlink()
+    if not any(store.iterdir()):
+        store.rmdir()
+
+
 def _asked(
     logs: Sequence[tuple[int, Any]],
     simulator: Simulator,
@@ -346,7 +358,9 @@ def _drifts(
 
 def _sentence(drift: Mapping[str, Any]) -> str:
     unit = "" if drift["unit"] in ("", "1") else f" {drift['unit']}"
-    share = f" ({100 * (drift['after'] / drift['before'] - 1):+.0f} %)" if drift["before"] > 0 else ""
+    # Of what is 0 in the model, a share of the value before says nothing.
+    shared = drift["neutral"] != 0 and drift["before"] > 0
+    share = f" ({100 * (drift['after'] / drift['before'] - 1):+.0f} %)" if shared else ""
     return (
         f"{drift['robot']}: {drift['effect']} went from {drift['before']:.3g} to {drift['after']:.3g}{unit}"
         f"{share}, first seen at {drift['since']}."

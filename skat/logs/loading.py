@@ -15,7 +15,7 @@ from skat.logs.log import Log, joined
 from skat.logs.mapping import checked_columns
 from skat.logs.matching import Plan, plan, simulator_inputs
 from skat.logs.readers import recording
-from skat.logs.streams import Recording, Stream
+from skat.logs.streams import Recording, Stream, is_number
 from skat.logs.suspects import in_degrees
 from skat.simulators import Simulator
 from skat.simulators.adapting import at_rate, without_root
@@ -25,6 +25,8 @@ from skat.simulators.tables import Array
 STEP_TOLERANCE = 1e-3
 # A rate that is told and one that is measured are the same within this.
 SAME_RATE = 0.01
+# Rows at a rate that is told, for each row of the log: more of them hold nothing new, and fill the memory.
+MOST_RATES = 100
 
 
 def load_log(
@@ -64,7 +66,8 @@ def load_log(
         angle, its rate and its command. See the user guide for the list.
 
     rate : float, default=None
-        Rows per second of the log that is returned. None: that of the log. Where the file has no times, its rate.
+        Rows per second of the log that is returned, at most 100 times as many as it has. None: that of the log. Where
+        the file has no times, its rate.
 
     topic : str, default=None
         Of a bag, the topic that holds the state, where there are several.
@@ -91,7 +94,7 @@ def load_log(
     ImportError
         If a library that reads this format is missing; with the line that installs it.
     TypeError
-        If the source is none of these.
+        If the source is none of these, or units are neither a text nor a mapping.
     """
     if isinstance(source, Sequence) and not isinstance(source, str | PathLike | bytes):
         options = {"units": units, "rate": rate, "topic": topic, "episodes": episodes, "base": base}
@@ -232,7 +235,7 @@ def _states(
         stream = record.streams[place]
         values = data[place][column]
         if values.dtype == object:
-            row = next(row for row, cell in enumerate(values) if not _is_number(cell))
+            row = next(row for row, cell in enumerate(values) if not is_number(str(cell).strip() or "nan"))
             raise LogError(
                 f"{record.source}, {stream.place(row)}, column {column}",
                 f"expected a number for {name}, got {str(values[row])[:40]!r}.",
@@ -271,14 +274,6 @@ def _align(states: dict[str, Array]) -> None:
             states |= {part: signs * states[part] for part in parts}
 
 
-def _is_number(cell: Any) -> bool:
-    try:
-        float(cell if str(cell).strip() else "nan")
-    except (TypeError, ValueError):
-        return False
-    return True
-
-
 def _labels(
     record: Recording, found: Plan, data: dict[int, dict[str, np.ndarray]], main: int, n_rows: int
 ) -> tuple[NDArray[np.intp], list[str]]:
@@ -295,8 +290,9 @@ def _labels(
     values = data[place][column]
     stream = record.streams[place]
     if values.dtype.kind == "f":
-        if np.isnan(values).any():
-            _no_episode(record, stream, column, int(np.argmax(np.isnan(values))))
+        if not np.isfinite(values).all():
+            row = int(np.argmax(~np.isfinite(values)))
+            _no_episode(record, stream, column, row, "empty" if np.isnan(values[row]) else str(values[row]))
         starts = np.r_[True, values[1:] != values[:-1]]
         texts = [f"{value:g}" if value != int(value) else str(int(value)) for value in values[starts]]
     else:
@@ -318,10 +314,10 @@ def _labels(
     return np.cumsum(starts) - 1, texts
 
 
-def _no_episode(record: Recording, stream: Stream, column: str, row: int) -> NoReturn:
+def _no_episode(record: Recording, stream: Stream, column: str, row: int, cell: str = "empty") -> NoReturn:
     raise LogError(
         f"{record.source}, {stream.place(row)}, column {column}",
-        "is empty, and tells episodes apart.",
+        f"is {cell}, and tells episodes apart.",
         "Name the episode of every row; or leave the column aside.",
         options={"episodes": "gaps"},
     )
@@ -395,6 +391,13 @@ def _stepped(
     """Return (the simulator for rows of this log, their step in s, notes)."""
     notes: list[str] = []
     step = dt
+    if rate is not None and rate * dt > MOST_RATES:
+        raise LogError(
+            record.source,
+            f"has {1 / dt:.4g} rows per second; a rate of {rate:g} would make {rate * dt:.3g} of each.",
+            f"Give a rate of {MOST_RATES} times the log's own at most.",
+            options={"rate": float(f"{1 / dt:.4g}")},
+        )
     if rate is not None:
         step = 1 / rate
     elif record.rate is not None and abs(dt * record.rate - 1) < SAME_RATE:

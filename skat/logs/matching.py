@@ -114,7 +114,7 @@ def plan(
         if name not in matched:
             continue
         column, how = matched[name]
-        text = told_units.get(name) or known[column].said.unit
+        text = told_units.get(name) or _named_unit(known[column], inputs, recording)
         if text and name not in told_units:
             with_units.add(name)
         found[name] = (known[column].stream, column, _unit(text, name, inputs, simulator, recording))
@@ -415,7 +415,7 @@ def _no_column(theirs: str, ours: str, known: Mapping[str, Column], recording: R
     close = [column for column in known if tokens(theirs) and set(tokens(theirs)) & set(tokens(column))]
     return LogError(
         f"{recording.source}, column {theirs!r}",
-        f"was told for {ours} and is not there.",
+        f"was told for {ours} and is not there.{_left_out(recording)}",
         f"It has {_listed(close or list(known), 30)}.",
     )
 
@@ -556,8 +556,14 @@ def _lacking(
         raise LogError(
             recording.source,
             f"no column could be found for the model's positions ({_listed(positions)}); it has "
-            f"{_listed(list(known), 30)}.",
+            f"{_listed(list(known), 30)}.{_left_out(recording)}",
             _advice(known, positions, recording),
+        )
+    if missing["ctrl"] and (lost := [name for name in recording.left_out if reading(name).kind == "ctrl"]):
+        raise LogError(
+            recording.source,
+            f"no column could be found for {_listed(missing['ctrl'])}.{_left_out(recording)}",
+            f"If {lost[0]} holds the commands, write as many rows of it as of the states, or one less.",
         )
     if missing["ctrl"]:
         candidates = _command_columns(known, len(inputs.kinds["ctrl"]), matched)
@@ -566,7 +572,8 @@ def _lacking(
         pattern = "ctrl.*" if whole else missing["ctrl"][0]
         raise LogError(
             recording.source,
-            f"no column could be found for {_listed(missing['ctrl'])}: what the model's motors were told.{could}",
+            f"no column could be found for {_listed(missing['ctrl'])}: what the model's motors were told.{could}"
+            + _left_out(recording),
             f"If a column is the command, name it (--map '{pattern}={candidates[0] if candidates else 'COLUMN'}'). If "
             "the motors were off, and the robot moved freely, hold the commands constant at 0"
             + (
@@ -577,6 +584,12 @@ def _lacking(
             options={"columns": {"ctrl.*": "0"} if whole else dict.fromkeys(missing["ctrl"], "0")},
         )
     return tuple(name for kind in ("qpos", "qvel") for name in missing[kind])
+
+
+def _left_out(recording: Recording) -> str:
+    """Return a sentence on arrays that are no columns, with a blank before it; "" where there are none."""
+    told = [f"{name} has {why}" for name, why in recording.left_out.items()]
+    return f" Left out: {_listed(told, 6)}." if told else ""
 
 
 def _command_columns(
@@ -613,6 +626,12 @@ def _units(
     found: dict[str, str] = {}
     if isinstance(units, str):
         units = {"*": units}
+    if not isinstance(units, Mapping | None) or not all(
+        isinstance(one, str) for one in (units or {}).values()
+    ):
+        raise TypeError(
+            f'units must be a unit such as "deg", or a mapping such as {{"qpos.*": "deg"}}; got {units!r}.'
+        )
     for pattern, unit in (units or {}).items():
         if pattern in ("time", "episode"):
             found[pattern] = unit
@@ -635,6 +654,12 @@ def _meant(pattern: str, names: list[str], unit: str, inputs: Inputs) -> list[st
         return names
     own = {"A": "rad", "L": "m"}.get(kind[:1], "")
     return [name for name in names if (inputs.units.get(name) or own).startswith(own)] or names
+
+
+def _named_unit(column: Column, inputs: Inputs, recording: Recording) -> str:
+    """Return the unit in a column's name; "" where the simulator's own name ends so (``qpos.slide_mm``)."""
+    own = column.name.removeprefix(f"{recording.streams[column.stream].name}.")
+    return "" if {own, column.name} & {*inputs.names} else column.said.unit
 
 
 def _unit(text: str, name: str, inputs: Inputs, simulator: Simulator, recording: Recording) -> Unit:

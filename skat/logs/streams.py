@@ -2,7 +2,7 @@
 
 import importlib
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import ModuleType
 from typing import Any
@@ -70,12 +70,15 @@ class Recording:
         Rows per second, where the file says it once for all of them.
     notes : tuple of str
         What the reader did.
+    left_out : mapping from name to str
+        What each array has that is left out, such as "199 rows, the others 200".
     """
 
     source: str
     streams: tuple[Stream, ...]
     rate: float | None = None
     notes: tuple[str, ...] = ()
+    left_out: Mapping[str, str] = field(default_factory=dict)
 
     def where(self, stream: Stream) -> str:
         """Say which stream of it is meant."""
@@ -91,43 +94,6 @@ def required(module: str, what: str) -> ModuleType:
         raise ImportError(
             f'{what} needs {module.split(".")[0]}, which is not installed: pip install "skat[{extra}]"'
         ) from error
-
-
-def arrays_stream(arrays: dict[str, Any], where: str) -> Stream:
-    """Return the stream of arrays in memory; one of shape (n, k) is k columns.
-
-    Raises
-    ------
-    LogError
-        If they differ in length, or one has more than two dimensions.
-    """
-    flat: dict[str, np.ndarray] = {}
-    lengths: dict[str, int] = {}
-    for name, values in arrays.items():
-        array = plain_array(values)
-        if array.ndim == 0:
-            continue
-        if array.ndim > 2:
-            array = array.reshape(len(array), -1)
-        lengths[str(name)] = len(array)
-        if array.ndim == 1:
-            flat[str(name)] = array
-            continue
-        if array.shape[1] > MOST_COLUMNS:
-            continue
-        for element in range(array.shape[1]):
-            flat[f"{name}[{element}]"] = array[:, element]
-    if not flat:
-        raise LogError(
-            where, "holds no array with rows.", "A log has an array for each column, or (rows, columns)."
-        )
-    usual = max(set(lengths.values()), key=list(lengths.values()).count)
-    flat = {name: array for name, array in flat.items() if len(array) == usual}
-    if usual == 0:
-        raise LogError(where, "has no rows.", "Record a log with at least 20 rows.")
-    return Stream(
-        "", tuple(flat), lambda names: {name: as_numbers(flat[name]) for name in names}, "row {}".format
-    )
 
 
 def plain_array(values: Any) -> np.ndarray:
@@ -158,6 +124,15 @@ def as_numbers(array: np.ndarray) -> np.ndarray:
         except (TypeError, ValueError):
             return np.array([_text(cell) for cell in array.tolist()], dtype=object)
     raise LogError("an array", f"holds {array.dtype}, no numbers.", "Give real numbers.")
+
+
+def is_number(text: str) -> bool:
+    """Whether a text is a number as tables have them; Python also takes 1_0 and digits of other scripts for one."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return text.isascii() and "_" not in text
 
 
 def _text(cell: object) -> object:

@@ -9,6 +9,7 @@ import pandas as pd
 
 from skat.logs.errors import LogError
 from skat.logs.readers import csv
+from skat.logs.streams import is_number
 
 
 def numeric_columns(path: str | PathLike[str], *, beside: Sequence[str] = ()) -> pd.DataFrame:
@@ -56,7 +57,7 @@ def numeric_columns(path: str | PathLike[str], *, beside: Sequence[str] = ()) ->
                 + (f" (and {int(np.sum(bad)) - 1} more such values)." if np.sum(bad) > 1 else "."),
                 "Remove the rows with gaps.",
             )
-    texts = pd.read_csv(path, dtype=str, keep_default_na=False, skipinitialspace=True) if kept else {}
+    texts = _texts(path) if kept else pd.DataFrame()
     table = {
         name: texts[name].to_numpy() if name in kept else columns[name].astype(float)
         for name in stream.columns
@@ -64,11 +65,15 @@ def numeric_columns(path: str | PathLike[str], *, beside: Sequence[str] = ()) ->
     return pd.DataFrame(table, columns=list(stream.columns))
 
 
+def _texts(path: Path) -> pd.DataFrame:
+    """Return the table as the texts that stand in it."""
+    texts = pd.read_csv(path, dtype=str, keep_default_na=False, skipinitialspace=True)
+    texts.columns = texts.columns.str.strip()
+    return texts
+
+
 def _is_finite(cell: str) -> bool:
-    try:
-        return bool(np.isfinite(float(cell)))
-    except ValueError:
-        return False
+    return is_number(cell) and bool(np.isfinite(float(cell)))
 
 
 def with_same_columns(table: pd.DataFrame, other: pd.DataFrame) -> pd.DataFrame:

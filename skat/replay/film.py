@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 FORMATS = (".gif", ".mp4")
 FPS = 25
+# Pictures per second of a GIF: players slow down what is shown for a hundredth of a second.
+MOST_IN_GIF = 50
 # Of the letters on a picture, relative to its height.
 LETTERS = 1 / 24
 COLOURS = 128
@@ -49,7 +51,7 @@ def write_film(
         Its model is drawn.
     motion : Motion
     fps : float, default=25
-        Pictures per second of the film.
+        Pictures per second of the film; of a GIF 50 at most, which counts in hundredths of a second.
     speed : float, default=1
         Seconds of the log per second of the film.
     size : tuple of two ints
@@ -72,6 +74,7 @@ def write_film(
     """
     path = Path(path)
     kind = check_format(path)
+    fps = min(fps, MOST_IN_GIF) if kind == ".gif" else fps
     n_frames = max(2, int(np.floor(motion.time[-1] / speed * fps)) + 1)
     shown = motion.at(np.arange(n_frames) * speed / fps)
     pictures = _side_by_side(simulator, shown, size, camera, progress)
@@ -142,10 +145,16 @@ def _write_gif(path: Path, pictures: Iterator[Pictures], fps: float) -> None:
         format="gif",
         save_all=True,
         append_images=others,
-        duration=round(1000 / fps),
+        duration=_durations(1 + len(others), fps),
         loop=0,
         optimize=True,
     )
+
+
+def _durations(n: int, fps: float) -> list[int]:
+    """Return for how many ms each picture of a GIF is shown, in whole hundredths of a second that add up."""
+    ends = 10 * np.rint(100 * np.arange(n + 1) / fps).astype(int)
+    return [int(one) for one in np.diff(ends)]
 
 
 def _write_mp4(path: Path, pictures: Iterator[Pictures], fps: float) -> None:

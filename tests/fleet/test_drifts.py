@@ -44,6 +44,7 @@ def test_a_change_of_a_factor_is_a_ratio():
         "records"
     )
     assert (row["before"], row["after"], row["change"]) == pytest.approx((1.0, 1.2, 1.2))
+    assert row["neutral"] == 1
 
 
 def test_errors_of_unequal_size_are_weighed():

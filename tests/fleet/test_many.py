@@ -9,7 +9,7 @@ import pytest
 
 from skat.diagnosis import SimulationDiagnosis
 from skat.fleet import diagnose_many
-from skat.fleet.many import _digest
+from skat.fleet.many import Fleet, _digest, clear_store
 from skat.simulators import MujocoSimulator
 from tests.machines import DT, RATE, decaying, heater
 
@@ -110,6 +110,33 @@ def test_a_change_over_time_is_told(logs):
     (sentence,) = found.sentences
     assert sentence.startswith("17: rate went from 3")
     assert "(+4" in sentence or "(+3" in sentence
+
+
+@pytest.mark.parametrize(
+    ("neutral", "unit", "before", "share"),
+    [
+        (0.0, "N m", 3.89e-5, ""),
+        (0.0, "1", 0.2, ""),
+        (1.0, "1", 0.2, " (+100 %)"),
+        (3.0, "1/s", 0.2, " (+100 %)"),
+    ],
+)
+def test_a_change_has_a_share_where_the_model_has_something_to_share(neutral, unit, before, share):
+    drift = {"robot": "a", "effect": "friction", "before": before, "after": 0.4, "unit": unit, "since": "May"}
+    of = "" if unit == "1" else f" {unit}"
+    (told,) = Fleet(pd.DataFrame(), pd.DataFrame([drift | {"neutral": neutral}]), ()).sentences
+    assert told == f"a: friction went from {before:.3g} to 0.4{of}{share}, first seen at May."
+
+
+def test_only_findings_are_cleared_from_a_store(logs, tmp_path):
+    diagnose_many(logs[:2], heater(), store=tmp_path / "store")
+    (tmp_path / "store" / f".{'0' * 32}-17.json").write_text("a draft of a process that was killed")
+    (tmp_path / "store" / "mine.json").write_text("mine")
+    clear_store(tmp_path / "store")
+    assert [file.name for file in (tmp_path / "store").iterdir()] == ["mine.json"]
+    (tmp_path / "store" / "mine.json").unlink()
+    clear_store(tmp_path / "store")
+    assert not (tmp_path / "store").exists()
 
 
 def test_a_log_that_cannot_be_diagnosed_has_its_error_in_the_table(logs, tmp_path):

@@ -248,6 +248,7 @@ def test_there_are_at_least_forty_bad_logs():
         ({"columns": {"qpos.*": "time"}}, "is one column, and qpos.* means 2 inputs", "put *"),
         ({"episodes": "run"}, "column 'run': was told to tell episodes apart", "--episodes gaps"),
         ({"base": "fixed"}, "the model has no free root", "Leave base out"),
+        ({"rate": 1e9}, "has 100 rows per second; a rate of 1e+09", "--rate 100"),
         ({"units": {"time": "deg"}}, "column time: has the unit 'deg'", "time=:s"),
     ],
 )
@@ -256,6 +257,12 @@ def test_a_bad_option_is_told_with_its_place_and_remedy(options, place, remedy, 
         load_log(csv(tmp_path, frame), arm, **options)
     assert place in str(caught.value)
     assert remedy in str(caught.value)
+
+
+@pytest.mark.parametrize("units", [["deg"], {"qpos.*": 3}, 3])
+def test_units_that_are_no_texts_are_told_with_what_is_expected(units, frame, arm):
+    with pytest.raises(TypeError, match='units must be a unit such as "deg", or a mapping'):
+        load_log(frame, arm, units=units)
 
 
 def test_a_missing_file_and_another_kind_of_source_are_told(tmp_path, arm):

@@ -35,10 +35,11 @@ def test_a_table_is_the_same_in_chunks_of_any_size(tmp_path, monkeypatch, n_at_o
 
 
 def test_empty_cells_are_not_measured_and_infinity_is_a_number(tmp_path):
-    text = "a,b\n1,x\n,y\nNaN,z\nnull,w\n inf ,v\n-INF,u\nnone,t\n"
+    text = "a,b\n1,x\n,y\nNaN,z\nnull,w\n inf ,v\n-INF,u\nnone,t\n+nan,s\n-infinity,r\n"
     found = recorded(tmp_path / "a.csv", text).read(["a", "b"])
-    np.testing.assert_array_equal(found["a"], [1, np.nan, np.nan, np.nan, np.inf, -np.inf, np.nan])
-    assert found["b"].tolist() == list("xyzwvut")
+    expected = [1, np.nan, np.nan, np.nan, np.inf, -np.inf, np.nan, np.nan, -np.inf]
+    np.testing.assert_array_equal(found["a"], expected)
+    assert found["b"].tolist() == list("xyzwvutsr")
     words = recorded(tmp_path / "b.csv", "a,b\n1,2\nhigh,3\n").read(["a"])["a"]
     assert words.tolist() == ["1", "high"]
 

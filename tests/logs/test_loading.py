@@ -375,6 +375,42 @@ def test_units_in_names_are_taken(table, cart):
     np.testing.assert_allclose(load_log(centimetres, cart).X, log.X, rtol=1e-12, atol=1e-15)
 
 
+def test_a_name_of_the_simulators_own_has_its_unit_however_it_ends(table, tmp_path):
+    cart = MujocoSimulator(CART.replace('"rail"', '"rail_mm"'))
+    own = table.rename(columns={"qpos.rail": "qpos.rail_mm", "qvel.rail": "qvel.rail_mm"})
+    log = load_log(own, cart)
+    assert {match.unit for match in log.matches} <= {"", "s"}
+    np.testing.assert_array_equal(log.y[0], own[["qpos.rail_mm", "qvel.rail_mm"]].iloc[1])
+    (tmp_path / "folder").mkdir()
+    written(tmp_path / "folder", own)
+    whole = {"qpos.rail_mm": "log.qpos.rail_mm", "qvel.rail_mm": "log.qvel.rail_mm"}
+    told = load_log(tmp_path / "folder", cart, columns=whole | {"ctrl.*": "log.ctrl.push"})
+    np.testing.assert_array_equal(told.X, log.X)
+    shrunk = load_log(own, cart, units={"qpos.rail_mm": "mm"})
+    np.testing.assert_allclose(shrunk.X[:, 0], log.X[:, 0] / 1000, rtol=1e-12)
+
+
+def test_a_rate_far_above_the_logs_own_is_refused_before_the_memory_is_full(table, cart):
+    log = table.head(30)
+    assert load_log(log, cart, rate=100 / 0.02).dt == pytest.approx(0.02 / 100)
+    message = refusal(log, cart, rate=101 / 0.02)
+    assert "has 50 rows per second" in message
+    assert "--rate 50" in message
+
+
+@pytest.mark.parametrize("value", [np.inf, -np.inf])
+def test_an_episode_without_end_is_told_with_its_row(value, table, cart):
+    table["episode"] = np.r_[np.zeros(30), np.full(20, value)]
+    assert f"row 30, column episode: is {value}, and tells episodes apart" in refusal(table, cart)
+
+
+def test_a_number_that_only_python_reads_is_told_with_its_line(tmp_path, table, cart):
+    table = table.astype({"qpos.rail": object})
+    table.loc[3, "qpos.rail"] = "1_0"
+    message = refusal(written(tmp_path, table), cart)
+    assert "line 5, column qpos.rail: expected a number for qpos.rail, got '1_0'" in message
+
+
 def test_a_map_comes_back_from_its_file(tmp_path, table, cart):
     theirs = table.rename(columns={"qpos.rail": "x", "qvel.rail": "v", "ctrl.push": "force"})
     log = load_log(theirs, cart, columns=read_map(["qpos.rail=x:m", "qvel.rail=v", "ctrl.*=force"]))

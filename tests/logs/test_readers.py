@@ -430,9 +430,9 @@ def test_a_folder_is_known_by_what_is_in_it(tmp_path, inside, kind):
 
 def test_tables_in_a_folder_or_by_name_are_streams_with_the_names_of_their_files(tmp_path):
     (tmp_path / "arm.csv").write_text("t,q\n0,1\n1,2\n")
-    write_parquet(tmp_path / "hand.v2.parquet", t=[0.0], u=[[5.0, 6.0]])
+    write_parquet(tmp_path / "hand.parquet", t=[0.0], u=[[5.0, 6.0]])
     (tmp_path / "notes.txt").write_text("of no matter")
-    for source in (tmp_path, {"arm": tmp_path / "arm.csv", "hand": str(tmp_path / "hand.v2.parquet")}):
+    for source in (tmp_path, {"arm": tmp_path / "arm.csv", "hand": str(tmp_path / "hand.parquet")}):
         record = recording(source)
         assert [stream.name for stream in record.streams] == ["arm", "hand"]
         arm_table, hand = record.streams
@@ -455,6 +455,106 @@ def test_tables_in_a_folder_or_by_name_are_streams_with_the_names_of_their_files
         recording(b"log.csv")
 
 
+def test_tables_whose_names_begin_alike_are_all_read(tmp_path):
+    for name, table in (("j.pos", "t,q"), ("j.vel", "t,v")):
+        (tmp_path / f"{name}.csv").write_text(f"{table}\n0,1\n1,2\n")
+    record = recording(tmp_path)
+    assert [stream.columns for stream in record.streams] == [
+        ("j.pos.t", "j.pos.q"),
+        ("j.vel.t", "j.vel.v"),
+    ]
+    (tmp_path / "j.vel.csv").write_text("t,q\n0,1\n")
+    with pytest.raises(LogError, match="holds 2 tables of the same columns"):
+        recording(tmp_path)
+    (tmp_path / "j.pos.CSV.gz").write_text("")
+    with pytest.raises(LogError, match=r"holds j\.pos\.CSV\.gz and j\.pos\.csv, two tables of one name"):
+        recording(tmp_path)
+
+
+def rollout(n=30):
+    """Return n + 1 states and n actions of a mass that a force pushes."""
+    force = np.random.default_rng(0).normal(size=n)
+    speed = np.cumsum(np.r_[0, 0.1 * force])
+    return {"time": 0.1 * np.arange(n + 1), "x": np.cumsum(0.1 * speed), "v": speed, "action": force}
+
+
+def pushed():
+    states = ("x", "v")
+    return FunctionSimulator(
+        lambda X: X[:, :2], input_names=(*states, "action"), output_names=states, state_names=states, dt=0.1
+    )
+
+
+def in_memory(folder, arrays):
+    return arrays
+
+
+def npz(folder, arrays):
+    np.savez(folder / "log.npz", **arrays)
+    return folder / "log.npz"
+
+
+def hdf5_file(folder, arrays):
+    import h5py
+
+    with h5py.File(folder / "log.h5", "w") as file:
+        for name, values in arrays.items():
+            file[name] = values
+    return folder / "log.h5"
+
+
+FORMS = pytest.mark.parametrize("form", [in_memory, npz, hdf5_file])
+
+
+@FORMS
+def test_a_rollout_of_one_action_less_than_states_is_read_whole(form, tmp_path):
+    arrays = rollout()
+    log = load_log(form(tmp_path, arrays), pushed())
+    np.testing.assert_array_equal(log.X[:, 2], arrays["action"])
+    np.testing.assert_array_equal(log.X[:, 1], arrays["v"][:-1])
+    np.testing.assert_array_equal(log.y[:, 1], arrays["v"][1:])
+    assert "action has a row less than states: the last command is held." in log.notes
+
+
+def test_a_rollout_is_as_long_as_its_states_also_where_most_arrays_are_actions():
+    states = np.zeros((5, 2))
+    record = recording({"obs": states, "action": np.arange(4.0), "reward": np.zeros(4), "done": np.zeros(4)})
+    assert numbers(record.streams[0]) == {
+        "obs[0]": [0] * 5,
+        "obs[1]": [0] * 5,
+        "action": [0, 1, 2, 3, 3],
+    }
+    assert record.notes[1] == "reward, done have 4 rows, the others 5: left out."
+
+
+@FORMS
+def test_arrays_of_another_length_are_left_out_with_a_note_and_no_command_is_made_up(form, tmp_path):
+    arrays = rollout() | {"v": rollout()["v"][:-1]}
+    log = load_log(form(tmp_path, arrays), pushed())
+    assert log.unmeasured == ("v",)
+    assert "v has 30 rows, the others 31: left out." in log.notes
+    arrays = rollout() | {"action": rollout()["action"][:-5]}
+    with pytest.raises(LogError, match="Left out: action has 25 rows, the others 31") as caught:
+        load_log(form(tmp_path, arrays), pushed())
+    assert "write as many rows of it" in caught.value.advice
+    assert not caught.value.options
+    with pytest.raises(LogError, match="Left out: action has 25 rows"):
+        load_log(form(tmp_path, arrays), pushed(), columns={"action": "actions"})
+
+
+def test_actions_of_each_episode_may_be_one_less_than_its_states(tmp_path):
+    import h5py
+
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        for run in range(2):
+            for name, values in rollout(20 + run).items():
+                file[f"run{run}/{name}"] = values
+    log = load_log(tmp_path / "log.h5", pushed())
+    assert len(log) == 41
+    np.testing.assert_array_equal(log.X[:, 2], np.r_[rollout(20)["action"], rollout(21)["action"]])
+    assert log.group_names == ("run0", "run1")
+
+
 def test_dates_and_durations_are_seconds_and_missing_ones_not_measured():
     stamps = np.array(["2024-01-01T00:00:00", "NaT", "2024-01-01T00:00:01.5"], dtype="datetime64[ms]")
     found = numbers(recording({"at": stamps, "since": stamps - stamps[0]}).streams[0])
@@ -468,7 +568,14 @@ def test_arrays_by_name_are_columns_of_their_elements():
     grid = np.arange(24.0).reshape(3, 2, 4)
     source = {"q": grid[:, :, 0], "deep": grid, "one": 3.0, "short": np.zeros(2), "t": [0, 1, 2]}
     source |= {"word": ["a", None, "b"], "cell": [b" 1.5", "", None]}
-    (stream,) = recording(source).streams
+    source |= {"film": np.zeros((3, 10_001))}
+    record = recording(source)
+    assert set(record.notes) == {
+        "short has 2 rows, the others 3: left out.",
+        "one has no rows: left out.",
+        "film has 10001 numbers in a row, more than 10000: left out.",
+    }
+    (stream,) = record.streams
     found = numbers(stream)
     assert list(found) == [
         "q[0]",

@@ -24,6 +24,15 @@ def test_a_value_that_is_no_number_is_named_with_its_line(tmp_path):
     (tmp_path / "log.csv").write_text("a,b\n1,2\n3,fast\n")
     with pytest.raises(ValueError, match=r"log\.csv, line 3, column b: expected a finite number, got 'fast'"):
         numeric_columns(tmp_path / "log.csv")
+    (tmp_path / "log.csv").write_text("a,b\n1,2\n3,1_0\n")
+    with pytest.raises(ValueError, match=r"line 3, column b: expected a finite number, got '1_0'"):
+        numeric_columns(tmp_path / "log.csv")
     (tmp_path / "log.csv").write_text("a,b\n1,2\n3,\n")
     with pytest.raises(ValueError, match=r"line 3, column b: expected a finite number, got ''"):
         numeric_columns(tmp_path / "log.csv")
+
+
+def test_blanks_about_a_name_are_none_of_it(tmp_path):
+    (tmp_path / "log.csv").write_text("time , episode ,x\n0.10,01,2\n")
+    table = numeric_columns(tmp_path / "log.csv", beside=["time", "episode"])
+    assert table.to_dict("list") == {"time": ["0.10"], "episode": ["01"], "x": [2.0]}

@@ -379,6 +379,27 @@ def test_a_film_in_mp4_is_one_that_ffprobe_can_read(arm, tmp_path, opengl):
     assert (stream["width"], stream["height"], stream["nb_read_frames"]) == (*SIZE, "11")
 
 
+@pytest.mark.parametrize(
+    ("fps", "n_pictures"), [(10, 21), (24, 49), (30, 61), (50, 101), (60, 101), (1000, 101)]
+)
+def test_a_gif_lasts_as_long_as_its_log_at_any_rate(arm, tmp_path, monkeypatch, fps, n_pictures):
+    def drawn(simulator, motion, *others):
+        for shade in range(len(motion.time)):
+            yield np.full((4, 4, 3), shade, dtype=np.uint8)
+
+    monkeypatch.setattr("skat.replay.film._side_by_side", drawn)
+    poses = np.zeros((201, 2))
+    path = write_film(tmp_path / "out.gif", arm, Motion(np.arange(201) / 100, poses, {"m": poses}), fps=fps)
+    with Image.open(path) as film:
+        durations = []
+        for place in range(film.n_frames):
+            film.seek(place)
+            durations.append(film.info["duration"])
+    assert len(durations) == n_pictures
+    assert min(durations) >= 20
+    assert np.abs(np.cumsum(durations) - 1000 * np.arange(1, n_pictures + 1) / min(fps, 50)).max() <= 5
+
+
 def test_letters_are_in_the_corner_and_nowhere_else():
     plain = np.full((150, 200, 3), 128, dtype=np.uint8)
     written = lettered(plain, "as given")

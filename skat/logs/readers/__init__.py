@@ -88,15 +88,32 @@ def _tables_in(path: Path) -> dict[str, Path]:
     known = [path / "meta", path / "data", path / "metadata.json", path / "metadata.yaml"]
     if any(one.exists() for one in known):
         return {}
-    files = [file for file in sorted(path.iterdir()) if file.is_file()]
-    return {file.name.split(".")[0]: file for file in files if file.name.lower().endswith(TABLES)}
+    tables: dict[str, Path] = {}
+    for file in sorted(path.iterdir()):
+        ending = next((one for one in TABLES if file.name.lower().endswith(one)), None)
+        if ending is None or not file.is_file():
+            continue
+        name = file.name[: -len(ending)]
+        if name in tables:
+            raise LogError(
+                str(path),
+                f"holds {tables[name].name} and {file.name}, two tables of one name.",
+                "Give one of them another name, or take it out.",
+            )
+        tables[name] = file
+    return tables
 
 
 def _tables(paths: dict[str, Path], where: str, *, folder: bool = False) -> Recording:
     """Return the recording of several tables, each a stream with its own clock."""
     streams: list[Stream] = []
+    notes: list[str] = []
+    left_out: dict[str, str] = {}
     for name, path in paths.items():
-        stream = recording(path).streams[0]
+        record = recording(path)
+        stream = record.streams[0]
+        notes += [f"{path.name}: {note}" for note in record.notes]
+        left_out |= {f"{name}.{array}": why for array, why in record.left_out.items()}
         columns = {f"{name}.{column}": column for column in stream.columns}
 
         def read(
@@ -107,14 +124,16 @@ def _tables(paths: dict[str, Path], where: str, *, folder: bool = False) -> Reco
 
         labels = {f"{name}.{column}": label for column, label in stream.labels.items()}
         streams.append(Stream(name, tuple(columns), read, _placed(path, stream), labels))
-    shapes = {tuple(column.partition(".")[2] for column in stream.columns) for stream in streams}
+    shapes = {
+        tuple(column.removeprefix(f"{stream.name}.") for column in stream.columns) for stream in streams
+    }
     if folder and len(streams) > 1 and len(shapes) == 1:
         raise LogError(
             where,
             f"holds {len(streams)} tables of the same columns.",
             "They are read as parts of one log, taken at the same time; give runs one by one, each a log.",
         )
-    return Recording(where, tuple(streams))
+    return Recording(where, tuple(streams), notes=tuple(notes), left_out=left_out)
 
 
 def _placed(path: Path, stream: Stream) -> Callable[[int], str]:

@@ -125,10 +125,8 @@ def _numbers(column: pd.Series) -> np.ndarray:
         return np.asarray(column, dtype=float)
     texts = column.fillna("").astype(str).str.strip()
     numbers = np.asarray(pd.to_numeric(texts, errors="coerce"), dtype=float)
-    empty = texts.str.lower().isin(["", "nan", "null", "none", "-nan"]).to_numpy()
-    if (
-        np.isfinite(numbers) | empty | texts.str.lower().isin(["inf", "-inf", "+inf", "infinity"]).to_numpy()
-    ).all():
+    empty = texts.str.lower().isin(["", "nan", "+nan", "-nan", "null", "none"]).to_numpy()
+    if (empty | ~np.isnan(numbers)).all():
         return numbers
     return np.asarray(texts, dtype=object)
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from skat.logs.errors import LogError
+from skat.logs.readers.arrays import common_rows, notes_of, too_wide, with_last_held
 from skat.logs.streams import MOST_BYTES, MOST_COLUMNS, Recording, Stream, as_numbers, plain_array, required
 
 READ_ERRORS = (
@@ -61,24 +62,30 @@ def read(path: Path, topic: str | None = None) -> Recording:
             "A log has a data set for each column, or (rows, columns).",
         )
     groups = _episodes(shapes)
-    lengths = [shape[0] for shape in (groups[0][1].values() if groups else shapes.values())]
-    usual = max(set(lengths), key=lengths.count)
     parts = groups or [("", shapes)]
-    names = [name for name, shape in parts[0][1].items() if shape[0] == usual]
+    wide = {name: int(np.prod(shape[1:])) if len(shape) > 1 else 0 for name, shape in parts[0][1].items()}
+    left_out = {name: why for name, width in wide.items() if (why := too_wide(width))}
+    rows = common_rows({name: shape[0] for name, shape in parts[0][1].items()})
+    names = [name for name in wide if name not in rows.left_out]
+    # Whose rows are counted.
+    first = next(name for name in names if name not in rows.held)
     for group, inside in groups:
-        odd = [name for name in names if inside[name] != (inside[names[0]][0], *groups[0][1][name][1:])]
+        odd = [
+            name
+            for name in names
+            if inside[name] != (inside[first][0] - (name in rows.held), *groups[0][1][name][1:])
+        ]
         if odd:
             raise LogError(
                 f"{path}, {group}/{odd[0]}",
-                f"has the shape {inside[odd[0]]}; {names[0]} there has {inside[names[0]][0]} rows, and a row of "
+                f"has the shape {inside[odd[0]]}; {first} there has {inside[first][0]} rows, and a row of "
                 f"{groups[0][0]}/{odd[0]} the shape {groups[0][1][odd[0]][1:]}.",
                 "Write as many rows of each in an episode, and as many numbers in each row.",
             )
-    wide = {name: int(np.prod(parts[0][1][name][1:])) if len(parts[0][1][name]) > 1 else 0 for name in names}
     columns: list[str] = []
-    for name, width in wide.items():
-        if width <= MOST_COLUMNS:
-            columns += [f"{name}[{element}]" for element in range(width)] if width else [name]
+    for name in names:
+        if name not in left_out:
+            columns += [f"{name}[{element}]" for element in range(wide[name])] if wide[name] else [name]
     if groups:
         columns.append("episode")
     prefix = "" if topic is None else topic.strip("/") + "/"
@@ -88,13 +95,26 @@ def read(path: Path, topic: str | None = None) -> Recording:
     def read_columns(wanted: Sequence[str]) -> dict[str, np.ndarray]:
         try:
             with h5py.File(path, "r") as file:
-                return {name: _column(file, parts, wide, theirs[name], groups) for name in wanted}
+                found = {}
+                for name in wanted:
+                    if groups and theirs[name] == "episode":
+                        found[name] = np.concatenate(
+                            [np.full(inside[first][0], group, dtype=object) for group, inside in groups]
+                        )
+                    else:
+                        found[name] = _column(file, parts, wide, theirs[name], rows.held)
+                return found
         except LogError:
             raise
         except READ_ERRORS as error:
             raise _damaged(path, error) from None
 
-    return Recording(str(path), (Stream("", tuple(shown.values()), read_columns),))
+    return Recording(
+        str(path),
+        (Stream("", tuple(shown.values()), read_columns),),
+        notes=(*rows.notes, *notes_of(left_out)),
+        left_out={**rows.left_out, **left_out},
+    )
 
 
 def _shapes(h5py: ModuleType, file: Any, path: Path) -> dict[str, tuple[int, ...]]:
@@ -150,11 +170,8 @@ def _column(
     parts: list[tuple[str, dict[str, tuple[int, ...]]]],
     wide: dict[str, int],
     name: str,
-    groups: list[tuple[str, dict[str, tuple[int, ...]]]],
+    held: Sequence[str],
 ) -> np.ndarray:
-    if groups and name == "episode":
-        first = next(iter(wide))
-        return np.concatenate([np.full(inside[first][0], group, dtype=object) for group, inside in parts])
     base, element = (
         (name, None) if name in wide else (name.rsplit("[", 1)[0], int(name.rsplit("[", 1)[1][:-1]))
     )
@@ -164,7 +181,8 @@ def _column(
         values = item[:] if element is None or item.ndim != 2 else item[:, element]
         if element is not None and item.ndim > 2:
             values = values.reshape(len(values), -1)[:, element]
-        pieces.append(as_numbers(plain_array(values)))
+        column = as_numbers(plain_array(values))
+        pieces.append(with_last_held(column) if base in held else column)
     return pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
 
 

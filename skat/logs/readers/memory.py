@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from skat.logs.errors import LogError
-from skat.logs.streams import Recording, arrays_stream
+from skat.logs.readers.arrays import arrays_recording
+from skat.logs.streams import Recording
 
 
 def is_frame(source: Any) -> bool:
@@ -27,5 +28,5 @@ def read(source: Any) -> Recording:
                 "the data frame", f"has two columns {sorted(repeated)[0]}.", "Give one of them another name."
             )
         arrays = {name: source[column].to_numpy() for name, column in zip(names, source.columns)}
-        return Recording("the data frame", (arrays_stream(arrays, "the data frame"),))
-    return Recording("the arrays", (arrays_stream(dict(source), "the arrays"),))
+        return arrays_recording(arrays, "the data frame")
+    return arrays_recording(source, "the arrays")

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from skat.logs.errors import LogError
-from skat.logs.streams import MOST_BYTES, Recording, arrays_stream
+from skat.logs.readers.arrays import arrays_recording
+from skat.logs.streams import MOST_BYTES, Recording
 
 
 def read(path: Path) -> Recording:
@@ -30,7 +31,7 @@ def read(path: Path) -> Recording:
         raise LogError(str(path), f"is cut or damaged: {told}.", "Copy the file anew.") from None
     if not arrays:
         raise LogError(str(path), "holds no arrays.", "Save an array for each column (numpy.savez).")
-    return Recording(str(path), (arrays_stream(arrays, str(path)),))
+    return arrays_recording(arrays, str(path))
 
 
 def _arrays(path: Path) -> dict[str, np.ndarray]:

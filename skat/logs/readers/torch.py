@@ -4,7 +4,8 @@ import zipfile
 from pathlib import Path
 
 from skat.logs.errors import LogError
-from skat.logs.streams import Recording, arrays_stream
+from skat.logs.readers.arrays import arrays_recording
+from skat.logs.streams import Recording
 from skat.torch_arrays import read_torch_arrays
 
 
@@ -35,4 +36,4 @@ def read(path: Path) -> Recording:
         ) from None
     if not arrays:
         raise LogError(str(path), "holds no tensors.", "Save a tensor for each kind of column.")
-    return Recording(str(path), (arrays_stream(arrays, str(path)),))
+    return arrays_recording(arrays, str(path))
