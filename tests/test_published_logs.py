@@ -57,7 +57,8 @@ def here(tmp_path, monkeypatch):
         (tmp_path / name).symlink_to(Path(home, original))
     for file, name in MACHINES.items():
         make_simulator(name).to_mjcf(tmp_path / file)
-    (tmp_path / "ricmonk.toml").write_text((GUIDE / "ricmonk.toml").read_text())
+    for columns in GUIDE.glob("*.toml"):
+        (tmp_path / columns.name).write_text(columns.read_text())
     return tmp_path
 
 

@@ -43,11 +43,19 @@ MOTIONS = list(dict.fromkeys(name.partition("/")[0] for name in SOURCE.hashes))
 # As the official model calls them; the log's own names are Rotation, Pitch, Elbow, Wrist_Pitch, Wrist_Roll and Jaw.
 JOINTS = ["shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper"]
 
+# The driver tells the gripper's place as a share of the range that it was calibrated to: places are on a grid of so many
+# steps of a servo that has 4096 a turn, and the speeds beside them are those of such a range.
+GRIPPER_STEPS, STEPS_OF_A_TURN = 1523, 4096
+# The middle of that range is put where the official model has its own: where the share is 0 is not known.
+GRIPPER_MIDDLE = 0.785398
+
 DESCR = """\
 SO-101: a servo arm of six joints (Feetech STS3215) in ten motions
 
 The action in `data` are the positions that were commanded, 50 times a second; positions, speeds and torques are what
-the servos' driver reports. Positions come in steps of 0.0015 rad. The reported speeds lag the positions.
+the servos' driver reports. Positions come in steps of 0.0015 rad. The reported speeds lag the positions. The files have
+the gripper's positions and commands as shares of its calibrated range, 1523 steps or 2.336 rad, as their grid and the
+speeds show; here they are rad, with the middle of that range in the middle of the official model's.
 
 Source: https://github.com/isaac-sim2real/sage, commit 4ffd2627, folder output/real/so101/custom.
 Licence: Apache-2.0.
@@ -120,10 +128,10 @@ def fetch_so101(
         commanded, measured = (
             pd.read_csv(files[f"{motion}/{kind}.csv"]) for kind in ("control", "state_motor")
         )
-        states = np.hstack([_vectors(measured[name]) for name in ("positions", "velocities")])
+        states = np.hstack([_angles(measured["positions"]), _vectors(measured["velocities"])])
         # Both files have a row for each cycle of the controller, of one time, in microseconds.
         time = 1e-6 * measured["timestamp"].to_numpy()
-        runs[motion] = Run(time, states, _vectors(commanded["positions"]))
+        runs[motion] = Run(time, states, _angles(commanded["positions"]))
         torques[motion] = _vectors(measured["torques"])
     return transitions(
         runs,
@@ -137,6 +145,14 @@ def fetch_so101(
         files=list(files.values()),
         DESCR=DESCR,
     )
+
+
+def _angles(column: Iterable[str]) -> Any:
+    """Return positions in rad."""
+    angles = _vectors(column)
+    reach = GRIPPER_STEPS * 2 * np.pi / STEPS_OF_A_TURN
+    angles[:, -1] = GRIPPER_MIDDLE + reach * (angles[:, -1] - 0.5)
+    return angles
 
 
 def _vectors(column: Iterable[str]) -> Any:

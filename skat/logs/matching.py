@@ -392,9 +392,11 @@ def _theirs(
             by_name[name] = fits[0]
     if len(by_name) == len(names):
         return [(name, by_name[name], "told") for name in names]
-    if len(columns) == len(names) and not by_name:
-        ordered = sorted(columns, key=natural)
-        return [(name, column, f"told, {GUESSED_ORDER}") for name, column in zip(names, ordered)]
+    # A vector of all joints has an element, too, for one that is told apart, as a gripper in another unit.
+    for meant in (_ours(ours, inputs, recording), names):
+        if len(columns) == len(meant) and not by_name:
+            ordered = dict(zip(meant, sorted(columns, key=natural)))
+            return [(name, ordered[name], f"told, {GUESSED_ORDER}") for name in names]
     missing = [name for name in names if name not in by_name]
     raise LogError(
         f"{recording.source}, {theirs}",

@@ -53,7 +53,11 @@ def test_so101(measured_data):
     arm = fetch_so101("multisine", download_if_missing=False)
     check(arm, rows=5999, joints=6, commands=6, dt=0.02)
     assert arm.data[0, 2] == 0.6097573631845423
-    assert arm.data[1, -1] == 0.557269
+    assert arm.data[1, -1] == pytest.approx(0.785398 + 2.336233 * 0.057269, abs=1e-5)
+    # The gripper's speed is the change of its place, as of any joint: the files have its place as a share of its range.
+    chirp = fetch_so101("chirp_sweep", download_if_missing=False)
+    moved, told = np.diff(chirp.data[:, 5]) / chirp.dt, (chirp.data[1:, 11] + chirp.data[:-1, 11]) / 2
+    assert np.std(moved) == pytest.approx(np.std(told), rel=0.1)
     assert arm.facts["torque"]["multisine"].shape == (6000, 6)
     with pytest.raises(ValueError, match=r"There is no motion 'dance'. There are: backlash_detection, "):
         fetch_so101("dance")

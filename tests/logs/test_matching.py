@@ -325,6 +325,13 @@ def test_columns_are_those_that_the_user_says(columns, theirs, expected, how, n_
     assert len(found.lacking) == n_lacking
 
 
+def test_a_vector_of_all_joints_keeps_its_order_where_one_is_told_apart():
+    columns = {"qpos.*": "angle", "qpos.hip": "angle[1]:deg"}
+    found = taken(planned(MOTORS, "time angle[0] angle[1] u1 u2", columns=columns))
+    assert found["qpos.rail"] == ("angle[0]", "", "told, by order")
+    assert found["qpos.hip"] == ("angle[1]", "deg", "told")
+
+
 def test_constants_units_and_what_is_left_out_are_those_that_the_user_says():
     said = {"qpos.rail": "a:mm", "qpos.hip": "b", "qvel.*": "-", "ctrl.turn": "0:-x:2", "ctrl.*": "0.5"}
     found = planned(MOTORS, "time a b 0 rail_vel hip_vel", columns=said, units={"qpos.rail": "cm"})
