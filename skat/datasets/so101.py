@@ -43,8 +43,8 @@ MOTIONS = list(dict.fromkeys(name.partition("/")[0] for name in SOURCE.hashes))
 # As the official model calls them; the log's own names are Rotation, Pitch, Elbow, Wrist_Pitch, Wrist_Roll and Jaw.
 JOINTS = ["shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper"]
 
-# The driver tells the gripper's place as a share of the range that it was calibrated to: places are on a grid of so many
-# steps of a servo that has 4096 a turn, and the speeds beside them are those of such a range.
+# The driver tells the gripper's place as a share of the range that it was calibrated to: places are on a grid of so
+# many steps of a servo that has 4096 a turn, and the speeds beside them are those of such a range.
 GRIPPER_STEPS, STEPS_OF_A_TURN = 1523, 4096
 # The middle of that range is put where the official model has its own: where the share is 0 is not known.
 GRIPPER_MIDDLE = 0.785398
