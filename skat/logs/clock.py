@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy.optimize import isotonic_regression
 
 from skat.logs.errors import LogError
 from skat.logs.units import BASE, LEAST_DATE
@@ -17,7 +18,7 @@ ON_GRID = 0.01
 LONGEST_LOSS = 10
 # Seconds from row to row that a robot's log may have; other numbers are in another unit.
 SLOWEST, FASTEST = 0.5, 5e-4
-# More backward steps than this share of the rows: the rows are not in time order.
+# More rows than this share that go back in time, or stand off their places: rows are not in time order, or uneven.
 FEW = 0.05
 # Neighbours whose distance is more than so many rows have nothing between them.
 BETWEEN = 1.5
@@ -214,9 +215,9 @@ def pieces(
     dt = refined(times, groups, dt)
     placed = [_on_grid(times[rows], dt) for rows in groups]
     worst = max((float(np.abs(jitter).max()) for _, _, jitter in placed), default=0.0) / dt
-    clashes = any((np.diff(slots) <= 0).any() for _, slots, _ in placed)
-    snap = worst <= ON_GRID and not clashes
-    if not snap and not clashes and not _samples_jitter(times, groups, placed, dt, moves()):
+    has_grid = _is_on_places(np.concatenate([jitter for _, _, jitter in placed]), dt)
+    snap = worst <= ON_GRID
+    if not snap and has_grid and not _samples_jitter(times, groups, placed, dt, moves()):
         snap = True
         notes.append(
             f"The time stamps jitter by up to {worst * 1e3 * dt:.3g} ms, the samples do not (positions move evenly): "
@@ -264,9 +265,9 @@ def evened(piece: Piece) -> Piece | None:
 
 
 def even_times(times: Array, dt: float) -> tuple[Array, float] | None:
-    """Return the even times behind jittering ones and their standard error, s; None where two would be the same."""
+    """Return the even times behind jittering ones and their standard error, s; None where there are none."""
     start, slots, jitter = _on_grid(times, dt)
-    if (np.diff(slots) <= 0).any():
+    if not _is_on_places(jitter, dt):
         return None
     # The start is a median of them; what the step is out by adds as much again, on the average.
     slip = float(np.std(jitter) * np.sqrt(2 * np.pi / 2 / len(jitter)))
@@ -275,36 +276,47 @@ def even_times(times: Array, dt: float) -> tuple[Array, float] | None:
 
 def refined(times: Array, groups: list[NDArray[np.intp]], dt: float) -> float:
     """Return the step that fits all stamps best; pieces have one step, and beginnings of their own."""
-    # First by the places that neighbours show, which an inexact step does not carry away.
-    for places_of in (_counted, lambda stamps, step: _on_grid(stamps, step)[1]):
-        upper = lower = 0.0
-        for rows in groups:
-            if len(rows) < 3:
-                continue
-            places = places_of(times[rows], dt)
-            places = places - places.mean()
-            upper += float(places @ (times[rows] - times[rows].mean()))
-            lower += float(places @ places)
-        better = upper / lower if lower else dt
-        dt = better if abs(better / dt - 1) < 0.1 else dt
-    return dt
+    # The median over twice as many rows each time, so that neither an inexact step nor late stamps miscount them.
+    reach = 2
+    while any(len(rows) > reach for rows in groups):
+        apart = np.concatenate([times[rows[reach:]] - times[rows[:-reach]] for rows in groups])
+        dt = _near(float(np.median(apart / np.maximum(np.rint(apart / dt), 1))), dt)
+        reach *= 2
+    upper = lower = 0.0
+    for rows in groups:
+        if len(rows) < 3:
+            continue
+        places = _on_grid(times[rows], dt)[1]
+        places = places - places.mean()
+        upper += float(places @ (times[rows] - times[rows].mean()))
+        lower += float(places @ places)
+    return _near(upper / lower, dt) if lower else dt
 
 
-def _counted(times: Array, dt: float) -> NDArray[np.int64]:
-    """Return the places of samples, each counted from the one before."""
-    return np.concatenate([[0], np.cumsum(np.maximum(np.rint(np.diff(times) / dt), 0))]).astype(np.int64)
+def _near(better: float, dt: float) -> float:
+    return better if abs(better / dt - 1) < 0.1 else dt
 
 
 def _on_grid(times: Array, dt: float) -> tuple[float, NDArray[np.int64], Array]:
-    """Return (start, places, distance from them in s) of the samples of a piece."""
-    slots = _counted(times, dt)
+    """Return (start, places, distance from them in s) of the samples of a piece.
+
+    A place is the number of rows before it and of those lost, which never falls: of such numbers those that lie closest
+    to all stamps, so that a late one neither loses a row nor takes the place of the next.
+    """
+    rows = slots = np.arange(len(times))
     start = times[0]
     for _ in range(3):
         start = float(np.median(times - slots * dt))
-        slots = np.rint((times - start) / dt).astype(np.int64)
+        lost = isotonic_regression((times - start) / dt - rows).x
+        slots = rows + np.rint(lost).astype(np.int64)
         start += float(slots[0]) * dt
         slots -= slots[0]
     return start, slots, times - start - slots * dt
+
+
+def _is_on_places(jitter: Array, dt: float) -> bool:
+    """Whether all but a few samples are nearer to their places than to others."""
+    return float(np.mean(np.abs(jitter) > dt / 2)) <= FEW
 
 
 def _samples_jitter(

@@ -222,6 +222,27 @@ def test_a_refined_step_is_that_of_all_pieces_whatever_their_beginnings(guess):
     assert refined(times, [np.arange(3)], 1.01 * TICK) == pytest.approx(TICK)
 
 
+@pytest.mark.parametrize("lateness", [0.05, 0.1])
+@pytest.mark.parametrize(("n_rows", "n_lost"), [(300, 0), (300, 1), (5000, 60)])
+def test_late_stamps_change_no_step_and_take_no_place(lateness, n_rows, n_lost):
+    rng = np.random.default_rng(8)
+    places = np.delete(np.arange(n_rows), rng.choice(np.arange(20, n_rows - 20), n_lost, replace=False))
+    stamps = (places + rng.exponential(lateness, size=len(places))) * TICK
+    (piece,), dt, notes = placed(stamps, moves=np.sin(places * TICK)[:, np.newaxis])
+    assert dt == pytest.approx(TICK, rel=2 * lateness / n_rows)
+    assert "stamps jitter" in notes[0]
+    assert piece.size == n_rows
+    # A stamp that is late by half a row may stand on the other side of a row that is lost beside it.
+    assert np.mean(piece.slots == places) > 0.998
+
+
+@pytest.mark.parametrize("n_rows", [300, 5000])
+def test_a_step_in_whole_milliseconds_is_that_of_all_rows(n_rows):
+    stamps = np.round(np.arange(n_rows) / 60, 3)
+    step = refined(stamps, [np.arange(n_rows)], float(np.median(np.diff(stamps))))
+    assert step == pytest.approx(1 / 60, rel=0.1 / n_rows)
+
+
 def test_error_of_even_times_is_what_is_said_of_it():
     rng = np.random.default_rng(5)
     even = np.arange(400) * TICK
