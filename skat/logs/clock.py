@@ -347,7 +347,7 @@ def _samples_jitter(
 
 
 def resampled(found: list[Piece], dt: float, step: float, *, same: bool = False) -> tuple[list[Piece], str]:
-    """Return the pieces on a grid of another step, and how: every so many rows, or interpolated.
+    """Return the pieces on a grid of another step, and how: from every so many rows, or interpolated.
 
     Parameters
     ----------
@@ -359,36 +359,18 @@ def resampled(found: list[Piece], dt: float, step: float, *, same: bool = False)
     same : bool, default=False
         Whether the two are known to be the same, whatever the clock says.
     """
-    every = round(step / dt)
+    every, even = round(step / dt), all(piece.slots is not None for piece in found)
     if every == 1 and (same or abs(step / dt - 1) <= 1e-3):
         return [piece if piece.slots is not None else _regridded(piece, step) for piece in found], ""
-    if (
-        every >= 1
-        and abs(step / dt - every) <= 1e-3 * every
-        and all(piece.slots is not None for piece in found)
-    ):
-        thinned = []
-        for piece in found:
-            slots = np.asarray(piece.slots)
-            kept = slots % every == 0
-            thinned.append(
-                Piece(
-                    piece.name,
-                    piece.rows[kept],
-                    piece.times[kept],
-                    piece.start,
-                    slots[kept] // every,
-                    (piece.size - 1) // every + 1,
-                    piece.spacing * every,
-                )
-            )
-        return thinned, f"Every {every}th row is taken."
-    return [
-        _regridded(piece, step) for piece in found
-    ], f"Interpolated from {1 / dt:.6g} to {1 / step:.6g} rows per second."
+    if even and every >= 1 and abs(step / dt - every) <= 1e-3 * every:
+        thinned = [_regridded(piece, piece.spacing * every) for piece in found]
+        return thinned, f"Of {every} rows one is taken, with the mean command over them."
+    how = f"Interpolated from {1 / dt:.6g} to {1 / step:.6g} rows per second."
+    return [_regridded(piece, step) for piece in found], how
 
 
 def _regridded(piece: Piece, step: float) -> Piece:
-    """Return a piece whose values are interpolated at another step, from its first sample on."""
-    size = int((piece.times[-1] - piece.start) / step + ON_GRID) + 1
-    return replace(piece, slots=None, size=size, spacing=step)
+    """Return a piece whose values are taken at another step, from its first sample on."""
+    times = piece.times if piece.slots is None else piece.command_times
+    size = int((times[-1] - piece.start) / step + ON_GRID) + 1
+    return replace(piece, times=times, slots=None, size=size, spacing=step)

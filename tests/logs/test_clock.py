@@ -277,16 +277,17 @@ def test_an_even_grid_begins_and_ends_within_the_samples():
 
 
 @pytest.mark.parametrize("every", [2, 3])
-def test_every_so_many_rows_are_the_places_of_a_coarser_grid(every):
+def test_a_whole_factor_is_a_coarser_grid_from_the_first_row_on(every):
+    late = np.random.default_rng(9).uniform(0, 0.2, size=29) * TICK
     places = np.r_[np.arange(12), np.arange(14, 31)]
-    found, dt, _ = placed(1.0 + places * TICK)
-    (piece,), how = resampled(found, dt, every * TICK)
-    assert how == f"Every {every}th row is taken."
-    np.testing.assert_allclose(piece.times, piece.start + piece.spacing * piece.slots, atol=1e-12)
-    np.testing.assert_allclose(piece.times, 1.0 + places[piece.rows] * TICK)
-    assert set(piece.slots) == {place // every for place in places if place % every == 0}
+    found, dt, _ = placed(1.0 + places * TICK + late, moves=np.sin(places * TICK)[:, np.newaxis])
+    (piece,), how = resampled(found, dt, every * dt)
+    assert how == f"Of {every} rows one is taken, with the mean command over them."
+    assert (piece.start, piece.spacing) == (found[0].start, pytest.approx(every * dt))
     assert piece.size == len(range(0, 31, every))
-    assert piece.spacing == pytest.approx(every * TICK)
+    # All rows stay, at their even times: what is between those that are taken tells the commands.
+    np.testing.assert_array_equal(piece.rows, found[0].rows)
+    np.testing.assert_allclose(piece.times, piece.start + dt * places, rtol=1e-12)
 
 
 def test_the_same_step_takes_the_rows_as_they_are():
