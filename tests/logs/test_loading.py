@@ -170,6 +170,19 @@ def test_stamps_that_jitter_over_even_samples_are_told_from_samples_that_jitter(
     assert np.sqrt(np.nanmean(missed**2)) <= log.interpolation["qpos.rail"] < 1e-4
 
 
+@pytest.mark.parametrize("told", [None, "as units", "as columns"])
+@pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+def test_tables_of_a_folder_have_times_in_any_unit(tmp_path, cart, unit, factor, told):
+    whole = smooth(60)
+    whole["time"] = np.rint(whole["time"] * factor)
+    whole[["time", "qpos.rail", "qvel.rail"]].to_csv(tmp_path / "state.csv", index=False)
+    whole[["time", "ctrl.push"]].to_csv(tmp_path / "cmd.csv", index=False)
+    said = {"as units": {"units": {"time": unit}}, "as columns": {"columns": {"time": f":{unit}"}}}
+    log = load_log(tmp_path, cart, **said.get(told, {}))
+    assert log.dt == pytest.approx(0.02)
+    np.testing.assert_allclose(log.X, smooth(60).to_numpy()[:-1, 1:], atol=1e-12)
+
+
 @pytest.mark.parametrize("clock", ["even", "uneven", "one of two"])
 def test_the_floor_of_the_noise_covers_what_interpolation_has_missed(clock, cart, tmp_path):
     rng = np.random.default_rng(3)
