@@ -173,7 +173,9 @@ def _timed(record: Recording, found: Plan, simulator: Simulator, rate: float | N
         )
 
     def moves() -> Array:
-        return np.stack([states[name][kept] for name in mine[:8]], axis=1)
+        # Velocities jump where commands do, wherever the stamps stand.
+        smooth = [name for name in mine if name in names[:n_states] and not name.startswith("qvel.")]
+        return np.stack([states[name][kept] for name in (smooth or mine)[:8]], axis=1)
 
     own, dt, said = clock.pieces(
         times[kept],

@@ -170,6 +170,20 @@ def test_stamps_that_jitter_over_even_samples_are_told_from_samples_that_jitter(
     assert np.sqrt(np.nanmean(missed**2)) <= log.interpolation["qpos.rail"] < 1e-4
 
 
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("is_late", [True, False])
+def test_commands_and_velocities_that_jump_do_not_tell_which_jitters(cart, seed, is_late):
+    rng = np.random.default_rng(seed)
+    jitter = rng.uniform(-0.003, 0.003, size=300)
+    begins = 0.02 * np.arange(300) + (0 if is_late else jitter)
+    lasts, force = np.diff(begins), 20 * rng.normal(size=300)
+    speeds = np.r_[0, np.cumsum(lasts * force[:-1])]
+    places = np.r_[0, np.cumsum(lasts * (speeds[:-1] + speeds[1:]) / 2)]
+    columns = {"qpos.rail": places, "qvel.rail": speeds, "ctrl.push": force}
+    log = load_log(pd.DataFrame({"time": 0.02 * np.arange(300) + jitter, **columns}), cart)
+    assert any("time stamps jitter" in note for note in log.notes) == is_late
+
+
 @pytest.mark.parametrize("told", [None, "as units", "as columns"])
 @pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
 def test_tables_of_a_folder_have_times_in_any_unit(tmp_path, cart, unit, factor, told):
