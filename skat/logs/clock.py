@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from fractions import Fraction
 
 import numpy as np
 import pandas as pd
@@ -28,9 +29,9 @@ DATES = (("ns", 1e17), ("us", 1e14), ("ms", 1e11), ("s", LEAST_DATE))
 
 
 def in_seconds(
-    values: np.ndarray, unit: str | None, where: str, origin: float | None = None
-) -> tuple[Array, str, float]:
-    """Return times in s, the unit they were in, and the origin that was subtracted, in that unit.
+    values: np.ndarray, unit: str | None, where: str, origin: Fraction | None = None
+) -> tuple[Array, str, Fraction]:
+    """Return times in s, the unit they were in, and the origin that was subtracted, in s.
 
     Parameters
     ----------
@@ -40,8 +41,9 @@ def in_seconds(
         "s", "ms", "us" or "ns"; None: found out, from stamps since 1970 and from the distance of rows.
     where : str
         For messages.
-    origin : float, optional
-        That of another stream of the log. None: the first stamp where that is a date, otherwise 0.
+    origin : Fraction, optional
+        That of another stream of the log, s; a float has no nanoseconds since 1970. None: the first stamp where that is
+        a date, otherwise 0.
 
     Raises
     ------
@@ -50,8 +52,10 @@ def in_seconds(
     """
     if values.dtype == object:
         whole = _iso(values, where)
-        origin = float(whole[0]) if origin is None else origin
-        return (whole - np.int64(origin)) / 1e9 + np.where(whole == NO_TIME, np.nan, 0.0), "ISO 8601", origin
+        if origin is None:
+            origin = Fraction(int(next((stamp for stamp in whole if stamp != NO_TIME), 0)), 10**9)
+        seconds = (whole - round(origin * 10**9)) / 1e9
+        return np.where(whole == NO_TIME, np.nan, seconds), "ISO 8601", origin
     if unit is not None and (unit not in BASE or BASE[unit][1] != "S"):
         raise LogError(
             where, f"has the unit {unit!r}, which is none of time.", options={"units": {"time": "s"}}
@@ -60,8 +64,10 @@ def in_seconds(
     factor = round(1 / BASE[unit][0])
     first = values[np.isfinite(values)][:1]
     if origin is None:
-        origin = float(first[0]) if len(first) and abs(first[0] / factor) >= LEAST_DATE else 0.0
-    return (values - origin) / factor if origin or factor != 1 else values, unit, origin
+        is_date = len(first) and abs(first[0] / factor) >= LEAST_DATE
+        origin = Fraction(float(first[0])) / factor if is_date else Fraction(0)
+    moved = values - float(origin * factor) if origin else values
+    return moved / factor if factor != 1 else moved, unit, origin
 
 
 def _guessed_unit(values: Array) -> str:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from skat.episodes import FEWEST_ROWS
 from skat.logs import clock
 from skat.logs.errors import LogError
-from skat.logs.grid import acting, on_grid
+from skat.logs.grid import acting, ended, on_grid, stream_times
 from skat.logs.log import Log, joined
 from skat.logs.mapping import checked_columns
 from skat.logs.matching import Plan, plan, simulator_inputs
@@ -186,7 +186,8 @@ def _timed(record: Recording, found: Plan, simulator: Simulator, rate: float | N
         moves,
     )
     notes += said
-    own, acts, bending = acting(record, found, data, states, own, kept, main, names, n_states, times)
+    times_of = {place: stream_times(record, found, data, place, main, times) for place in data}
+    own, acts, bending = acting(found, states, own, kept, main, names, n_states, times_of)
     notes += [bending] if bending else []
     simulator, step, said = _stepped(simulator, dt, rate, record)
     notes += said
@@ -198,7 +199,8 @@ def _timed(record: Recording, found: Plan, simulator: Simulator, rate: float | N
     own, how = clock.resampled(own, dt, step, same=same)
     notes += [how] if how else []
     own = [piece for piece in own if piece.size >= 2]
-    grid, groups, errors = on_grid(record, found, data, states, own, kept, main, names, n_states, times, acts)
+    notes += ended(record, found, own, main, names[n_states:], times_of)
+    grid, groups, errors = on_grid(found, states, own, kept, main, names, n_states, times_of, acts)
     return _log(record, found, simulator, grid, groups, own, errors, n_states, notes)
 
 

@@ -46,12 +46,29 @@ def test_dates_in_any_unit_begin_at_zero(unit):
     stamps = (1.7e9 + np.arange(50) / 64) * factor
     found, said, origin = in_seconds(stamps, None, "t")
     assert said == unit
-    assert origin == stamps[0]
+    assert origin * int(factor) == stamps[0]
     np.testing.assert_allclose(found, np.arange(50) / 64, atol=1e-6)
     # The dates of another stream of the log count from the same moment.
     later, _, same = in_seconds(stamps + 3 * factor, unit, "t", origin)
     np.testing.assert_allclose(later - found, 3.0, atol=1e-6)
     assert same == origin
+
+
+@pytest.mark.parametrize("kind", ["s", "ms", "us", "ns", "ISO 8601"])
+@pytest.mark.parametrize("other", ["s", "ms", "us", "ns", "ISO 8601"])
+def test_dates_of_two_streams_count_from_one_moment_whatever_their_units(kind, other):
+    def written(unit, steps):
+        if unit == "ISO 8601":
+            return np.array([f"2024-05-01T12:00:{step / 64:09.6f}Z" for step in steps], dtype=object)
+        return (1714564800 + steps / 64) * {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}[unit]
+
+    steps = np.arange(3, 20)
+    found, unit, origin = in_seconds(written(kind, steps), None, "t")
+    assert unit == kind
+    np.testing.assert_allclose(found, (steps - 3) / 64, rtol=0, atol=1e-6)
+    later, unit, same = in_seconds(written(other, steps + 5), None, "t", origin)
+    assert (unit, same) == (other, origin)
+    np.testing.assert_allclose(later, (steps + 2) / 64, rtol=0, atol=1e-6)
 
 
 def test_clocks_since_the_machine_was_switched_on_keep_their_numbers():
@@ -68,17 +85,16 @@ def test_clocks_since_the_machine_was_switched_on_keep_their_numbers():
 def test_a_missing_first_stamp_hides_neither_date_nor_unit():
     stamps = np.r_[np.nan, 1.7e12 + np.arange(20) * 10.0]
     found, unit, origin = in_seconds(stamps, None, "t")
-    assert (unit, origin) == ("ms", 1.7e12)
+    assert (unit, origin) == ("ms", 1.7e9)
     np.testing.assert_allclose(found[1:], np.arange(20) * 0.01, atol=1e-6)
 
 
 def test_texts_are_seconds_since_the_first_of_them():
-    texts = np.array(["2024-05-01T12:00:00.010Z", "2024-05-01T12:00:01.510Z", None], dtype=object)
+    texts = np.array([None, "2024-05-01T12:00:00.010Z", "2024-05-01T12:00:01.510Z", None], dtype=object)
     found, unit, origin = in_seconds(texts, None, "t")
     assert unit == "ISO 8601"
-    np.testing.assert_allclose(found[:2], [0.0, 1.5], atol=1e-6)
-    assert np.isnan(found[2])
-    later, _, _ = in_seconds(texts[1:2], None, "t", origin)
+    np.testing.assert_allclose(found, [np.nan, 0.0, 1.5, np.nan], atol=1e-6)
+    later, _, _ = in_seconds(texts[2:3], None, "t", origin)
     np.testing.assert_allclose(later, [1.5], atol=1e-6)
 
 

@@ -376,6 +376,58 @@ def test_commands_of_another_topic_are_held_and_averaged(cart):
     np.testing.assert_allclose(commands[[0, 19, 20, 21, 39, 40, 58]], [1, 1, 1.5, 2, 2, 3, 3])
 
 
+def beside(folder, state, commands):
+    """Write a state and its commands as tables of a folder."""
+    state[["time", "qpos.rail", "qvel.rail"]].to_csv(folder / "state.csv", index=False)
+    commands[["time", "ctrl.push"]].to_csv(folder / "cmd.csv", index=False)
+    return folder
+
+
+@pytest.mark.parametrize(("state", "commands"), [("ns", "s"), ("s", "ns"), ("ms", "us"), ("s", "ISO 8601")])
+def test_commands_beside_a_state_may_be_dated_in_another_unit(tmp_path, cart, state, commands):
+    def dated(unit):
+        table = smooth(60)
+        if unit == "ISO 8601":
+            stamps = pd.to_datetime(np.rint((1.7e9 + table["time"]) * 1e3), unit="ms")
+            return table.assign(time=stamps.dt.strftime("%Y-%m-%dT%H:%M:%S.%fZ"))
+        factor = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}[unit]
+        stamps = (1.7e9 + table["time"]) * factor
+        return table.assign(time=stamps if unit == "s" else np.rint(stamps).astype(np.int64))
+
+    log = load_log(beside(tmp_path, dated(state), dated(commands)), cart)
+    np.testing.assert_array_equal(log.X[:, 2], smooth(60)["ctrl.push"][:-1])
+
+
+@pytest.mark.parametrize(
+    ("origins", "said"),
+    [((1.7e9, 0), "ends 1.7e+09 s before the state begins"), ((0, 90), "begins 88.82 s after")],
+)
+def test_clocks_with_no_time_in_common_are_refused(tmp_path, cart, origins, said):
+    state, commands = (smooth(60).assign(time=origin + smooth(60)["time"]) for origin in origins)
+    message = refusal(beside(tmp_path, state, commands), cart)
+    assert f"cmd: has no time in common with the state: it {said}" in message
+    assert "in one unit and from one origin" in message
+
+
+def test_commands_of_two_runs_beside_each_other_are_refused_and_small_steps_back_are_not(tmp_path, cart):
+    twice = pd.concat([smooth(60), smooth(60)])
+    message = refusal(beside(tmp_path, twice, twice), cart)
+    assert "cmd.csv, line 62: time goes back by 1.18 s" in message
+    assert "Give runs one by one" in message
+    stamped = smooth(60)
+    commands = stamped.iloc[np.r_[0:30, 31, 30, 32:60]]
+    log = load_log(beside(tmp_path, stamped, commands), cart)
+    np.testing.assert_array_equal(log.X[:, 2], stamped["ctrl.push"][:-1])
+
+
+@pytest.mark.parametrize(("n_commands", "held"), [(60, 0), (50, 0), (48, 2), (10, 40), (1, 0)])
+def test_commands_that_end_before_the_states_are_told(tmp_path, cart, n_commands, held):
+    log = load_log(beside(tmp_path, smooth(60), smooth(60)[:n_commands]), cart)
+    note = f"Commands of cmd end at {0.02 * (n_commands - 1):.6g} s: held for the last {held} rows."
+    assert [one for one in log.notes if "Commands" in one] == ([note] if held else [])
+    assert len(log) == 59
+
+
 def test_columns_are_mapped_with_units_signs_and_offsets(table, cart):
     theirs = table.rename(columns={"qpos.rail": "x", "qvel.rail": "v", "ctrl.push": "amps"})
     theirs["x"] = 25 - 1000 * theirs["x"]
