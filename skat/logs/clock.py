@@ -23,6 +23,9 @@ SLOWEST, FASTEST = 0.5, 5e-4
 FEW = 0.05
 # Neighbours whose distance is more than so many rows have nothing between them.
 BETWEEN = 1.5
+# Nats of evidence that chance alone hardly makes.
+CERTAIN = 3.0
+TINY = np.finfo(np.float64).tiny
 NO_TIME = np.iinfo(np.int64).min
 # What a stamp in seconds since 1970 is at least, by unit.
 DATES = (("ns", 1e17), ("us", 1e14), ("ms", 1e11), ("s", LEAST_DATE))
@@ -226,7 +229,7 @@ def pieces(
     if not snap and has_grid and not _samples_jitter(times, groups, placed, dt, moves()):
         snap = True
         notes.append(
-            f"The time stamps jitter by up to {worst * 1e3 * dt:.3g} ms, the samples do not (positions move evenly): "
+            f"The time stamps jitter by up to {worst * 1e3 * dt:.3g} ms, and positions do not show that samples do: "
             "rows are taken as even."
         )
     elif not snap:
@@ -332,24 +335,26 @@ def _samples_jitter(
     dt: float,
     moves: Array,
 ) -> bool:
-    """Whether positions move further where stamps are further apart: the samples themselves are uneven."""
-    upper = lower = 0.0
+    """Whether positions move further where stamps are further apart: the samples themselves are uneven.
+
+    The evidence is the logarithm of a ratio of likelihoods: of what positions miss if they go on at their speed for the
+    time between stamps, and of what they miss if for that between places. Where there is too little, what stamps jitter
+    by is nothing beside the noise, and rows stay as they were measured.
+    """
+    even, uneven, count = (np.zeros(moves.shape[1]) for _ in range(3))
     for rows, (_, slots, _) in zip(groups, placed):
         if len(rows) < 8:
             continue
         q, t = moves[rows], times[rows]
-        wide = (slots[5:] - slots[:-5]) * dt
-        speed = (q[5:] - q[:-5]) / wide[:, None]
+        speed = (q[5:] - q[:-5]) / ((slots[5:] - slots[:-5]) * dt)[:, None]
         nominal = (np.diff(slots) * dt)[2:-2]
         moved = np.diff(q, axis=0)[2:-2] - speed * nominal[:, None]
         expected = speed * (np.diff(t)[2:-2] - nominal)[:, None]
-        scale = np.nanstd(q, axis=0)
-        scale = np.where(scale > 0, scale, 1.0)
-        moved, expected = moved / scale, expected / scale
-        good = np.isfinite(moved) & np.isfinite(expected)
-        upper += float(np.sum(moved[good] * expected[good]))
-        lower += float(np.sum(expected[good] ** 2))
-    return lower > 0 and upper / lower > 0.5
+        even += np.nansum(moved**2, axis=0)
+        uneven += np.nansum((moved - expected) ** 2, axis=0)
+        count += np.isfinite(moved).sum(axis=0)
+    ratios = np.log(np.maximum(even, TINY) / np.maximum(uneven, TINY))
+    return float(np.sum(count / 2 * ratios)) > CERTAIN
 
 
 def resampled(found: list[Piece], dt: float, step: float, *, same: bool = False) -> tuple[list[Piece], str]:

@@ -219,6 +219,17 @@ def test_positions_tell_whether_stamps_or_samples_jitter(is_late):
         np.testing.assert_array_equal(piece.command_times, stamps)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_stamps_that_jitter_at_rest_leave_rows_as_they_were_measured(seed):
+    rng = np.random.default_rng(seed)
+    places = np.arange(200)
+    stamps = (places + np.where(places < 5, rng.uniform(-0.4, 0.4, size=200), 0)) * TICK
+    moves = np.sin(np.maximum(places - 20, 0) * TICK)[:, np.newaxis] + 1e-4 * rng.normal(size=(200, 1))
+    (piece,), _, notes = placed(stamps, moves=moves)
+    np.testing.assert_array_equal(piece.slots, places)
+    assert "stamps jitter" in notes[0]
+
+
 @pytest.mark.parametrize("share", [0.005, 0.02])
 def test_a_hundredth_of_a_row_is_no_jitter(share):
     rng = np.random.default_rng(4)
