@@ -312,14 +312,12 @@ def _on_grid(times: Array, dt: float) -> tuple[float, NDArray[np.int64], Array]:
     A place is the number of rows before it and of those lost, which never falls: of such numbers those that lie closest
     to all stamps, so that a late one neither loses a row nor takes the place of the next.
     """
-    rows = slots = np.arange(len(times))
-    start = times[0]
-    for _ in range(3):
-        start = float(np.median(times - slots * dt))
-        lost = isotonic_regression((times - start) / dt - rows).x
-        slots = rows + np.rint(lost).astype(np.int64)
-        start += float(slots[0]) * dt
-        slots -= slots[0]
+    rows, turns = np.arange(len(times)), (times - times[0]) / dt
+    # How far places are from whole steps after the first row, which no lost row changes.
+    phase = np.angle(np.exp(2j * np.pi * turns).mean()) / (2 * np.pi)
+    slots = rows + np.rint(isotonic_regression(turns - phase - rows).x).astype(np.int64)
+    slots -= slots[0]
+    start = float(np.median(times - slots * dt))
     return start, slots, times - start - slots * dt
 
 

@@ -263,6 +263,13 @@ def test_late_stamps_change_no_step_and_take_no_place(lateness, n_rows, n_lost):
     assert np.mean(piece.slots == places) > 0.998
 
 
+def test_a_row_lost_in_the_very_middle_is_lost():
+    places = np.delete(np.arange(101), 50)
+    (piece,), dt, _ = placed(places * TICK)
+    np.testing.assert_array_equal(piece.slots, places)
+    assert dt == pytest.approx(TICK, rel=1e-12)
+
+
 @pytest.mark.parametrize("n_rows", [300, 5000])
 def test_a_step_in_whole_milliseconds_is_that_of_all_rows(n_rows):
     stamps = np.round(np.arange(n_rows) / 60, 3)
