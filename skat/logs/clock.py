@@ -27,6 +27,8 @@ BETWEEN = 1.5
 CERTAIN = 3.0
 TINY = np.finfo(np.float64).tiny
 NO_TIME = np.iinfo(np.int64).min
+# Seconds from 1970 to 2001; a clock that counts others from its start hardly comes so far.
+RECENT = 1e9
 # What a stamp in seconds since 1970 is at least, by unit.
 DATES = (("ns", 1e17), ("us", 1e14), ("ms", 1e11), ("s", LEAST_DATE))
 
@@ -83,7 +85,8 @@ def _guessed_unit(values: Array) -> str:
     steps = np.diff(values)
     steps = steps[np.isfinite(steps) & (steps > 0)]
     usual = float(np.median(steps)) if len(steps) else 0.0
-    if usual < 2 * SLOWEST:
+    # Stamps of whole seconds are as far apart as a millisecond's, and dates show which they are.
+    if usual < 2 * SLOWEST or (usual == 2 * SLOWEST and first[0] >= RECENT):
         return "s"
     return next((name for name in ("ms", "us", "ns") if FASTEST <= usual * BASE[name][0] < SLOWEST), "s")
 
@@ -210,6 +213,8 @@ def pieces(
         apart[back] = True
     same = (steps == 0) & ~apart
     keep = ~same
+    if same.mean() > FEW:
+        _check_fine(times, same, apart, dt, where, moves())
     if same.any():
         notes.append(f"{int(same.sum())} rows repeat the time of the row before: left out.")
     gaps = np.flatnonzero(keep)
@@ -260,6 +265,31 @@ def pieces(
             f"{lost} of {whole} rows are lost ({lost / whole:.2g} of them): not measured there, commands held."
         )
     return found, dt, notes
+
+
+def _check_fine(
+    times: Array,
+    same: NDArray[np.bool_],
+    apart: NDArray[np.bool_],
+    dt: float,
+    where: Callable[[int], str],
+    moves: Array,
+) -> None:
+    """Raise where many rows that repeat the time of the row before are no copies of it."""
+    rows = np.flatnonzero(same)
+    moved = rows[(np.abs(moves[rows] - moves[rows - 1]) > 0).any(axis=1)]
+    if len(moved) <= FEW * len(times):
+        return
+    later = np.flatnonzero(~same & ~apart)
+    lasts = np.diff(times[later])
+    usual = (lasts > 0) & (lasts < BETWEEN * dt)
+    rate = np.diff(later)[usual].sum() / lasts[usual].sum() if usual.any() else 1 / dt
+    raise LogError(
+        where(int(moved[0])),
+        f"{same.mean():.0%} of the rows repeat the time of the row before, and positions move meanwhile.",
+        "Name a column of times that are finer; or leave it out and say the rate.",
+        options={"columns": {"time": "-"}, "rate": float(f"{rate:.4g}")},
+    )
 
 
 def evened(piece: Piece) -> Piece | None:

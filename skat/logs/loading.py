@@ -15,6 +15,7 @@ from skat.logs.log import Log, joined
 from skat.logs.mapping import checked_columns
 from skat.logs.matching import Plan, plan, simulator_inputs
 from skat.logs.readers import recording
+from skat.logs.stamps import joined_stamps
 from skat.logs.streams import Recording, Stream
 from skat.logs.suspects import in_degrees
 from skat.simulators import Simulator
@@ -106,7 +107,7 @@ def load_log(
     if base not in (None, "fixed", "free"):
         raise ValueError(f'base must be "fixed", "free" or None; it is {base!r}.')
     told = checked_columns(columns)
-    record = recording(source, topic=topic)
+    record = joined_stamps(recording(source, topic=topic))
     notes = list(record.notes)
     if base == "fixed":
         simulator, welded = _welded(simulator, record)

@@ -183,10 +183,31 @@ def test_a_clock_that_goes_back_to_the_middle_is_refused_at_its_row():
 
 def test_rows_that_repeat_a_time_are_left_out():
     places = np.r_[0, 0, np.arange(1, 12), 11, 11, 12]
-    (piece,), _, notes = placed(places * TICK)
+    (piece,), _, notes = placed(places * TICK, moves=np.sin(places)[:, np.newaxis])
     assert notes == ["3 rows repeat the time of the row before: left out."]
     np.testing.assert_array_equal(piece.slots, np.arange(13))
     np.testing.assert_array_equal(places[piece.rows], np.arange(13))
+
+
+def test_a_clock_that_is_too_coarse_for_its_rows_is_refused_with_their_rate():
+    rows = np.arange(200)
+    stamps = 1.7e9 + (rows + 7) // 40
+    seconds, unit, _ = in_seconds(stamps, None, "t")
+    assert unit == "s"
+    with pytest.raises(LogError, match=r"row 1: 97% of the rows repeat the time .* positions move") as caught:
+        placed(seconds, dt=1.0, moves=np.sin(rows)[:, np.newaxis])
+    assert caught.value.options == {"columns": {"time": "-"}, "rate": 40.0}
+    assert "a column of times that are finer" in str(caught.value)
+    # Few such rows, or copies, are left out.
+    few = np.delete(np.arange(101), 50)[np.r_[0:50, 49, 50:100]]
+    assert len(placed(few * TICK)[0][0].rows) == 100
+    twice = np.repeat(np.arange(50), 2)
+    assert len(placed(twice * TICK, moves=np.sin(twice)[:, np.newaxis])[0][0].rows) == 50
+
+
+def test_microseconds_since_a_controllers_start_are_no_date():
+    assert in_seconds(1.2e9 + 1e4 * np.arange(9), None, "t")[1] == "us"
+    assert in_seconds(1.2e9 + np.arange(9), None, "t")[1] == "s"
 
 
 def test_episodes_keep_their_labels_names_and_beginnings():

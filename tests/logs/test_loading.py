@@ -345,6 +345,48 @@ def test_times_may_be_iso_dates(tmp_path, table, cart):
     assert log.simulator.frame_skip == 4
 
 
+@pytest.mark.parametrize("start", [0, 1.7e9])
+@pytest.mark.parametrize(
+    ("whole", "rest"),
+    [
+        ("header.stamp.sec", "header.stamp.nanosec"),
+        ("header_stamp_secs", "header_stamp_nsecs"),
+        ("sec", "nsec"),
+        ("stamp.seconds", "stamp.nanos"),
+    ],
+)
+def test_a_stamp_in_two_columns_is_one_clock(cart, start, whole, rest):
+    even = smooth(200)
+    stamps = np.rint(even["time"] * 1e9).astype(np.int64)
+    parts = {whole: int(start) + stamps // 10**9, rest: stamps % 10**9}
+    log = load_log(even.drop(columns="time").assign(**parts), cart)
+    assert log.notes == ()
+    np.testing.assert_array_equal(log.X, even.to_numpy()[:-1, 1:])
+    np.testing.assert_allclose(log.time, even["time"][:-1], rtol=0, atol=1e-6)
+
+
+def test_stamps_of_tables_in_two_columns_each_are_put_beside_each_other(tmp_path, cart):
+    even = smooth(60)
+    stamps = np.rint(even["time"] * 1e9).astype(np.int64)
+    parts = {"sec": 1_700_000_000 + stamps // 10**9, "nanosec": stamps % 10**9}
+    state = even.drop(columns=["time", "ctrl.push"])
+    state.assign(**{f"header.stamp.{part}": values for part, values in parts.items()}).to_csv(
+        tmp_path / "state.csv", index=False
+    )
+    even[["ctrl.push"]].assign(**parts).to_csv(tmp_path / "cmd.csv", index=False)
+    log = load_log(tmp_path, cart)
+    np.testing.assert_array_equal(log.X, even.to_numpy()[:-1, 1:])
+    clocks = {match.theirs for match in log.matches if match.name == "time"}
+    assert clocks == {"state.header.stamp", "cmd.stamp"}
+
+
+def test_columns_that_are_no_parts_of_a_stamp_are_not_added_up(cart):
+    """Two whole clocks, one in seconds and one in nanoseconds."""
+    even = smooth(60)
+    both = even.drop(columns="time").assign(t_sec=even["time"], t_nsec=np.rint(even["time"] * 1e9))
+    np.testing.assert_allclose(load_log(both, cart).time, even["time"][:-1], atol=1e-12)
+
+
 def test_what_the_log_lacks_is_not_measured(table, cart):
     log = load_log(table.drop(columns="qvel.rail"), cart)
     assert log.unmeasured == ("qvel.rail",)
