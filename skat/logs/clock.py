@@ -19,11 +19,11 @@ ON_GRID = 0.01
 LONGEST_LOSS = 10
 # Seconds from row to row that a robot's log may have; other numbers are in another unit.
 SLOWEST, FASTEST = 0.5, 5e-4
-# More rows than this share that go back in time, or stand off their places: rows are not in time order, or uneven.
+# More rows than this share that go back in time, stand off their places or repeat a time: it is no clock of such rows.
 FEW = 0.05
 # Neighbours whose distance is more than so many rows have nothing between them.
 BETWEEN = 1.5
-# Nats of evidence that chance alone hardly makes.
+# Nats of evidence for uneven samples, with less than which rows stay as they are.
 CERTAIN = 3.0
 TINY = np.finfo(np.float64).tiny
 NO_TIME = np.iinfo(np.int64).min

@@ -12,8 +12,6 @@ from skat.logs.matching import Plan
 from skat.logs.streams import Recording
 from skat.simulators.tables import Array
 
-TINY = np.finfo(np.float64).tiny
-
 
 def on_grid(
     found: Plan,
@@ -136,7 +134,7 @@ def acting(
     def missed(pieces: list[clock.Piece], times: dict[int, Array]) -> float:
         held = _held(found, states, pieces, kept, main, commands, times)
         return sum(
-            float(np.log(max(_bends(pieces, samples, held).missed, TINY)))
+            float(np.log(max(_bends(pieces, samples, held).missed, clock.TINY)))
             for name in speeds
             for samples in [[_in_order(piece.times, states[name][kept[piece.rows]]) for piece in pieces]]
         )
