@@ -231,7 +231,7 @@ def pieces(
     worst = max((float(np.abs(jitter).max()) for _, _, jitter in placed), default=0.0) / dt
     has_grid = _is_on_places(np.concatenate([jitter for _, _, jitter in placed]), dt)
     snap = worst <= ON_GRID
-    if not snap and has_grid and not _samples_jitter(times, groups, placed, dt, moves()):
+    if not snap and has_grid and not _samples_jitter(times, groups, placed, moves()):
         snap = True
         notes.append(
             f"The time stamps jitter by up to {worst * 1e3 * dt:.3g} ms, and positions do not show that samples do: "
@@ -360,28 +360,25 @@ def _samples_jitter(
     times: Array,
     groups: list[NDArray[np.intp]],
     placed: list[tuple[float, NDArray[np.int64], Array]],
-    dt: float,
     moves: Array,
 ) -> bool:
     """Whether positions move further where stamps are further apart: the samples themselves are uneven.
 
-    The evidence is the logarithm of a ratio of likelihoods: of what positions miss if they go on at their speed for the
-    time between stamps, and of what they miss if for that between places. Where there is too little, what stamps jitter
-    by is nothing beside the noise, and rows stay as they were measured.
+    The evidence is the logarithm of a ratio of likelihoods: of what positions miss in the middle of five steps if they
+    go on evenly by stamps, and of what they miss if by places. Where there is too little, what stamps jitter by is
+    nothing beside the noise, and rows stay as they were measured.
     """
-    even, uneven, count = (np.zeros(moves.shape[1]) for _ in range(3))
+    by_places, by_stamps, count = (np.zeros(moves.shape[1]) for _ in range(3))
     for rows, (_, slots, _) in zip(groups, placed):
         if len(rows) < 8:
             continue
-        q, t = moves[rows], times[rows]
-        speed = (q[5:] - q[:-5]) / ((slots[5:] - slots[:-5]) * dt)[:, None]
-        nominal = (np.diff(slots) * dt)[2:-2]
-        moved = np.diff(q, axis=0)[2:-2] - speed * nominal[:, None]
-        expected = speed * (np.diff(t)[2:-2] - nominal)[:, None]
-        even += np.nansum(moved**2, axis=0)
-        uneven += np.nansum((moved - expected) ** 2, axis=0)
-        count += np.isfinite(moved).sum(axis=0)
-    ratios = np.log(np.maximum(even, TINY) / np.maximum(uneven, TINY))
+        q = moves[rows]
+        moved, within = np.diff(q, axis=0)[2:-2], q[5:] - q[:-5]
+        for missed, at in ((by_places, slots), (by_stamps, times[rows])):
+            share = np.diff(at)[2:-2] / (at[5:] - at[:-5])
+            missed += np.nansum((moved - share[:, None] * within) ** 2, axis=0)
+        count += np.isfinite(moved - within).sum(axis=0)
+    ratios = np.log(np.maximum(by_places, TINY) / np.maximum(by_stamps, TINY))
     return float(np.sum(count / 2 * ratios)) > CERTAIN
 
 

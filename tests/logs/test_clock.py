@@ -241,6 +241,16 @@ def test_positions_tell_whether_stamps_or_samples_jitter(is_late):
 
 
 @pytest.mark.parametrize("seed", range(6))
+def test_samples_whose_clock_has_no_beat_are_uneven(seed):
+    """Each row follows the one before, however late that was."""
+    rng = np.random.default_rng(seed)
+    stamps = np.r_[0, np.cumsum(1 + rng.uniform(-0.1, 0.1, size=199))] * TICK
+    moves = np.sin(4 * stamps)[:, np.newaxis] + 5e-4 * rng.normal(size=(200, 1))
+    (piece,), _, _ = placed(stamps, moves=moves)
+    assert piece.slots is None
+
+
+@pytest.mark.parametrize("seed", range(6))
 def test_stamps_that_jitter_at_rest_leave_rows_as_they_were_measured(seed):
     rng = np.random.default_rng(seed)
     places = np.arange(200)
