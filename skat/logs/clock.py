@@ -2,10 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from fractions import Fraction
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy.optimize import isotonic_regression
 
 from skat.logs.errors import LogError
 from skat.logs.units import BASE, LEAST_DATE
@@ -17,19 +19,24 @@ ON_GRID = 0.01
 LONGEST_LOSS = 10
 # Seconds from row to row that a robot's log may have; other numbers are in another unit.
 SLOWEST, FASTEST = 0.5, 5e-4
-# More backward steps than this share of the rows: the rows are not in time order.
+# More rows than this share that go back in time, stand off their places or repeat a time: it is no clock of such rows.
 FEW = 0.05
 # Neighbours whose distance is more than so many rows have nothing between them.
 BETWEEN = 1.5
+# Nats of evidence for uneven samples, with less than which rows stay as they are.
+CERTAIN = 3.0
+TINY = np.finfo(np.float64).tiny
 NO_TIME = np.iinfo(np.int64).min
+# Seconds from 1970 to 2001; a clock that counts others from its start hardly comes so far.
+RECENT = 1e9
 # What a stamp in seconds since 1970 is at least, by unit.
 DATES = (("ns", 1e17), ("us", 1e14), ("ms", 1e11), ("s", LEAST_DATE))
 
 
 def in_seconds(
-    values: np.ndarray, unit: str | None, where: str, origin: float | None = None
-) -> tuple[Array, str, float]:
-    """Return times in s, the unit they were in, and the origin that was subtracted, in that unit.
+    values: np.ndarray, unit: str | None, where: str, origin: Fraction | None = None
+) -> tuple[Array, str, Fraction]:
+    """Return times in s, the unit they were in, and the origin that was subtracted, in s.
 
     Parameters
     ----------
@@ -39,8 +46,9 @@ def in_seconds(
         "s", "ms", "us" or "ns"; None: found out, from stamps since 1970 and from the distance of rows.
     where : str
         For messages.
-    origin : float, optional
-        That of another stream of the log. None: the first stamp where that is a date, otherwise 0.
+    origin : Fraction, optional
+        That of another stream of the log, s; a float has no nanoseconds since 1970. None: the first stamp where that is
+        a date, otherwise 0.
 
     Raises
     ------
@@ -49,8 +57,10 @@ def in_seconds(
     """
     if values.dtype == object:
         whole = _iso(values, where)
-        origin = float(whole[0]) if origin is None else origin
-        return (whole - np.int64(origin)) / 1e9 + np.where(whole == NO_TIME, np.nan, 0.0), "ISO 8601", origin
+        if origin is None:
+            origin = Fraction(int(next((stamp for stamp in whole if stamp != NO_TIME), 0)), 10**9)
+        seconds = (whole - round(origin * 10**9)) / 1e9
+        return np.where(whole == NO_TIME, np.nan, seconds), "ISO 8601", origin
     if unit is not None and (unit not in BASE or BASE[unit][1] != "S"):
         raise LogError(
             where, f"has the unit {unit!r}, which is none of time.", options={"units": {"time": "s"}}
@@ -59,8 +69,10 @@ def in_seconds(
     factor = round(1 / BASE[unit][0])
     first = values[np.isfinite(values)][:1]
     if origin is None:
-        origin = float(first[0]) if len(first) and abs(first[0] / factor) >= LEAST_DATE else 0.0
-    return (values - origin) / factor if origin or factor != 1 else values, unit, origin
+        is_date = len(first) and abs(first[0] / factor) >= LEAST_DATE
+        origin = Fraction(float(first[0])) / factor if is_date else Fraction(0)
+    moved = values - float(origin * factor) if origin else values
+    return moved / factor if factor != 1 else moved, unit, origin
 
 
 def _guessed_unit(values: Array) -> str:
@@ -73,7 +85,8 @@ def _guessed_unit(values: Array) -> str:
     steps = np.diff(values)
     steps = steps[np.isfinite(steps) & (steps > 0)]
     usual = float(np.median(steps)) if len(steps) else 0.0
-    if usual < 2 * SLOWEST:
+    # Stamps of whole seconds are as far apart as a millisecond's, and dates show which they are.
+    if usual < 2 * SLOWEST or (usual == 2 * SLOWEST and first[0] >= RECENT):
         return "s"
     return next((name for name in ("ms", "us", "ns") if FASTEST <= usual * BASE[name][0] < SLOWEST), "s")
 
@@ -200,6 +213,8 @@ def pieces(
         apart[back] = True
     same = (steps == 0) & ~apart
     keep = ~same
+    if same.mean() > FEW:
+        _check_fine(times, same, apart, dt, where, moves())
     if same.any():
         notes.append(f"{int(same.sum())} rows repeat the time of the row before: left out.")
     gaps = np.flatnonzero(keep)
@@ -214,12 +229,12 @@ def pieces(
     dt = refined(times, groups, dt)
     placed = [_on_grid(times[rows], dt) for rows in groups]
     worst = max((float(np.abs(jitter).max()) for _, _, jitter in placed), default=0.0) / dt
-    clashes = any((np.diff(slots) <= 0).any() for _, slots, _ in placed)
-    snap = worst <= ON_GRID and not clashes
-    if not snap and not clashes and not _samples_jitter(times, groups, placed, dt, moves()):
+    has_grid = _is_on_places(np.concatenate([jitter for _, _, jitter in placed]), dt)
+    snap = worst <= ON_GRID
+    if not snap and has_grid and not _samples_jitter(times, groups, placed, moves()):
         snap = True
         notes.append(
-            f"The time stamps jitter by up to {worst * 1e3 * dt:.3g} ms, the samples do not (positions move evenly): "
+            f"The time stamps jitter by up to {worst * 1e3 * dt:.3g} ms, and positions do not show that samples do: "
             "rows are taken as even."
         )
     elif not snap:
@@ -252,6 +267,31 @@ def pieces(
     return found, dt, notes
 
 
+def _check_fine(
+    times: Array,
+    same: NDArray[np.bool_],
+    apart: NDArray[np.bool_],
+    dt: float,
+    where: Callable[[int], str],
+    moves: Array,
+) -> None:
+    """Raise where many rows that repeat the time of the row before are no copies of it."""
+    rows = np.flatnonzero(same)
+    moved = rows[(np.abs(moves[rows] - moves[rows - 1]) > 0).any(axis=1)]
+    if len(moved) <= FEW * len(times):
+        return
+    later = np.flatnonzero(~same & ~apart)
+    lasts = np.diff(times[later])
+    usual = (lasts > 0) & (lasts < BETWEEN * dt)
+    rate = np.diff(later)[usual].sum() / lasts[usual].sum() if usual.any() else 1 / dt
+    raise LogError(
+        where(int(moved[0])),
+        f"{same.mean():.0%} of the rows repeat the time of the row before, and positions move meanwhile.",
+        "Name a column of times that are finer; or leave it out and say the rate.",
+        options={"columns": {"time": "-"}, "rate": float(f"{rate:.4g}")},
+    )
+
+
 def evened(piece: Piece) -> Piece | None:
     """Return the piece on the even grid behind its times, from which its commands act; None: there is none."""
     found = even_times(piece.times, piece.spacing)
@@ -264,9 +304,9 @@ def evened(piece: Piece) -> Piece | None:
 
 
 def even_times(times: Array, dt: float) -> tuple[Array, float] | None:
-    """Return the even times behind jittering ones and their standard error, s; None where two would be the same."""
+    """Return the even times behind jittering ones and their standard error, s; None where there are none."""
     start, slots, jitter = _on_grid(times, dt)
-    if (np.diff(slots) <= 0).any():
+    if not _is_on_places(jitter, dt):
         return None
     # The start is a median of them; what the step is out by adds as much again, on the average.
     slip = float(np.std(jitter) * np.sqrt(2 * np.pi / 2 / len(jitter)))
@@ -275,67 +315,75 @@ def even_times(times: Array, dt: float) -> tuple[Array, float] | None:
 
 def refined(times: Array, groups: list[NDArray[np.intp]], dt: float) -> float:
     """Return the step that fits all stamps best; pieces have one step, and beginnings of their own."""
-    # First by the places that neighbours show, which an inexact step does not carry away.
-    for places_of in (_counted, lambda stamps, step: _on_grid(stamps, step)[1]):
-        upper = lower = 0.0
-        for rows in groups:
-            if len(rows) < 3:
-                continue
-            places = places_of(times[rows], dt)
-            places = places - places.mean()
-            upper += float(places @ (times[rows] - times[rows].mean()))
-            lower += float(places @ places)
-        better = upper / lower if lower else dt
-        dt = better if abs(better / dt - 1) < 0.1 else dt
-    return dt
+    # The median over twice as many rows each time, so that neither an inexact step nor late stamps miscount them.
+    reach = 2
+    while any(len(rows) > reach for rows in groups):
+        apart = np.concatenate([times[rows[reach:]] - times[rows[:-reach]] for rows in groups])
+        dt = _near(float(np.median(apart / np.maximum(np.rint(apart / dt), 1))), dt)
+        reach *= 2
+    upper = lower = 0.0
+    for rows in groups:
+        if len(rows) < 3:
+            continue
+        places = _on_grid(times[rows], dt)[1]
+        places = places - places.mean()
+        upper += float(places @ (times[rows] - times[rows].mean()))
+        lower += float(places @ places)
+    return _near(upper / lower, dt) if lower else dt
 
 
-def _counted(times: Array, dt: float) -> NDArray[np.int64]:
-    """Return the places of samples, each counted from the one before."""
-    return np.concatenate([[0], np.cumsum(np.maximum(np.rint(np.diff(times) / dt), 0))]).astype(np.int64)
+def _near(better: float, dt: float) -> float:
+    return better if abs(better / dt - 1) < 0.1 else dt
 
 
 def _on_grid(times: Array, dt: float) -> tuple[float, NDArray[np.int64], Array]:
-    """Return (start, places, distance from them in s) of the samples of a piece."""
-    slots = _counted(times, dt)
-    start = times[0]
-    for _ in range(3):
-        start = float(np.median(times - slots * dt))
-        slots = np.rint((times - start) / dt).astype(np.int64)
-        start += float(slots[0]) * dt
-        slots -= slots[0]
+    """Return (start, places, distance from them in s) of the samples of a piece.
+
+    A place is the number of rows before it and of those lost, which never falls: of such numbers those that lie closest
+    to all stamps, so that a late one neither loses a row nor takes the place of the next.
+    """
+    rows, turns = np.arange(len(times)), (times - times[0]) / dt
+    # How far places are from whole steps after the first row, which no lost row changes.
+    phase = np.angle(np.exp(2j * np.pi * turns).mean()) / (2 * np.pi)
+    slots = rows + np.rint(isotonic_regression(turns - phase - rows).x).astype(np.int64)
+    slots -= slots[0]
+    start = float(np.median(times - slots * dt))
     return start, slots, times - start - slots * dt
+
+
+def _is_on_places(jitter: Array, dt: float) -> bool:
+    """Whether all but a few samples are nearer to their places than to others."""
+    return float(np.mean(np.abs(jitter) > dt / 2)) <= FEW
 
 
 def _samples_jitter(
     times: Array,
     groups: list[NDArray[np.intp]],
     placed: list[tuple[float, NDArray[np.int64], Array]],
-    dt: float,
     moves: Array,
 ) -> bool:
-    """Whether positions move further where stamps are further apart: the samples themselves are uneven."""
-    upper = lower = 0.0
+    """Whether positions move further where stamps are further apart: the samples themselves are uneven.
+
+    The evidence is the logarithm of a ratio of likelihoods: of what positions miss in the middle of five steps if they
+    go on evenly by stamps, and of what they miss if by places. Where there is too little, what stamps jitter by is
+    nothing beside the noise, and rows stay as they were measured.
+    """
+    by_places, by_stamps, count = (np.zeros(moves.shape[1]) for _ in range(3))
     for rows, (_, slots, _) in zip(groups, placed):
         if len(rows) < 8:
             continue
-        q, t = moves[rows], times[rows]
-        wide = (slots[5:] - slots[:-5]) * dt
-        speed = (q[5:] - q[:-5]) / wide[:, None]
-        nominal = (np.diff(slots) * dt)[2:-2]
-        moved = np.diff(q, axis=0)[2:-2] - speed * nominal[:, None]
-        expected = speed * (np.diff(t)[2:-2] - nominal)[:, None]
-        scale = np.nanstd(q, axis=0)
-        scale = np.where(scale > 0, scale, 1.0)
-        moved, expected = moved / scale, expected / scale
-        good = np.isfinite(moved) & np.isfinite(expected)
-        upper += float(np.sum(moved[good] * expected[good]))
-        lower += float(np.sum(expected[good] ** 2))
-    return lower > 0 and upper / lower > 0.5
+        q = moves[rows]
+        moved, within = np.diff(q, axis=0)[2:-2], q[5:] - q[:-5]
+        for missed, at in ((by_places, slots), (by_stamps, times[rows])):
+            share = np.diff(at)[2:-2] / (at[5:] - at[:-5])
+            missed += np.nansum((moved - share[:, None] * within) ** 2, axis=0)
+        count += np.isfinite(moved - within).sum(axis=0)
+    ratios = np.log(np.maximum(by_places, TINY) / np.maximum(by_stamps, TINY))
+    return float(np.sum(count / 2 * ratios)) > CERTAIN
 
 
 def resampled(found: list[Piece], dt: float, step: float, *, same: bool = False) -> tuple[list[Piece], str]:
-    """Return the pieces on a grid of another step, and how: every so many rows, or interpolated.
+    """Return the pieces on a grid of another step, and how: from every so many rows, or interpolated.
 
     Parameters
     ----------
@@ -347,36 +395,18 @@ def resampled(found: list[Piece], dt: float, step: float, *, same: bool = False)
     same : bool, default=False
         Whether the two are known to be the same, whatever the clock says.
     """
-    every = round(step / dt)
+    every, even = round(step / dt), all(piece.slots is not None for piece in found)
     if every == 1 and (same or abs(step / dt - 1) <= 1e-3):
         return [piece if piece.slots is not None else _regridded(piece, step) for piece in found], ""
-    if (
-        every >= 1
-        and abs(step / dt - every) <= 1e-3 * every
-        and all(piece.slots is not None for piece in found)
-    ):
-        thinned = []
-        for piece in found:
-            slots = np.asarray(piece.slots)
-            kept = slots % every == 0
-            thinned.append(
-                Piece(
-                    piece.name,
-                    piece.rows[kept],
-                    piece.times[kept],
-                    piece.start,
-                    slots[kept] // every,
-                    (piece.size - 1) // every + 1,
-                    piece.spacing * every,
-                )
-            )
-        return thinned, f"Every {every}th row is taken."
-    return [
-        _regridded(piece, step) for piece in found
-    ], f"Interpolated from {1 / dt:.6g} to {1 / step:.6g} rows per second."
+    if even and every >= 1 and abs(step / dt - every) <= 1e-3 * every:
+        thinned = [_regridded(piece, piece.spacing * every) for piece in found]
+        return thinned, f"Of {every} rows one is taken, with the mean command over them."
+    how = f"Interpolated from {1 / dt:.6g} to {1 / step:.6g} rows per second."
+    return [_regridded(piece, step) for piece in found], how
 
 
 def _regridded(piece: Piece, step: float) -> Piece:
-    """Return a piece whose values are interpolated at another step, from its first sample on."""
-    size = int((piece.times[-1] - piece.start) / step + ON_GRID) + 1
-    return replace(piece, slots=None, size=size, spacing=step)
+    """Return a piece whose values are taken at another step, from its first sample on."""
+    times = piece.times if piece.slots is None else piece.command_times
+    size = int((times[-1] - piece.start) / step + ON_GRID) + 1
+    return replace(piece, times=times, slots=None, size=size, spacing=step)

@@ -1,5 +1,7 @@
 """The channels of a log on the grid of its rows."""
 
+from fractions import Fraction
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,27 +12,22 @@ from skat.logs.matching import Plan
 from skat.logs.streams import Recording
 from skat.simulators.tables import Array
 
-TINY = np.finfo(np.float64).tiny
-
 
 def on_grid(
-    record: Recording,
     found: Plan,
-    data: dict[int, dict[str, np.ndarray]],
     states: dict[str, Array],
     own: list[clock.Piece],
     kept: NDArray[np.intp],
     main: int,
     names: tuple[str, ...],
     n_states: int,
-    clock_times: Array,
+    times_of: dict[int, Array],
     acts: dict[int, Array],
 ) -> tuple[Array, NDArray[np.intp], dict[str, float]]:
     """Return (values on the grid, its episodes, errors of interpolation by channel)."""
     size = sum(piece.size for piece in own)
     grid = np.full((size, len(names)), np.nan)
     groups = np.repeat(np.arange(len(own)), [piece.size for piece in own])
-    times_of = {place: stream_times(record, found, data, place, main, clock_times) for place in data}
     even = bool(own) and own[0].slots is not None
     apart = any(found.found[name][0] != main for name in states if name not in found.constants)
     held = (
@@ -97,16 +94,14 @@ def _held(
 
 
 def acting(
-    record: Recording,
     found: Plan,
-    data: dict[int, dict[str, np.ndarray]],
     states: dict[str, Array],
     own: list[clock.Piece],
     kept: NDArray[np.intp],
     main: int,
     names: tuple[str, ...],
     n_states: int,
-    clock_times: Array,
+    times_of: dict[int, Array],
 ) -> tuple[list[clock.Piece], dict[int, Array], str]:
     """Find whether commands act from uneven stamps on, or from the even times behind them.
 
@@ -129,7 +124,7 @@ def acting(
         if name in names[:n_states] and not name.startswith("qpos.") and found.found[name][0] == main
     ]
     others = {found.found[name][0] for name in commands} - {main}
-    stamps = {place: stream_times(record, found, data, place, main, clock_times) for place in others}
+    stamps = {place: times_of[place] for place in others}
     even = {place: times for place in others for times in [_evened(stamps[place])] if times is not None}
     uneven = bool(own) and own[0].slots is None
     evened = [piece for piece in map(clock.evened, own) if piece is not None] if uneven else own
@@ -139,7 +134,7 @@ def acting(
     def missed(pieces: list[clock.Piece], times: dict[int, Array]) -> float:
         held = _held(found, states, pieces, kept, main, commands, times)
         return sum(
-            float(np.log(max(_bends(pieces, samples, held).missed, TINY)))
+            float(np.log(max(_bends(pieces, samples, held).missed, clock.TINY)))
             for name in speeds
             for samples in [[_in_order(piece.times, states[name][kept[piece.rows]]) for piece in pieces]]
         )
@@ -246,6 +241,31 @@ def _fill(part: Array) -> None:
     part[:] = part[places]
 
 
+def ended(
+    record: Recording,
+    found: Plan,
+    own: list[clock.Piece],
+    main: int,
+    names: tuple[str, ...],
+    times_of: dict[int, Array],
+) -> list[str]:
+    """Return a note for each other stream whose commands, of these names, end long before the rows do."""
+    at = np.concatenate([_even(piece) for piece in own] or [np.empty(0)])
+    notes = []
+    for place in sorted({found.found[name][0] for name in names if name in found.found} - {main}):
+        times = times_of[place]
+        steps = np.diff(times[np.isfinite(times)])
+        if not (steps > 0).any():
+            continue
+        last = float(np.nanmax(times))
+        held = int((at > last + clock.LONGEST_LOSS * np.median(steps[steps > 0])).sum())
+        if held:
+            notes.append(
+                f"Commands of {record.streams[place].name} end at {last:.6g} s: held for the last {held} rows."
+            )
+    return notes
+
+
 def stream_times(
     record: Recording,
     found: Plan,
@@ -254,17 +274,49 @@ def stream_times(
     main: int,
     clock_times: Array,
 ) -> Array:
-    """Return the times of a stream, s, from the same origin as those of the main one."""
+    """Return the times of a stream, s, from the same origin as those of the main one.
+
+    Raises
+    ------
+    LogError
+        If it has none, none within those of the main one, or some of several runs.
+    """
     if place == main:
         return clock_times
+    stream = record.streams[place]
     if place not in found.times:
         raise LogError(
-            record.where(record.streams[place]),
+            record.where(stream),
             "has no times, and is another table than the state's.",
             "Name its column of times.",
         )
     column, unit = found.times[place]
-    origin = 0.0
+    origin = Fraction(0)
     if main in found.times:
         _, _, origin = clock.in_seconds(data[main][found.times[main][0]], found.times[main][1], record.source)
-    return clock.in_seconds(data[place][column], unit, f"{record.source}, column {column}", origin)[0]
+    times = clock.in_seconds(data[place][column], unit, f"{record.source}, column {column}", origin)[0]
+    rows, known = np.flatnonzero(np.isfinite(times)), clock_times[np.isfinite(clock_times)]
+    if not len(rows):
+        return times
+    early, late = known.min() - times[rows].max(), times[rows].min() - known.max()
+    if max(early, late) > 0:
+        said = (
+            f"ends {early:.6g} s before the state begins"
+            if early > 0
+            else f"begins {late:.6g} s after it ends"
+        )
+        raise LogError(
+            record.where(stream),
+            f"has no time in common with the state: it {said}.",
+            "Write both clocks in one unit and from one origin. Commands that were given once, beforehand, are "
+            "constants: --map 'ctrl.*=0.5'.",
+        )
+    steps = np.diff(times[rows])
+    if (steps > 0).any() and steps.min() < -clock.LONGEST_LOSS * np.median(steps[steps > 0]):
+        row = int(np.argmin(steps))
+        raise LogError(
+            f"{record.source}, {stream.place(int(rows[row + 1]))}",
+            f"time goes back by {-steps[row]:.6g} s: rows of several runs cannot be told apart by their times.",
+            "Give runs one by one, each a log.",
+        )
+    return times

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from skat.episodes import FEWEST_ROWS
 from skat.logs import clock
 from skat.logs.errors import LogError
-from skat.logs.grid import acting, on_grid
+from skat.logs.grid import acting, ended, on_grid, stream_times
 from skat.logs.log import Log, joined
 from skat.logs.mapping import checked_columns
 from skat.logs.matching import Plan, plan, simulator_inputs
 from skat.logs.readers import recording
+from skat.logs.stamps import joined_stamps
 from skat.logs.streams import Recording, Stream, is_number
 from skat.logs.suspects import in_degrees
 from skat.simulators import Simulator
@@ -109,7 +110,7 @@ def load_log(
     if base not in (None, "fixed", "free"):
         raise ValueError(f'base must be "fixed", "free" or None; it is {base!r}.')
     told = checked_columns(columns)
-    record = recording(source, topic=topic)
+    record = joined_stamps(recording(source, topic=topic))
     notes = list(record.notes)
     if base == "fixed":
         simulator, welded = _welded(simulator, record)
@@ -176,7 +177,9 @@ def _timed(record: Recording, found: Plan, simulator: Simulator, rate: float | N
         )
 
     def moves() -> Array:
-        return np.stack([states[name][kept] for name in mine[:8]], axis=1)
+        # Velocities jump where commands do, wherever the stamps stand.
+        smooth = [name for name in mine if name in names[:n_states] and not name.startswith("qvel.")]
+        return np.stack([states[name][kept] for name in (smooth or mine)[:8]], axis=1)
 
     own, dt, said = clock.pieces(
         times[kept],
@@ -187,7 +190,8 @@ def _timed(record: Recording, found: Plan, simulator: Simulator, rate: float | N
         moves,
     )
     notes += said
-    own, acts, bending = acting(record, found, data, states, own, kept, main, names, n_states, times)
+    times_of = {place: stream_times(record, found, data, place, main, times) for place in data}
+    own, acts, bending = acting(found, states, own, kept, main, names, n_states, times_of)
     notes += [bending] if bending else []
     simulator, step, said = _stepped(simulator, dt, rate, record)
     notes += said
@@ -199,7 +203,8 @@ def _timed(record: Recording, found: Plan, simulator: Simulator, rate: float | N
     own, how = clock.resampled(own, dt, step, same=same)
     notes += [how] if how else []
     own = [piece for piece in own if piece.size >= 2]
-    grid, groups, errors = on_grid(record, found, data, states, own, kept, main, names, n_states, times, acts)
+    notes += ended(record, found, own, main, names[n_states:], times_of)
+    grid, groups, errors = on_grid(found, states, own, kept, main, names, n_states, times_of, acts)
     return _log(record, found, simulator, grid, groups, own, errors, n_states, notes)
 
 

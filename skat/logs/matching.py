@@ -711,19 +711,16 @@ def _times(
     else:
         shared = told
     times: dict[int, tuple[str, str | None]] = {}
-    message = [
-        place
-        for place in used
-        if streams[place].name and f"{streams[place].name}.time" in streams[place].columns
-    ]
+    message = [place for place in used if streams[place].clock_unit is not None]
     stamped = all(f"{streams[place].name}.header.stamp" in streams[place].columns for place in message)
     for place in used:
         stream = streams[place]
         if place in message:
-            times[place] = (f"{stream.name}.{'header.stamp' if stamped else 'time'}", "s")
+            times[place] = (f"{stream.name}.{'header.stamp' if stamped else 'time'}", stream.clock_unit)
             continue
         clocks = [column for column in stream.columns if is_time(column, stream.name)]
-        plain = [column for column in clocks if column == "time"] or sorted(clocks, key=len)
+        usual = f"{stream.name}.time" if stream.name else "time"
+        plain = [column for column in clocks if column == usual] or sorted(clocks, key=len)
         if plain:
             times[place] = (plain[0], shared or named_unit(plain[0])[1] or None)
     return times | own

@@ -46,6 +46,8 @@ class Stream:
         ``place(row)`` says where a row stands, such as "line 12".
     labels : dict
         Of a column whose element the file names beside it, that name.
+    clock_unit : str or None
+        Of the times in ``name.time`` and ``name.header.stamp``, where the format says it, as a bag does.
     texts : frozenset of str
         Columns to be read as text, such as names of episodes.
     """
@@ -55,6 +57,7 @@ class Stream:
     read: Callable[[Sequence[str]], dict[str, np.ndarray]]
     place: Callable[[int], str] = "row {}".format
     labels: dict[str, str] = field(default_factory=dict)
+    clock_unit: str | None = None
 
 
 @dataclass(frozen=True)

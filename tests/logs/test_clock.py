@@ -46,12 +46,29 @@ def test_dates_in_any_unit_begin_at_zero(unit):
     stamps = (1.7e9 + np.arange(50) / 64) * factor
     found, said, origin = in_seconds(stamps, None, "t")
     assert said == unit
-    assert origin == stamps[0]
+    assert origin * int(factor) == stamps[0]
     np.testing.assert_allclose(found, np.arange(50) / 64, atol=1e-6)
     # The dates of another stream of the log count from the same moment.
     later, _, same = in_seconds(stamps + 3 * factor, unit, "t", origin)
     np.testing.assert_allclose(later - found, 3.0, atol=1e-6)
     assert same == origin
+
+
+@pytest.mark.parametrize("kind", ["s", "ms", "us", "ns", "ISO 8601"])
+@pytest.mark.parametrize("other", ["s", "ms", "us", "ns", "ISO 8601"])
+def test_dates_of_two_streams_count_from_one_moment_whatever_their_units(kind, other):
+    def written(unit, steps):
+        if unit == "ISO 8601":
+            return np.array([f"2024-05-01T12:00:{step / 64:09.6f}Z" for step in steps], dtype=object)
+        return (1714564800 + steps / 64) * {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}[unit]
+
+    steps = np.arange(3, 20)
+    found, unit, origin = in_seconds(written(kind, steps), None, "t")
+    assert unit == kind
+    np.testing.assert_allclose(found, (steps - 3) / 64, rtol=0, atol=1e-6)
+    later, unit, same = in_seconds(written(other, steps + 5), None, "t", origin)
+    assert (unit, same) == (other, origin)
+    np.testing.assert_allclose(later, (steps + 2) / 64, rtol=0, atol=1e-6)
 
 
 def test_clocks_since_the_machine_was_switched_on_keep_their_numbers():
@@ -68,17 +85,16 @@ def test_clocks_since_the_machine_was_switched_on_keep_their_numbers():
 def test_a_missing_first_stamp_hides_neither_date_nor_unit():
     stamps = np.r_[np.nan, 1.7e12 + np.arange(20) * 10.0]
     found, unit, origin = in_seconds(stamps, None, "t")
-    assert (unit, origin) == ("ms", 1.7e12)
+    assert (unit, origin) == ("ms", 1.7e9)
     np.testing.assert_allclose(found[1:], np.arange(20) * 0.01, atol=1e-6)
 
 
 def test_texts_are_seconds_since_the_first_of_them():
-    texts = np.array(["2024-05-01T12:00:00.010Z", "2024-05-01T12:00:01.510Z", None], dtype=object)
+    texts = np.array([None, "2024-05-01T12:00:00.010Z", "2024-05-01T12:00:01.510Z", None], dtype=object)
     found, unit, origin = in_seconds(texts, None, "t")
     assert unit == "ISO 8601"
-    np.testing.assert_allclose(found[:2], [0.0, 1.5], atol=1e-6)
-    assert np.isnan(found[2])
-    later, _, _ = in_seconds(texts[1:2], None, "t", origin)
+    np.testing.assert_allclose(found, [np.nan, 0.0, 1.5, np.nan], atol=1e-6)
+    later, _, _ = in_seconds(texts[2:3], None, "t", origin)
     np.testing.assert_allclose(later, [1.5], atol=1e-6)
 
 
@@ -167,10 +183,31 @@ def test_a_clock_that_goes_back_to_the_middle_is_refused_at_its_row():
 
 def test_rows_that_repeat_a_time_are_left_out():
     places = np.r_[0, 0, np.arange(1, 12), 11, 11, 12]
-    (piece,), _, notes = placed(places * TICK)
+    (piece,), _, notes = placed(places * TICK, moves=np.sin(places)[:, np.newaxis])
     assert notes == ["3 rows repeat the time of the row before: left out."]
     np.testing.assert_array_equal(piece.slots, np.arange(13))
     np.testing.assert_array_equal(places[piece.rows], np.arange(13))
+
+
+def test_a_clock_that_is_too_coarse_for_its_rows_is_refused_with_their_rate():
+    rows = np.arange(200)
+    stamps = 1.7e9 + (rows + 7) // 40
+    seconds, unit, _ = in_seconds(stamps, None, "t")
+    assert unit == "s"
+    with pytest.raises(LogError, match=r"row 1: 97% of the rows repeat the time .* positions move") as caught:
+        placed(seconds, dt=1.0, moves=np.sin(rows)[:, np.newaxis])
+    assert caught.value.options == {"columns": {"time": "-"}, "rate": 40.0}
+    assert "a column of times that are finer" in str(caught.value)
+    # Few such rows, or copies, are left out.
+    few = np.delete(np.arange(101), 50)[np.r_[0:50, 49, 50:100]]
+    assert len(placed(few * TICK)[0][0].rows) == 100
+    twice = np.repeat(np.arange(50), 2)
+    assert len(placed(twice * TICK, moves=np.sin(twice)[:, np.newaxis])[0][0].rows) == 50
+
+
+def test_microseconds_since_a_controllers_start_are_no_date():
+    assert in_seconds(1.2e9 + 1e4 * np.arange(9), None, "t")[1] == "us"
+    assert in_seconds(1.2e9 + np.arange(9), None, "t")[1] == "s"
 
 
 def test_episodes_keep_their_labels_names_and_beginnings():
@@ -203,6 +240,27 @@ def test_positions_tell_whether_stamps_or_samples_jitter(is_late):
         np.testing.assert_array_equal(piece.command_times, stamps)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_samples_whose_clock_has_no_beat_are_uneven(seed):
+    """Each row follows the one before, however late that was."""
+    rng = np.random.default_rng(seed)
+    stamps = np.r_[0, np.cumsum(1 + rng.uniform(-0.1, 0.1, size=199))] * TICK
+    moves = np.sin(4 * stamps)[:, np.newaxis] + 5e-4 * rng.normal(size=(200, 1))
+    (piece,), _, _ = placed(stamps, moves=moves)
+    assert piece.slots is None
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_stamps_that_jitter_at_rest_leave_rows_as_they_were_measured(seed):
+    rng = np.random.default_rng(seed)
+    places = np.arange(200)
+    stamps = (places + np.where(places < 5, rng.uniform(-0.4, 0.4, size=200), 0)) * TICK
+    moves = np.sin(np.maximum(places - 20, 0) * TICK)[:, np.newaxis] + 1e-4 * rng.normal(size=(200, 1))
+    (piece,), _, notes = placed(stamps, moves=moves)
+    np.testing.assert_array_equal(piece.slots, places)
+    assert "stamps jitter" in notes[0]
+
+
 @pytest.mark.parametrize("share", [0.005, 0.02])
 def test_a_hundredth_of_a_row_is_no_jitter(share):
     rng = np.random.default_rng(4)
@@ -220,6 +278,34 @@ def test_a_refined_step_is_that_of_all_pieces_whatever_their_beginnings(guess):
     assert refined(times, groups, guess * TICK) == pytest.approx(TICK, rel=1e-12)
     assert refined(times, [np.arange(2)], 1.01 * TICK) == 1.01 * TICK
     assert refined(times, [np.arange(3)], 1.01 * TICK) == pytest.approx(TICK)
+
+
+@pytest.mark.parametrize("lateness", [0.05, 0.1])
+@pytest.mark.parametrize(("n_rows", "n_lost"), [(300, 0), (300, 1), (5000, 60)])
+def test_late_stamps_change_no_step_and_take_no_place(lateness, n_rows, n_lost):
+    rng = np.random.default_rng(8)
+    places = np.delete(np.arange(n_rows), rng.choice(np.arange(20, n_rows - 20), n_lost, replace=False))
+    stamps = (places + rng.exponential(lateness, size=len(places))) * TICK
+    (piece,), dt, notes = placed(stamps, moves=np.sin(places * TICK)[:, np.newaxis])
+    assert dt == pytest.approx(TICK, rel=2 * lateness / n_rows)
+    assert "stamps jitter" in notes[0]
+    assert piece.size == n_rows
+    # A stamp that is late by half a row may stand on the other side of a row that is lost beside it.
+    assert np.mean(piece.slots == places) > 0.998
+
+
+def test_a_row_lost_in_the_very_middle_is_lost():
+    places = np.delete(np.arange(101), 50)
+    (piece,), dt, _ = placed(places * TICK)
+    np.testing.assert_array_equal(piece.slots, places)
+    assert dt == pytest.approx(TICK, rel=1e-12)
+
+
+@pytest.mark.parametrize("n_rows", [300, 5000])
+def test_a_step_in_whole_milliseconds_is_that_of_all_rows(n_rows):
+    stamps = np.round(np.arange(n_rows) / 60, 3)
+    step = refined(stamps, [np.arange(n_rows)], float(np.median(np.diff(stamps))))
+    assert step == pytest.approx(1 / 60, rel=0.1 / n_rows)
 
 
 def test_error_of_even_times_is_what_is_said_of_it():
@@ -256,16 +342,17 @@ def test_an_even_grid_begins_and_ends_within_the_samples():
 
 
 @pytest.mark.parametrize("every", [2, 3])
-def test_every_so_many_rows_are_the_places_of_a_coarser_grid(every):
+def test_a_whole_factor_is_a_coarser_grid_from_the_first_row_on(every):
+    late = np.random.default_rng(9).uniform(0, 0.2, size=29) * TICK
     places = np.r_[np.arange(12), np.arange(14, 31)]
-    found, dt, _ = placed(1.0 + places * TICK)
-    (piece,), how = resampled(found, dt, every * TICK)
-    assert how == f"Every {every}th row is taken."
-    np.testing.assert_allclose(piece.times, piece.start + piece.spacing * piece.slots, atol=1e-12)
-    np.testing.assert_allclose(piece.times, 1.0 + places[piece.rows] * TICK)
-    assert set(piece.slots) == {place // every for place in places if place % every == 0}
+    found, dt, _ = placed(1.0 + places * TICK + late, moves=np.sin(places * TICK)[:, np.newaxis])
+    (piece,), how = resampled(found, dt, every * dt)
+    assert how == f"Of {every} rows one is taken, with the mean command over them."
+    assert (piece.start, piece.spacing) == (found[0].start, pytest.approx(every * dt))
     assert piece.size == len(range(0, 31, every))
-    assert piece.spacing == pytest.approx(every * TICK)
+    # All rows stay, at their even times: what is between those that are taken tells the commands.
+    np.testing.assert_array_equal(piece.rows, found[0].rows)
+    np.testing.assert_allclose(piece.times, piece.start + dt * places, rtol=1e-12)
 
 
 def test_the_same_step_takes_the_rows_as_they_are():

@@ -112,10 +112,39 @@ def test_a_rate_thins_a_faster_log_or_interpolates_it(cart):
     thinned = load_log(smooth(200), cart, rate=25)
     np.testing.assert_array_equal(thinned.X[:, 0], smooth(200)["qpos.rail"][:-2:2])
     assert not thinned.interpolation
+    commands = smooth(200)["ctrl.push"].to_numpy().reshape(-1, 2)
+    np.testing.assert_allclose(thinned.X[:, 2], commands.mean(axis=1)[:-1], rtol=0, atol=1e-12)
     between = load_log(smooth(200), cart, rate=40)
     assert between.dt == pytest.approx(0.025)
     missed = between.X[:, 0] - np.sin(3 * between.time)
     assert np.sqrt(np.mean(missed**2)) <= between.interpolation["qpos.rail"] < 1e-3
+
+
+def test_rows_whose_stamps_jitter_are_interpolated_from_their_even_times(cart):
+    even = smooth(200)
+    late = even.assign(time=even["time"] + np.random.default_rng(6).uniform(0, 0.004, size=200))
+    log = load_log(late, cart, rate=40)
+    assert any("time stamps jitter" in note for note in log.notes)
+    missed = log.X[:, 0] - np.sin(3 * (log.time - log.time[0]))
+    assert np.abs(missed).max() < 5e-4  # m, at 3 m/s: of stamps that are 2 ms late or early it were 6e-3
+
+
+@pytest.mark.parametrize("streams", ["one table", "commands in a table of their own"])
+def test_a_row_that_is_lost_takes_no_command_with_it_where_rows_are_thinned(cart, tmp_path, streams):
+    whole = smooth(101)
+    held = whole.drop(index=[40, 41, 53])
+    commands = whole["ctrl.push"].to_numpy().copy()
+    if streams == "one table":
+        commands[[40, 41, 53]] = commands[[39, 39, 52]]
+        log = load_log(held, cart, rate=25)
+    else:
+        held.drop(columns="ctrl.push").to_csv(tmp_path / "a.csv", index=False)
+        whole[["time", "ctrl.push"]].rename(columns={"ctrl.push": "u"}).to_csv(
+            tmp_path / "b.csv", index=False
+        )
+        log = load_log(tmp_path, cart, columns={"ctrl.push": "b.u"}, rate=25)
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(log.X[:, 0])), [20])
+    np.testing.assert_allclose(log.X[:, 2], commands[:100].reshape(-1, 2).mean(axis=1), atol=1e-12)
 
 
 def test_a_jittering_clock_within_one_percent_is_accepted(table, cart):
@@ -139,6 +168,33 @@ def test_stamps_that_jitter_over_even_samples_are_told_from_samples_that_jitter(
     assert any("positions are interpolated" in note for note in log.notes)
     missed = log.X[:, 0] - np.sin(3 * log.time)
     assert np.sqrt(np.nanmean(missed**2)) <= log.interpolation["qpos.rail"] < 1e-4
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("is_late", [True, False])
+def test_commands_and_velocities_that_jump_do_not_tell_which_jitters(cart, seed, is_late):
+    rng = np.random.default_rng(seed)
+    jitter = rng.uniform(-0.003, 0.003, size=300)
+    begins = 0.02 * np.arange(300) + (0 if is_late else jitter)
+    lasts, force = np.diff(begins), 20 * rng.normal(size=300)
+    speeds = np.r_[0, np.cumsum(lasts * force[:-1])]
+    places = np.r_[0, np.cumsum(lasts * (speeds[:-1] + speeds[1:]) / 2)]
+    columns = {"qpos.rail": places, "qvel.rail": speeds, "ctrl.push": force}
+    log = load_log(pd.DataFrame({"time": 0.02 * np.arange(300) + jitter, **columns}), cart)
+    assert any("time stamps jitter" in note for note in log.notes) == is_late
+
+
+@pytest.mark.parametrize("told", [None, "as units", "as columns"])
+@pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+def test_tables_of_a_folder_have_times_in_any_unit(tmp_path, cart, unit, factor, told):
+    whole = smooth(60)
+    whole["time"] = np.rint(whole["time"] * factor)
+    whole[["time", "qpos.rail", "qvel.rail"]].to_csv(tmp_path / "state.csv", index=False)
+    whole[["time", "ctrl.push"]].to_csv(tmp_path / "cmd.csv", index=False)
+    said = {"as units": {"units": {"time": unit}}, "as columns": {"columns": {"time": f":{unit}"}}}
+    log = load_log(tmp_path, cart, **said.get(told, {}))
+    assert log.dt == pytest.approx(0.02)
+    np.testing.assert_allclose(log.X, smooth(60).to_numpy()[:-1, 1:], atol=1e-12)
 
 
 @pytest.mark.parametrize("clock", ["even", "uneven", "one of two"])
@@ -289,6 +345,48 @@ def test_times_may_be_iso_dates(tmp_path, table, cart):
     assert log.simulator.frame_skip == 4
 
 
+@pytest.mark.parametrize("start", [0, 1.7e9])
+@pytest.mark.parametrize(
+    ("whole", "rest"),
+    [
+        ("header.stamp.sec", "header.stamp.nanosec"),
+        ("header_stamp_secs", "header_stamp_nsecs"),
+        ("sec", "nsec"),
+        ("stamp.seconds", "stamp.nanos"),
+    ],
+)
+def test_a_stamp_in_two_columns_is_one_clock(cart, start, whole, rest):
+    even = smooth(200)
+    stamps = np.rint(even["time"] * 1e9).astype(np.int64)
+    parts = {whole: int(start) + stamps // 10**9, rest: stamps % 10**9}
+    log = load_log(even.drop(columns="time").assign(**parts), cart)
+    assert log.notes == ()
+    np.testing.assert_array_equal(log.X, even.to_numpy()[:-1, 1:])
+    np.testing.assert_allclose(log.time, even["time"][:-1], rtol=0, atol=1e-6)
+
+
+def test_stamps_of_tables_in_two_columns_each_are_put_beside_each_other(tmp_path, cart):
+    even = smooth(60)
+    stamps = np.rint(even["time"] * 1e9).astype(np.int64)
+    parts = {"sec": 1_700_000_000 + stamps // 10**9, "nanosec": stamps % 10**9}
+    state = even.drop(columns=["time", "ctrl.push"])
+    state.assign(**{f"header.stamp.{part}": values for part, values in parts.items()}).to_csv(
+        tmp_path / "state.csv", index=False
+    )
+    even[["ctrl.push"]].assign(**parts).to_csv(tmp_path / "cmd.csv", index=False)
+    log = load_log(tmp_path, cart)
+    np.testing.assert_array_equal(log.X, even.to_numpy()[:-1, 1:])
+    clocks = {match.theirs for match in log.matches if match.name == "time"}
+    assert clocks == {"state.header.stamp", "cmd.stamp"}
+
+
+def test_columns_that_are_no_parts_of_a_stamp_are_not_added_up(cart):
+    """Two whole clocks, one in seconds and one in nanoseconds."""
+    even = smooth(60)
+    both = even.drop(columns="time").assign(t_sec=even["time"], t_nsec=np.rint(even["time"] * 1e9))
+    np.testing.assert_allclose(load_log(both, cart).time, even["time"][:-1], atol=1e-12)
+
+
 def test_what_the_log_lacks_is_not_measured(table, cart):
     log = load_log(table.drop(columns="qvel.rail"), cart)
     assert log.unmeasured == ("qvel.rail",)
@@ -318,6 +416,58 @@ def test_commands_of_another_topic_are_held_and_averaged(cart):
         log = load_log(parts(pathlib.Path(folder)), cart, columns={"ctrl.push": "told.u"})
     commands = log.X[:, 2]
     np.testing.assert_allclose(commands[[0, 19, 20, 21, 39, 40, 58]], [1, 1, 1.5, 2, 2, 3, 3])
+
+
+def beside(folder, state, commands):
+    """Write a state and its commands as tables of a folder."""
+    state[["time", "qpos.rail", "qvel.rail"]].to_csv(folder / "state.csv", index=False)
+    commands[["time", "ctrl.push"]].to_csv(folder / "cmd.csv", index=False)
+    return folder
+
+
+@pytest.mark.parametrize(("state", "commands"), [("ns", "s"), ("s", "ns"), ("ms", "us"), ("s", "ISO 8601")])
+def test_commands_beside_a_state_may_be_dated_in_another_unit(tmp_path, cart, state, commands):
+    def dated(unit):
+        table = smooth(60)
+        if unit == "ISO 8601":
+            stamps = pd.to_datetime(np.rint((1.7e9 + table["time"]) * 1e3), unit="ms")
+            return table.assign(time=stamps.dt.strftime("%Y-%m-%dT%H:%M:%S.%fZ"))
+        factor = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}[unit]
+        stamps = (1.7e9 + table["time"]) * factor
+        return table.assign(time=stamps if unit == "s" else np.rint(stamps).astype(np.int64))
+
+    log = load_log(beside(tmp_path, dated(state), dated(commands)), cart)
+    np.testing.assert_array_equal(log.X[:, 2], smooth(60)["ctrl.push"][:-1])
+
+
+@pytest.mark.parametrize(
+    ("origins", "said"),
+    [((1.7e9, 0), "ends 1.7e+09 s before the state begins"), ((0, 90), "begins 88.82 s after")],
+)
+def test_clocks_with_no_time_in_common_are_refused(tmp_path, cart, origins, said):
+    state, commands = (smooth(60).assign(time=origin + smooth(60)["time"]) for origin in origins)
+    message = refusal(beside(tmp_path, state, commands), cart)
+    assert f"cmd: has no time in common with the state: it {said}" in message
+    assert "in one unit and from one origin" in message
+
+
+def test_commands_of_two_runs_beside_each_other_are_refused_and_small_steps_back_are_not(tmp_path, cart):
+    twice = pd.concat([smooth(60), smooth(60)])
+    message = refusal(beside(tmp_path, twice, twice), cart)
+    assert "cmd.csv, line 62: time goes back by 1.18 s" in message
+    assert "Give runs one by one" in message
+    stamped = smooth(60)
+    commands = stamped.iloc[np.r_[0:30, 31, 30, 32:60]]
+    log = load_log(beside(tmp_path, stamped, commands), cart)
+    np.testing.assert_array_equal(log.X[:, 2], stamped["ctrl.push"][:-1])
+
+
+@pytest.mark.parametrize(("n_commands", "held"), [(60, 0), (50, 0), (48, 2), (10, 40), (1, 0)])
+def test_commands_that_end_before_the_states_are_told(tmp_path, cart, n_commands, held):
+    log = load_log(beside(tmp_path, smooth(60), smooth(60)[:n_commands]), cart)
+    note = f"Commands of cmd end at {0.02 * (n_commands - 1):.6g} s: held for the last {held} rows."
+    assert [one for one in log.notes if "Commands" in one] == ([note] if held else [])
+    assert len(log) == 59
 
 
 def test_columns_are_mapped_with_units_signs_and_offsets(table, cart):

@@ -27,9 +27,17 @@ def machine(actuators):
 def planned(actuators, *streams, columns=None, units=None, topic=None, episodes=None, labels=None):
     """Return the plan for a table, or for topics as (name, columns); columns are names with blanks between."""
     named = [("", one) if isinstance(one, str) else one for one in streams]
-    record = Recording(
-        "log", tuple(Stream(name, tuple(own.split()), None, labels=labels or {}) for name, own in named)
-    )
+    parts = [
+        Stream(
+            name,
+            tuple(own.split()),
+            None,
+            labels=labels or {},
+            clock_unit="s" if name.startswith("/") else None,
+        )
+        for name, own in named
+    ]
+    record = Recording("log", tuple(parts))
     return plan(record, machine(actuators), columns or {}, units, topic, episodes)
 
 
@@ -261,6 +269,9 @@ def test_tables_beside_each_other_have_clocks_of_their_own():
     told = planned(MOTORS, *tables, columns={"time": "b.tick:us"}, units={"time": "s"})
     assert told.times == {0: ("a.t", "s"), 1: ("b.tick", "us")}
     assert planned(MOTORS, *tables, columns={"time": ":us"}).times == {0: ("a.t", "us"), 1: ("b.t_ms", "us")}
+    timed = [("a", "a.t a.rail_pos a.hip_pos a.time"), ("b", "b.time b.u1 b.u2")]
+    assert planned(MOTORS, *timed).times == {0: ("a.time", None), 1: ("b.time", None)}
+    assert planned(MOTORS, *timed, units={"time": "ms"}).times == {0: ("a.time", "ms"), 1: ("b.time", "ms")}
 
 
 @pytest.mark.parametrize(("topic", "advised"), [("cmd", "/cmd"), ("/leg", "/arm")])

@@ -220,7 +220,7 @@ SLIDER = """
     [
         (0.02, None, 4, 0.02, None),
         (0.005, None, 1, 0.005, None),
-        (0.02, 25, 8, 0.04, "Every 2th row is taken."),
+        (0.02, 25, 8, 0.04, "Of 2 rows one is taken, with the mean command over them."),
         (0.0201, 50, 4, 0.02, "Rows are taken as 0.02 s apart, as told; the clock says 0.0201 s."),
         (
             0.032,

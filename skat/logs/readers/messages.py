@@ -71,6 +71,7 @@ def messages_recording(
                 tuple(columns),
                 _reader(messages, topic, columns, origin),
                 f"message {{}} of {topic}".format,
+                clock_unit="s",
             )
         )
     if not streams:
