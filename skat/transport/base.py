@@ -22,10 +22,10 @@ from skat._compat import (
 from skat.gaussian.arrays import AnyArray
 from skat.gaussian.backends import is_dask, on_host
 from skat.metrics.affinity import affinity_at_any_size
-from skat.metrics.domains import domain_signs
+from skat.metrics.domains import domain_signs, some_of
 from skat.metrics.samples import weight_of_each_side
 
-__all__ = ["BaseTransport", "Samples", "is_flat", "same_length"]
+__all__ = ["BaseTransport", "Samples", "checked_weight", "is_flat", "named", "same_length"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,7 +304,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
             (None, None) if sample_weight is None else weight_of_each_side(sample_weight)
         )
         return Samples(
-            source, target, _checked_weight(source_weight, source), _checked_weight(target_weight, target)
+            source, target, checked_weight(source_weight, source), checked_weight(target_weight, target)
         )
 
     def _split(
@@ -312,7 +312,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
     ) -> Samples:
         """Return the samples of stacked rows."""
         domain = self._domain(sample_domain, X)
-        weight = _checked_weight(sample_weight, X)
+        weight = checked_weight(sample_weight, X)
         if is_dask(X):
             one = 1.0 if weight is None else weight
             return Samples(X, X, (domain > 0) * one, (domain < 0) * one, stacked=True)
@@ -321,10 +321,14 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         xp, _, device = get_namespace_and_device(X)
         for name, mask in (("source (positive)", domain > 0), ("target (negative)", domain < 0)):
             if not mask.any() and not either:
+                by = (
+                    ""
+                    if self.source_domain is None
+                    else f" by source_domain={self.source_domain!r}; the labels are {some_of(sample_domain)}"
+                )
                 raise ValueError(
-                    f"sample_domain marks none of the {len(domain)} rows as {name}. Give rows of both "
-                    "domains, "
-                    "or two arrays, fit(X_source, X_target)."
+                    f"sample_domain marks none of the {len(domain)} rows as {name}{by}. Give rows of both "
+                    "domains, or two arrays, fit(X_source, X_target)."
                 )
             if not mask.any():
                 parts.append(None)
@@ -354,7 +358,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
                 self._refuse_few_rows(source.shape[0], "source")
             assert_all_finite(source, estimator_name=type(self).__name__, input_name="X")
             if not isinstance(sample_weight, tuple):
-                _checked_weight(sample_weight, source)
+                checked_weight(sample_weight, source)
         columns = "" if source is None else f", n_features = {source.shape[1]}"
         shape = tuple(y.shape if hasattr(y, "shape") else np.asarray(y).shape)
         raise ValueError(
@@ -435,7 +439,12 @@ def same_length(source: AnyArray, target: AnyArray) -> bool:
     return not all(isinstance(length, int | np.integer) for length in lengths) or lengths[0] == lengths[1]
 
 
-def _checked_weight(weight: AnyArray | None, rows: AnyArray | None) -> AnyArray | None:
+def named(rows: AnyArray, like: AnyArray) -> AnyArray:
+    """Return rows in a data frame with the columns of another, or as they are where that is no data frame."""
+    return type(like)(dict(zip(like.columns, rows.T))) if hasattr(like, "columns") else rows
+
+
+def checked_weight(weight: AnyArray | None, rows: AnyArray | None) -> AnyArray | None:
     """Return weights as a float array in NumPy (or lazily, for dask), or None."""
     if weight is None or rows is None or is_dask(weight):
         return weight
