@@ -81,7 +81,7 @@ class ResidualTransport(BaseTransport):
 
     _parameter_constraints = {
         **BaseTransport._parameter_constraints,
-        "transport": [None, HasMethods(["fit", "transform"])],
+        "transport": [None, BaseTransport],
         "regressor": [None, HasMethods(["fit", "predict"])],
         "cv": ["cv_object"],
     }
