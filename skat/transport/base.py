@@ -25,7 +25,7 @@ from skat.metrics.affinity import affinity_at_any_size
 from skat.metrics.domains import domain_signs, some_of
 from skat.metrics.samples import weight_of_each_side
 
-__all__ = ["BaseTransport", "Samples", "checked_weight", "is_flat", "named", "same_length"]
+__all__ = ["BaseTransport", "Samples", "checked_weight", "is_flat", "named", "same_length", "weight_of_pairs"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -437,6 +437,13 @@ def same_length(source: AnyArray, target: AnyArray) -> bool:
     """Whether two sets of rows are of one number, or may be: dask does not always know."""
     lengths = (source.shape[0], target.shape[0])
     return not all(isinstance(length, int | np.integer) for length in lengths) or lengths[0] == lengths[1]
+
+
+def weight_of_pairs(samples: Samples) -> AnyArray | None:
+    """Return the weights of rows in pairs, which both sides share."""
+    if not np.array_equal(samples.source_weight, samples.target_weight):
+        raise ValueError("a pair has one weight: give one array of weights, not two that differ.")
+    return samples.source_weight
 
 
 def named(rows: AnyArray, like: AnyArray) -> AnyArray:

@@ -4,8 +4,9 @@ import numpy as np
 import pandas as pd
 import polars as pl
 import pytest
+from sklearn import config_context
 from sklearn.linear_model import Ridge
-from sklearn.model_selection import GroupKFold, KFold, StratifiedKFold
+from sklearn.model_selection import GroupKFold, KFold, ShuffleSplit, StratifiedKFold, TimeSeriesSplit
 from sklearn.pipeline import make_pipeline
 
 from skat import (
@@ -113,6 +114,10 @@ def test_a_regressor_without_weights_serves_rows_without_weights():
     ("change", "options", "message"),
     [
         ({"sample_weight": (np.ones(20), np.arange(1.0, 21))}, {}, "a pair has one weight"),
+        ({"sample_weight": (None, np.arange(1.0, 21))}, {}, "a pair has one weight"),
+        ({"sample_weight": (np.arange(1.0, 21), None)}, {}, "a pair has one weight"),
+        ({}, {"cv": TimeSeriesSplit(3)}, "cv has to leave each of the 20 pairs .* 5 out never"),
+        ({}, {"cv": ShuffleSplit(3, random_state=0)}, "ShuffleSplit.* out never or more often"),
         ({"sample_weight": np.ones(20)}, {"regressor": Unweighted()}, "Unweighted takes no sample_weight"),
         ({"y": rows_of(19, seed=1)}, {}, "there are 20 source rows and 19 target rows"),
         ({"X": np.full((20, 2), np.nan)}, {}, "Input X contains NaN"),
@@ -123,6 +128,33 @@ def test_pairs_that_cannot_be_corrected_are_refused(change, options, message):
     given = {"X": rows_of(20), "y": rows_of(20, seed=1)} | change
     with pytest.raises(ValueError, match=message):
         ResidualTransport(AffineTransport(), **options).fit(**given)
+
+
+def test_pairs_without_weight_are_as_if_they_were_not_there():
+    X = rows_of(50)
+    weight = np.repeat([0.0, 1.0], [30, 20])
+    found = ResidualTransport(AffineTransport()).fit(X, X**2, sample_weight=weight)
+    same = ResidualTransport(AffineTransport()).fit(X[30:], X[30:] ** 2, sample_weight=weight[30:])
+    np.testing.assert_array_equal(found.transform(X), same.transform(X))
+
+
+def test_target_rows_of_a_stack_do_not_reach_the_transport():
+    X = rows_of(60)
+    rows, domain = np.vstack([X, X + 50]), np.repeat([1, -1], 60)
+    fitted = ResidualTransport(AffineTransport(outside="raise"), Ridge()).fit(rows, sample_domain=domain)
+    np.testing.assert_array_equal(fitted.transform(rows, sample_domain=domain)[60:], X + 50)
+
+
+@pytest.mark.parametrize("output", ["pandas", "polars"])
+@pytest.mark.parametrize("container", [pd.DataFrame, pl.DataFrame])
+def test_a_correction_knows_columns_by_their_names_and_takes_any_output(container, output):
+    X, y = rows_of(40), rows_of(40, seed=1)
+    named = [container({"a": rows[:, 0], "b": rows[:, 1]}) for rows in (X, y)]
+    expected = ResidualTransport(ConditionalAffineTransport(context=[1])).fit(X, y)
+    with config_context(transform_output=output):
+        fitted = ResidualTransport(ConditionalAffineTransport(context=["b"])).fit(*named)
+        np.testing.assert_allclose(np.asarray(fitted.transform(named[0])), expected.transform(X), atol=1e-12)
+    np.testing.assert_array_equal(fitted.in_support(named[0]), expected.in_support(X))
 
 
 @pytest.mark.parametrize(("n_rows", "gamma", "alpha"), [(11, 1.0 / 2, 1.0), (12, 0.05 / 2, 1e-3)])
