@@ -19,13 +19,22 @@ from skat._compat import (
     is_numpy_namespace,
     supported_float_dtypes,
 )
-from skat.gaussian.arrays import AnyArray
+from skat.gaussian.arrays import AnyArray, Places
 from skat.gaussian.backends import is_dask, on_host
 from skat.metrics.affinity import affinity_at_any_size
 from skat.metrics.domains import domain_signs, some_of
 from skat.metrics.samples import weight_of_each_side
 
-__all__ = ["BaseTransport", "Samples", "checked_weight", "is_flat", "named", "same_length", "weight_of_pairs"]
+__all__ = [
+    "BaseTransport",
+    "Samples",
+    "checked_weight",
+    "is_flat",
+    "named",
+    "rows_at",
+    "same_length",
+    "weight_of_pairs",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +117,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
             the required kind exists.
         """
         self._validate_params()
+        self._forget()
         samples = self._samples(X, y, sample_weight, sample_domain, reset=True)
         for rows, name in ((samples.source, "source"), (samples.target, "target")):
             if not is_dask(rows) and rows.shape[0] < 2:
@@ -246,6 +256,12 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
     def _check_is_fitted(self) -> None:
         check_is_fitted(self, "wasserstein_distance_")
 
+    def _forget(self) -> None:
+        """Drop what an earlier fit has found, so that nothing of it is left where another one fails."""
+        for name in list(vars(self)):
+            if name.endswith("_") and name not in ("n_features_in_", "feature_names_in_"):
+                delattr(self, name)
+
     def _see_columns(self, X: AnyArray, rows: AnyArray) -> None:
         """Look at the container as given, while its column names are at hand."""
 
@@ -318,7 +334,6 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
             return Samples(X, X, (domain > 0) * one, (domain < 0) * one, stacked=True)
         parts: list[AnyArray | None] = []
         weights: list[AnyArray | None] = []
-        xp, _, device = get_namespace_and_device(X)
         for name, mask in (("source (positive)", domain > 0), ("target (negative)", domain < 0)):
             if not mask.any() and not either:
                 by = (
@@ -330,12 +345,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
                     f"sample_domain marks none of the {len(domain)} rows as {name}{by}. Give rows of both "
                     "domains, or two arrays, fit(X_source, X_target)."
                 )
-            if not mask.any():
-                parts.append(None)
-            elif is_numpy_namespace(xp):
-                parts.append(X[mask])
-            else:
-                parts.append(xp.take(X, xp.asarray(np.flatnonzero(mask), device=device), axis=0))
+            parts.append(rows_at(X, np.flatnonzero(mask)) if mask.any() else None)
             weights.append(None if weight is None else weight[mask])
         source, target = parts
         return Samples(source, target, weights[0], weights[1], stacked=True)
@@ -437,6 +447,12 @@ def same_length(source: AnyArray, target: AnyArray) -> bool:
     """Whether two sets of rows are of one number, or may be: dask does not always know."""
     lengths = (source.shape[0], target.shape[0])
     return not all(isinstance(length, int | np.integer) for length in lengths) or lengths[0] == lengths[1]
+
+
+def rows_at(X: AnyArray, places: Places) -> AnyArray:
+    """Return rows by their numbers, in whichever library they are."""
+    xp, _, device = get_namespace_and_device(X)
+    return X[places] if is_numpy_namespace(xp) else xp.take(X, xp.asarray(places, device=device), axis=0)
 
 
 def weight_of_pairs(samples: Samples) -> AnyArray | None:

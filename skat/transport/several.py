@@ -117,6 +117,7 @@ class MultiSourceTransport(BaseTransport):
             If domains are missing, or hold no target or no source, or if rows are not finite.
         """
         self._validate_params()
+        self._forget()
         if sample_domain is None:
             raise ValueError(
                 f"{type(self).__name__} has to know the domain of every row: fit(X, sample_domain=labels)."
