@@ -6,7 +6,16 @@ import polars as pl
 import pytest
 from sklearn import config_context
 from sklearn.linear_model import Ridge
-from sklearn.model_selection import GroupKFold, KFold, ShuffleSplit, StratifiedKFold, TimeSeriesSplit
+from sklearn.model_selection import (
+    GridSearchCV,
+    GroupKFold,
+    KFold,
+    LeaveOneGroupOut,
+    LeaveOneOut,
+    ShuffleSplit,
+    StratifiedKFold,
+    TimeSeriesSplit,
+)
 from sklearn.pipeline import make_pipeline
 
 from skat import (
@@ -378,6 +387,25 @@ def test_target_rows_are_split_by_any_splitter_with_their_values_and_groups(cv, 
     for (train, test), (kept, left_out) in zip(found, expected):
         np.testing.assert_array_equal(test, TARGET[left_out])
         assert sorted(train) == sorted([*SOURCE, *TARGET[kept]])
+
+
+@pytest.mark.parametrize(
+    ("cv", "groups", "n_folds"),
+    [
+        (LeaveOneOut(), None, 6),
+        # The last group has no target row.
+        (LeaveOneGroupOut(), np.arange(10) // 3, 3),
+        (KFold(3).split(TARGET), None, 3),
+    ],
+)
+def test_a_grid_over_target_rows_has_as_many_folds_as_they_make(cv, groups, n_folds):
+    splitter = TargetRows(cv, sample_domain=DOMAIN)
+    grid = GridSearchCV(Ridge(), {"alpha": [0.1, 1.0]}, cv=splitter, scoring="neg_mean_squared_error")
+    X = rows_of(10)
+    scores = grid.fit(X, X[:, 0], groups=groups).cv_results_
+    assert splitter.get_n_splits(X, X[:, 0], groups) == n_folds
+    assert f"split{n_folds - 1}_test_score" in scores
+    assert f"split{n_folds}_test_score" not in scores
 
 
 def test_pairs_leave_with_their_partners_and_come_two_by_two():
