@@ -99,8 +99,9 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         sample_weight : array-like of shape (n_samples,) or tuple of two, default=None
             One weight per row of `X` and the row of `y` beside it; a tuple (source, target) gives each side
             its own, and either may be None. With `sample_domain`, one weight per stacked row. A weight counts
-            as so many repetitions of its row, except with ``covariance="shrunk"``, where the effective number of
-            rows (Kish), which does not change if all weights are doubled, sets the shrinkage.
+            as so many repetitions of its row, except with ``covariance="shrunk"``, ``mean="shrunk"`` and
+            ``shrinkage="source"``, where the effective number of rows (Kish), which does not change if all weights
+            are doubled, sets the shrinkage.
         sample_domain : array-like of shape (n_samples,), default=None
             Which rows of a stacked `X` are source and which are target rows: numbers, positive and negative;
             the words "sim" and "real"; or labels of any kind, with the parameter `source_domain`.
