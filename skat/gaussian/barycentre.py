@@ -41,8 +41,9 @@ def barycentre_root(roots: Sequence[Floats], shares: Floats, rounding: Floats | 
 
     Examples
     --------
-    >>> barycentre_root([np.array([[1.0]]), np.array([[3.0]])], np.array([0.5, 0.5]))
-    array([[2.]])
+    >>> root = barycentre_root([np.array([[1.0]]), np.array([[3.0]])], np.array([0.5, 0.5]))
+    >>> (root @ root.T).round(9)
+    array([[4.]])
     """
     pooled = np.hstack([np.sqrt(share) * root for share, root in zip(shares, roots)])
     middle: Floats = root_of_factor(pooled.T, rounding=rounding)

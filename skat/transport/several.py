@@ -278,7 +278,9 @@ class MultiSourceTransport(BaseTransport):
     ) -> dict[Hashable, AffineMap]:
         """Return the map of each source to the barycentre of them all."""
         moments = {
-            label: row_moments(rows[mask], None if weight is None else weight[mask])
+            label: row_moments(
+                rows[mask], None if weight is None else checked_weight(weight[mask], rows[mask])
+            )
             for label, mask in members.items()
         }
         sides = list(moments.values())

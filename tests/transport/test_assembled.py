@@ -309,6 +309,14 @@ def test_rows_of_all_domains_must_be_finite_and_have_a_weight_each(method):
             getattr(transport, method)(rows, sample_weight=weight[1:], sample_domain=labels)
 
 
+@pytest.mark.parametrize("by", ["each", "barycentre"])
+def test_a_source_without_weight_is_refused(by):
+    rows, labels, weight = domains()
+    weight[labels == "a"] = 0
+    with pytest.raises(ValueError, match="at least one non-zero"):
+        MultiSourceTransport(by=by).fit(rows, sample_weight=weight, sample_domain=labels)
+
+
 @pytest.mark.parametrize("estimator", [MultiSourceTransport, ResidualTransport])
 def test_what_is_no_transport_is_refused_as_one(estimator):
     rows, labels, _ = domains()
