@@ -44,12 +44,13 @@ def drawn_episodes(
     wanted = round(test_size * n_rows)
     most_rows = n_rows - max(FEWEST_ROWS, LEAST_FITTED * (1 - test_size) * n_rows)
     drawn: list[int] = []
+    held = 0
     for episode in random_state.permutation(len(sizes)):
-        held = sizes[drawn].sum()
-        fits = (most is None or len(drawn) < most) and held + sizes[episode] <= most_rows
-        if held < wanted and fits:
+        if held >= wanted or len(drawn) == most:
+            break
+        if held + sizes[episode] <= most_rows:
             drawn.append(int(episode))
-    held = int(sizes[drawn].sum())
+            held += int(sizes[episode])
     if drawn and held < LEAST_TESTED * wanted:
         warnings.warn(
             f"Only {held} of {n_rows} rows are set aside to measure the gain, not {100 * test_size:g} %: whole "

@@ -1,3 +1,5 @@
+import time
+
 import numpy as np
 import pytest
 from sklearn.utils import Bunch
@@ -30,6 +32,14 @@ def test_a_split_counts_rows_and_leaves_enough_to_fit():
             Bunch(data=np.zeros((25, 1)), target=np.zeros((25, 1)), groups=np.zeros(25)), test_size=0.3
         )
         assert len(fit.data) == 20
+
+
+def test_the_time_of_a_split_is_linear_in_the_number_of_episodes():
+    log = Bunch(data=np.zeros((40_000, 1)), target=np.zeros((40_000, 1)))
+    start = time.process_time()
+    _, test = split_episodes(log, test_size=0.5, random_state=0)
+    assert time.process_time() - start < 2
+    assert len(test.data) == 20_000
 
 
 def test_a_split_that_leaves_a_side_empty_is_refused():

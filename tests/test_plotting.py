@@ -146,6 +146,13 @@ def test_curve_bands_are_two_standard_deviations():
     assert (band[:, 1].min(), band[:, 1].max()) == (0.0, 4.0)
 
 
+def test_curve_bands_are_cut_on_a_logarithmic_axis_only():
+    frame = pd.DataFrame({"n_samples": [10, 10, 20, 20], "method": "map", "error": [0.0, 4.0, 1.0, 1.0]})
+    for log_value, lowest in ((False, -2.0), (True, 0.5)):
+        display = LearningCurveDisplay.from_frame(frame, log_value=log_value)
+        assert display.ax_.collections[0].get_paths()[0].vertices[:, 1].min() == lowest
+
+
 def test_curve_takes_deviations_computed_before():
     frame = pd.DataFrame({"n": [20, 10], "how": "map", "mean": [1.0, 2.0], "std": [0.1, 0.2]})
     display = LearningCurveDisplay.from_frame(

@@ -222,13 +222,13 @@ def of_repeat(chosen: Mapping[str, Method | None], repeat: int) -> dict[str, Any
 
 
 def fitted_transport(method: Any, source_rows: Any, target_rows: Any, context: Any) -> Any:
-    """Return the method's transport, fitted to pairs of rows, or to halves of them that share no row.
+    """Return the method's transport, fitted to all rows, or to half of the target's and none of their partners.
 
     Parameters
     ----------
     method : Method
     source_rows, target_rows : ndarray of shape (n_rows, n_features)
-        In pairs.
+        In pairs, as far as there are as many of both.
     context : int
         Number of leading columns that are context.
 
@@ -236,11 +236,11 @@ def fitted_transport(method: Any, source_rows: Any, target_rows: Any, context: A
     -------
     estimator
     """
-    middle = len(source_rows) // 2
-    source, target = slice(None), slice(None)
     if method.disjoint:
-        source, target = slice(None, middle), slice(middle, None)
+        middle = len(target_rows) // 2
+        source_rows = np.delete(source_rows, slice(middle, len(target_rows)), axis=0)
+        target_rows = target_rows[middle:]
     with warnings.catch_warnings():
         # That few rows are few is what the tables show.
         warnings.simplefilter("ignore", UserWarning)
-        return method.make(context).fit(source_rows[source], target_rows[target])
+        return method.make(context).fit(source_rows, target_rows)

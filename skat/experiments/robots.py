@@ -180,7 +180,8 @@ def domain_matrix(
     n_scored : int, default=500
         How many of them the affinity score is computed on.
     split : {"rows", "episodes"}, default="rows"
-        Whether the rows to test are drawn from all episodes, or are episodes of their own.
+        Whether the rows to test are drawn from all episodes, or are episodes of their own; `n_transitions` is then
+        a multiple of 50.
     conditions : sequence of str
         Worlds; the paper's Table I by default.
     sources : sequence of str, default=None
@@ -236,6 +237,11 @@ def domain_matrix(
     """
     if split not in ("rows", "episodes"):
         raise ValueError(f'split must be "rows" or "episodes"; it is {split!r}.')
+    if split == "episodes" and n_transitions % N_STEPS:
+        raise ValueError(
+            f'split="episodes" tests on other episodes than it fits on, which are of {N_STEPS} rows: n_transitions '
+            f"must be a multiple of that; it is {n_transitions}."
+        )
     if len(conditions) < 2:
         raise ValueError(
             f"a matrix needs two worlds or more; conditions has {len(conditions)}: {list(conditions)}."

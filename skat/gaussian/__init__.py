@@ -1,5 +1,6 @@
 """Normal approximations: moments of rows, wherever they live, and the maps and distances between them."""
 
+from skat.gaussian.barycentre import barycentre_root
 from skat.gaussian.maps import (
     AffineMap,
     accurate_svd,
@@ -21,6 +22,7 @@ __all__ = [
     "AffineMap",
     "Moments",
     "accurate_svd",
+    "barycentre_root",
     "check_that_source_reaches_target",
     "coefficient_distance",
     "coral_map",

@@ -6,7 +6,7 @@ import numpy as np
 
 from skat.gaussian.backends import on_host
 
-__all__ = ["domain_signs"]
+__all__ = ["are_among", "domain_signs", "some_of"]
 
 WORDS = {"source": 1, "sim": 1, "simulated": 1, "simulation": 1, "target": -1, "real": -1, "measured": -1}
 
@@ -50,24 +50,13 @@ def domain_signs(sample_domain: Any, n_rows: int | None = None, source_domain: A
         raise ValueError(f"sample_domain must have one value per row; it has {len(domain)}, X {n_rows} rows.")
     is_number = np.issubdtype(domain.dtype, np.number)
     if source_domain is not None:
-        missing = np.array([label is None or label != label for label in domain.tolist()], dtype=bool)
-        if missing.any():
-            raise ValueError(
-                f"sample_domain has no label for {missing.sum()} of {len(domain)} rows. Label all."
-            )
-        wanted = np.atleast_1d(np.asarray(source_domain))
-        is_source = np.isin(domain.astype(object), wanted.astype(object))
-        if not is_source.any() and len(domain):
-            raise ValueError(
-                f"no row is of source_domain={source_domain!r}; the labels are {_some(domain)}. Name one of them."
-            )
-        return np.where(is_source, 1, -1)
+        return np.where(are_among(domain, source_domain), 1, -1)
     if not is_number:
         unknown = [label for label in dict.fromkeys(domain.tolist()) if label not in WORDS]
         if unknown:
             raise ValueError(
                 "sample_domain must be a 1-D array of numbers, positive for source and negative for target rows, "
-                f'or of "sim" and "real"; it holds {_some(unknown)}. For other labels say which is the source, '
+                f'or of "sim" and "real"; it holds {some_of(unknown)}. For other labels say which is the source, '
                 f"by source_domain={unknown[0]!r} or another of them."
             )
         return np.array([WORDS[label] for label in domain.tolist()], dtype=int)
@@ -81,6 +70,34 @@ def domain_signs(sample_domain: Any, n_rows: int | None = None, source_domain: A
     return domain
 
 
-def _some(labels: Any) -> Any:
+def are_among(labels: Any, wanted: Any) -> Any:
+    """Return which labels are the one wanted, or one of several.
+
+    Parameters
+    ----------
+    labels : ndarray of shape (n_rows,)
+    wanted : label or list of labels
+
+    Returns
+    -------
+    ndarray of bool of shape (n_rows,)
+
+    Raises
+    ------
+    ValueError
+        If a label is missing.
+    """
+    missing = np.array([label is None or label != label for label in labels.tolist()], dtype=bool)
+    if missing.any():
+        raise ValueError(f"sample_domain has no label for {missing.sum()} of {len(labels)} rows. Label all.")
+    wanted = np.atleast_1d(np.asarray(wanted, dtype=object))
+    # Numbers in a list that holds words, too, become words in an array of NumPy.
+    if labels.dtype.kind == "U":
+        wanted = wanted.astype(str)
+    return np.isin(labels.astype(object), wanted)
+
+
+def some_of(labels: Any) -> Any:
+    """Return a text that lists the first different labels."""
     different = list(dict.fromkeys(np.asarray(labels).tolist()))
     return ", ".join(map(repr, different[:6])) + (", ..." if len(different) > 6 else "")

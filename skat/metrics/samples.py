@@ -10,6 +10,7 @@ from skat.gaussian.moments import row_moments
 
 __all__ = [
     "one_sample",
+    "root_of_twice_the_spread",
     "row_weight",
     "twice_the_spread",
     "two_samples",
@@ -84,12 +85,27 @@ def weight_of_each_side(sample_weight: Any) -> Any:
     return sample_weight
 
 
-def twice_the_spread(y: Any, weight: Any = None) -> Any:
-    """Return twice the trace of the target's covariance, by which affinities divide; exactly zero is refused."""
-    spread = 2.0 * float(row_moments(y, weight).variance.sum())
-    if spread == 0.0:
+def root_of_twice_the_spread(y: Any, weight: Any = None) -> float:
+    """Return the root of twice the trace of the target's covariance, by which affinities divide; never zero."""
+    # Squares have half the range of the numbers.
+    centred = y - y[0]
+    size = float(np.abs(centred).max()) or 1.0
+    root = size * float(np.sqrt(2.0 * row_moments(centred / size, weight).variance.sum()))
+    if root == 0.0:
         raise ValueError(
             f"the affinity divides by the spread of the target, but all {len(y)} target rows are equal. "
             "Give target rows that vary."
+        )
+    return root
+
+
+def twice_the_spread(y: Any, weight: Any = None) -> float:
+    """Return twice the trace of the target's covariance, by which squares of distances are divided; never zero."""
+    root = root_of_twice_the_spread(y, weight)
+    with np.errstate(over="ignore"):
+        spread = float(np.square(root))
+    if not 0.0 < spread < np.inf:
+        raise ValueError(
+            f"the square of the target's spread, {root:.1e}, is beyond the range of float64. Choose other units."
         )
     return spread

@@ -7,7 +7,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 from skat.gaussian.arrays import AnyArray, Floats, Places
-from skat.metrics.samples import one_sample, row_weight, twice_the_spread, two_samples
+from skat.metrics.samples import one_sample, root_of_twice_the_spread, row_weight, two_samples
 
 __all__ = ["affinity", "is_large_cost", "optimal_plan", "refuse_large_cost", "wasserstein_distance"]
 
@@ -133,7 +133,7 @@ def affinity(
     if distance == 0.0:
         return 1.0
     y = one_sample(y, "y")
-    return float(1.0 - distance / np.sqrt(twice_the_spread(y, row_weight(y_weight, len(y), "y_weight"))))
+    return float(1.0 - distance / root_of_twice_the_spread(y, row_weight(y_weight, len(y), "y_weight")))
 
 
 def is_large_cost(n_x: int, n_y: int) -> bool:

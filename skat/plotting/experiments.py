@@ -274,8 +274,8 @@ class LearningCurveDisplay:
         ax : matplotlib Axes, default=None
             Where to draw; a new figure by default.
         log_size, log_value : bool
-            Whether the axes are logarithmic. Bands are cut at zero, or at the lowest mean on a logarithmic
-            axis.
+            Whether the axes are logarithmic. On a logarithmic axis bands are cut at half the lowest mean; a linear
+            one begins at zero where no band goes below.
         baseline : float, default=None
             A number to compare with, such as the error without transport, as a dashed line.
 

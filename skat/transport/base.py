@@ -19,13 +19,22 @@ from skat._compat import (
     is_numpy_namespace,
     supported_float_dtypes,
 )
-from skat.gaussian.arrays import AnyArray
+from skat.gaussian.arrays import AnyArray, Places
 from skat.gaussian.backends import is_dask, on_host
 from skat.metrics.affinity import affinity_at_any_size
-from skat.metrics.domains import domain_signs
+from skat.metrics.domains import domain_signs, some_of
 from skat.metrics.samples import weight_of_each_side
 
-__all__ = ["BaseTransport", "Samples", "is_flat", "same_length"]
+__all__ = [
+    "BaseTransport",
+    "Samples",
+    "checked_weight",
+    "is_flat",
+    "named",
+    "rows_at",
+    "same_length",
+    "weight_of_pairs",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,8 +99,9 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         sample_weight : array-like of shape (n_samples,) or tuple of two, default=None
             One weight per row of `X` and the row of `y` beside it; a tuple (source, target) gives each side
             its own, and either may be None. With `sample_domain`, one weight per stacked row. A weight counts
-            as so many repetitions of its row, except with ``covariance="shrunk"``, where the effective number of
-            rows (Kish), which does not change if all weights are doubled, sets the shrinkage.
+            as so many repetitions of its row, except with ``covariance="shrunk"``, ``mean="shrunk"`` and
+            ``shrinkage="source"``, where the effective number of rows (Kish), which does not change if all weights
+            are doubled, sets the shrinkage.
         sample_domain : array-like of shape (n_samples,), default=None
             Which rows of a stacked `X` are source and which are target rows: numbers, positive and negative;
             the words "sim" and "real"; or labels of any kind, with the parameter `source_domain`.
@@ -108,6 +118,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
             the required kind exists.
         """
         self._validate_params()
+        self._forget()
         samples = self._samples(X, y, sample_weight, sample_domain, reset=True)
         for rows, name in ((samples.source, "source"), (samples.target, "target")):
             if not is_dask(rows) and rows.shape[0] < 2:
@@ -246,6 +257,12 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
     def _check_is_fitted(self) -> None:
         check_is_fitted(self, "wasserstein_distance_")
 
+    def _forget(self) -> None:
+        """Drop what an earlier fit has found, so that nothing of it is left where another one fails."""
+        for name in list(vars(self)):
+            if name.endswith("_") and name not in ("n_features_in_", "feature_names_in_"):
+                delattr(self, name)
+
     def _see_columns(self, X: AnyArray, rows: AnyArray) -> None:
         """Look at the container as given, while its column names are at hand."""
 
@@ -304,7 +321,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
             (None, None) if sample_weight is None else weight_of_each_side(sample_weight)
         )
         return Samples(
-            source, target, _checked_weight(source_weight, source), _checked_weight(target_weight, target)
+            source, target, checked_weight(source_weight, source), checked_weight(target_weight, target)
         )
 
     def _split(
@@ -312,26 +329,24 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
     ) -> Samples:
         """Return the samples of stacked rows."""
         domain = self._domain(sample_domain, X)
-        weight = _checked_weight(sample_weight, X)
+        weight = checked_weight(sample_weight, X)
         if is_dask(X):
             one = 1.0 if weight is None else weight
             return Samples(X, X, (domain > 0) * one, (domain < 0) * one, stacked=True)
         parts: list[AnyArray | None] = []
         weights: list[AnyArray | None] = []
-        xp, _, device = get_namespace_and_device(X)
         for name, mask in (("source (positive)", domain > 0), ("target (negative)", domain < 0)):
             if not mask.any() and not either:
-                raise ValueError(
-                    f"sample_domain marks none of the {len(domain)} rows as {name}. Give rows of both "
-                    "domains, "
-                    "or two arrays, fit(X_source, X_target)."
+                by = (
+                    ""
+                    if self.source_domain is None
+                    else f" by source_domain={self.source_domain!r}; the labels are {some_of(sample_domain)}"
                 )
-            if not mask.any():
-                parts.append(None)
-            elif is_numpy_namespace(xp):
-                parts.append(X[mask])
-            else:
-                parts.append(xp.take(X, xp.asarray(np.flatnonzero(mask), device=device), axis=0))
+                raise ValueError(
+                    f"sample_domain marks none of the {len(domain)} rows as {name}{by}. Give rows of both "
+                    "domains, or two arrays, fit(X_source, X_target)."
+                )
+            parts.append(rows_at(X, np.flatnonzero(mask)) if mask.any() else None)
             weights.append(None if weight is None else weight[mask])
         source, target = parts
         return Samples(source, target, weights[0], weights[1], stacked=True)
@@ -354,7 +369,7 @@ class BaseTransport(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
                 self._refuse_few_rows(source.shape[0], "source")
             assert_all_finite(source, estimator_name=type(self).__name__, input_name="X")
             if not isinstance(sample_weight, tuple):
-                _checked_weight(sample_weight, source)
+                checked_weight(sample_weight, source)
         columns = "" if source is None else f", n_features = {source.shape[1]}"
         shape = tuple(y.shape if hasattr(y, "shape") else np.asarray(y).shape)
         raise ValueError(
@@ -435,7 +450,25 @@ def same_length(source: AnyArray, target: AnyArray) -> bool:
     return not all(isinstance(length, int | np.integer) for length in lengths) or lengths[0] == lengths[1]
 
 
-def _checked_weight(weight: AnyArray | None, rows: AnyArray | None) -> AnyArray | None:
+def rows_at(X: AnyArray, places: Places) -> AnyArray:
+    """Return rows by their numbers, in whichever library they are."""
+    xp, _, device = get_namespace_and_device(X)
+    return X[places] if is_numpy_namespace(xp) else xp.take(X, xp.asarray(places, device=device), axis=0)
+
+
+def weight_of_pairs(samples: Samples) -> AnyArray | None:
+    """Return the weights of rows in pairs, which both sides share."""
+    if not np.array_equal(samples.source_weight, samples.target_weight):
+        raise ValueError("a pair has one weight: give one array of weights, not two that differ.")
+    return samples.source_weight
+
+
+def named(rows: AnyArray, like: AnyArray) -> AnyArray:
+    """Return rows in a data frame with the columns of another, or as they are where that is no data frame."""
+    return type(like)(dict(zip(like.columns, rows.T))) if hasattr(like, "columns") else rows
+
+
+def checked_weight(weight: AnyArray | None, rows: AnyArray | None) -> AnyArray | None:
     """Return weights as a float array in NumPy (or lazily, for dask), or None."""
     if weight is None or rows is None or is_dask(weight):
         return weight

@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 
 from skat.gaussian import optimal_map, root_of_moments, row_moments
 from skat.gaussian.arrays import Flags, Floats
+from skat.gaussian.maps import EPS, LEAST_OF_A_PRODUCT, MUCH_ROUNDING
 
 __all__ = ["BatchedMaps", "fit_batched"]
 
@@ -95,7 +96,8 @@ def fit_batched(X: ArrayLike, y: ArrayLike) -> BatchedMaps:
             f"each problem needs two rows a side or more; there are {X.shape[1]} and {y.shape[1]}."
         )
     (source_mean, source_covariance), (target_mean, target_covariance) = _moments(X), _moments(y)
-    good = _well_conditioned(source_covariance) & _well_conditioned(target_covariance)
+    good = _well_conditioned(source_mean, source_covariance)
+    good &= _well_conditioned(target_mean, target_covariance)
     coef = np.empty(source_covariance.shape)
     if good.any():
         source_root = np.linalg.cholesky(source_covariance[good])
@@ -124,10 +126,10 @@ def _moments(rows: Floats) -> tuple[Floats, Floats]:
     return mean, centred.transpose(0, 2, 1) @ centred / rows.shape[1]
 
 
-def _well_conditioned(covariance: Floats) -> Flags:
-    """Return which covariances have a correlation matrix far from singular."""
-    variance = np.diagonal(covariance, axis1=1, axis2=2)
-    varies = (variance > 0).all(axis=1)
-    scale = np.sqrt(np.where(variance > 0, variance, 1.0))
+def _well_conditioned(mean: Floats, covariance: Floats) -> Flags:
+    """Return where columns vary by far more than the rounding of their mean, and depend little on each other."""
+    deviation = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    varies = (LEAST_OF_A_PRODUCT * deviation > MUCH_ROUNDING * EPS * np.abs(mean)).all(axis=1)
+    scale = np.where(deviation > 0, deviation, 1.0)
     values = np.linalg.eigvalsh(covariance / scale[:, np.newaxis] / scale[:, :, np.newaxis])
     return varies & (values[:, 0] * WORST_CONDITION > values[:, -1])

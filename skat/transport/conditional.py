@@ -1,5 +1,7 @@
 """Transport of some columns given the others, as an estimator."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator
@@ -8,7 +10,7 @@ from skat._compat import StrOptions, column_indices
 from skat.gaussian import AffineMap, Moments
 from skat.gaussian.arrays import AnyArray, Floats
 from skat.transport.moment_transport import MomentTransport, Solution
-from skat.transport.regression import conditional_map
+from skat.transport.regression import conditional_map, conditional_map_back
 
 __all__ = ["ConditionalAffineTransport"]
 
@@ -139,10 +141,11 @@ class ConditionalAffineTransport(MomentTransport):
         self._context = tuple(chosen.tolist())
 
     def _solve(self, source: Moments, target: Moments, scale: Floats) -> Solution:
-        context = np.array(self._context)
-        return Solution(
-            *conditional_map(source, target, context, shrinkage=self.shrinkage, reach=self._reaches)
-        )
+        return Solution(*conditional_map(source, target, **self._options))
 
     def _solve_back(self, source: Moments, target: Moments, scale: Floats) -> AffineMap:
-        return conditional_map(target, source, np.array(self._context))[0]
+        return conditional_map_back(source, target, **self._options)
+
+    @property
+    def _options(self) -> dict[str, Any]:
+        return {"context": np.array(self._context), "shrinkage": self.shrinkage, "reach": self._reaches}

@@ -13,10 +13,10 @@ from sklearn.utils.validation import has_fit_parameter
 
 from skat._compat import HasMethods, StrOptions
 from skat.gaussian import AffineMap, Moments, covariance_root, distance_of_roots, root_of_moments, spectrum
-from skat.gaussian.arrays import AnyArray, Flags, Floats
+from skat.gaussian.arrays import AnyArray, Flags, Floats, Places
 from skat.gaussian.backends import apply_map, is_dask, moments_of, on_host, to_namespace
 from skat.gaussian.maps import EPS
-from skat.transport.base import BaseTransport, Samples, is_flat
+from skat.transport.base import BaseTransport, Samples, is_flat, rows_at
 from skat.transport.shift import MOST_CALIBRATING_ROWS, Distances, Support
 from skat.transport.shrinkage import mean_drawn_towards, shrunk_towards
 
@@ -70,6 +70,7 @@ class MomentTransport(BaseTransport):
     _support: Support | None = None
     _distances: Distances | None = None
     _back: AffineMap | None = None
+    _is_empirical = False
 
     def __init__(
         self,
@@ -183,7 +184,7 @@ class MomentTransport(BaseTransport):
         for side, name in ((source, "source"), (target, "target")):
             if side is None or side.n_rows < 2:
                 self._refuse_few_rows(0 if side is None else side.n_rows, name)
-        self._warns, self._missing = True, None
+        self._warns = True
         both = cast(tuple[Moments, Moments], (source, target))
         sides = both if isinstance(self.covariance, str) else self._estimated(samples)
         self._learn(sides, _given(samples))
@@ -237,10 +238,8 @@ class MomentTransport(BaseTransport):
             self._missing = str(error)
 
     def _forget(self) -> None:
-        self._missing = None
-        for name in list(vars(self)):
-            if name.endswith("_") and name not in ("n_features_in_", "feature_names_in_"):
-                delattr(self, name)
+        super()._forget()
+        self._missing = self._back = None
 
     def _check_is_fitted(self) -> None:
         if self._missing is not None:
@@ -293,6 +292,7 @@ class MomentTransport(BaseTransport):
                 outside = _share_outside(source, whole)
         scale = self._scale_of(target)
         self._learned, self._back, self._support = (source, target, scale), None, None
+        self._is_empirical = isinstance(self.covariance, str) and self.covariance == self.mean == "empirical"
         scaled = self._scaled()
         solution = self._solve(*scaled, scale)
         affine, self.rank_ = solution.affine, solution.rank
@@ -325,10 +325,6 @@ class MomentTransport(BaseTransport):
             self.coef_ = self._map.coef
         if "_map" in state and self._is_empirical:
             self._learned = (*self._known_sides(), self._learned[2])
-
-    @property
-    def _is_empirical(self) -> bool:
-        return isinstance(self.covariance, str) and self.covariance == self.mean == "empirical"
 
     @property
     def source_covariance_(self) -> AnyArray:
@@ -401,11 +397,9 @@ class MomentTransport(BaseTransport):
         self._distances = self._support = None
         if is_dask(samples.source):
             return
-        step = -(-samples.source.shape[0] // MOST_CALIBRATING_ROWS)
-        rows = np.asarray(on_host(samples.source[::step, ...]), dtype=np.float64)
-        weight = None if samples.source_weight is None else np.asarray(on_host(samples.source_weight))[::step]
-        if weight is not None:
-            rows, weight = rows[weight > 0], weight[weight > 0]
+        places = _evenly(samples.source.shape[0], samples.source_weight)
+        rows = np.asarray(on_host(rows_at(samples.source, places)), dtype=np.float64)
+        weight = None if samples.source_weight is None else np.asarray(on_host(samples.source_weight))[places]
         source = self._learned[0]
         if not isinstance(self.covariance, str):
             # An estimator's moments count as one row, and its yardstick has not been bent by single ones.
@@ -417,7 +411,7 @@ class MomentTransport(BaseTransport):
     def _scaled(self) -> tuple[Moments, Moments]:
         """Return the moments in units of the metric's scale."""
         source, target, scale = self._learned
-        if self.metric_scale is None:
+        if (scale == 1.0).all():
             return source, target
         return source.scaled(1 / scale), target.scaled(1 / scale)
 
@@ -499,11 +493,21 @@ class MomentTransport(BaseTransport):
                     f"this map has no inverse: it is of rank {self.rank_}, and the source varies in "
                     "directions in which the carried rows do not. Fit it with more target rows."
                 ) from error
-            self._back = affine if self.metric_scale is None else affine.scaled(scale)
+            self._back = affine.scaled(scale)
         return apply_map(self._back, X, check=self._refuse_rows)
 
     def _refuse_rows(self, rows: AnyArray) -> NoReturn:
         self._refuse_infinite((rows, "X"))
+
+
+def _evenly(n_rows: int, weight: Floats | None) -> Places:
+    """Return numbers of rows to calibrate by, each as often as its weight says, as far as there is room."""
+    if weight is None:
+        return np.arange(0, n_rows, -(-n_rows // MOST_CALIBRATING_ROWS))
+    ends = np.cumsum(on_host(weight))
+    n_drawn = min(max(int(np.count_nonzero(weight)), int(ends[-1])), MOST_CALIBRATING_ROWS)
+    places: Places = np.searchsorted(ends, (np.arange(n_drawn) + 0.5) / n_drawn * ends[-1])
+    return places
 
 
 def _merged(first: Moments | None, second: Moments | None, half_life: float | None) -> Moments | None:

@@ -9,9 +9,9 @@ from sklearn.base import BaseEstimator
 from skat._compat import StrOptions
 from skat.gaussian import AffineMap, Moments, root_of_moments
 from skat.gaussian.arrays import AnyArray, Floats
-from skat.gaussian.backends import beside, to_namespace
+from skat.gaussian.backends import beside, is_dask, to_namespace
 from skat.transport.alignment import Alignment, PairFactors, look_shuffled, raw_alignment, whitened_alignment
-from skat.transport.base import Samples, same_length
+from skat.transport.base import Samples, same_length, weight_of_pairs
 from skat.transport.moment_transport import MomentTransport, Solution
 
 __all__ = ["ProcrustesAffineTransport"]
@@ -123,12 +123,12 @@ class ProcrustesAffineTransport(MomentTransport):
                 f"there are {samples.source.shape[0]} source rows and {samples.target.shape[0]} target "
                 "rows. Without pairs, use AffineTransport or ConditionalAffineTransport."
             )
-        if (samples.source_weight is None) != (samples.target_weight is None) or (
-            samples.source_weight is not None
-            and not np.array_equal(samples.source_weight, samples.target_weight)
-        ):
-            raise ValueError("a pair has one weight: give one array of weights, not two that differ.")
-        return [(beside(samples.source, samples.target), samples.source_weight)]
+        if samples.stacked and is_dask(samples.source):
+            raise ValueError(
+                f"{type(self).__name__} learns from pairs, which stacked dask rows do not show. Give two arrays, "
+                "fit(X_source, X_target)."
+            )
+        return [(beside(samples.source, samples.target), weight_of_pairs(samples))]
 
     def _sides(self) -> tuple[Moments | None, Moments | None]:
         (pairs,) = self._moments

@@ -8,7 +8,7 @@ from skat.gaussian.maps import EPS, reached_part
 from skat.gaussian.moments import triangle
 from skat.transport.shrinkage import shrunk_towards
 
-__all__ = ["conditional_map", "regression", "ridge_regression"]
+__all__ = ["conditional_map", "conditional_map_back", "regression", "ridge_regression"]
 
 # Penalties of standardised context per row, from none that shows to one that leaves the prior slope alone.
 PENALTIES = np.concatenate([[0.0], np.logspace(-4, 4, 33)])
@@ -48,14 +48,45 @@ def conditional_map(
     numpy.linalg.LinAlgError
         If the target's residuals vary where the source's do not, unless `reach`.
     """
-    rest = ~context
-    source_slope, source_root = regression(source, context)
+    source_part, target_part = _regressions(source, target, context, shrinkage, reach)
+    return _map_between(source, target, source_part, target_part, context, reach)
+
+
+def conditional_map_back(
+    source: Moments, target: Moments, context: Flags, *, shrinkage: str | None = None, reach: bool = False
+) -> AffineMap:
+    """Return the way back from `conditional_map` of the same arguments.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the source's residuals vary where those of the carried rows do not.
+    """
+    source_part, target_part = _regressions(source, target, context, shrinkage, reach)
+    return _map_between(target, source, target_part, source_part, context, False)[0]
+
+
+def _regressions(
+    source: Moments, target: Moments, context: Flags, shrinkage: str | None, reach: bool
+) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
+    """Return slope and root of the residuals' covariance of source and target."""
+    source_part = regression(source, context)
     if shrinkage is None:
-        target_slope, target_root = regression(target, context)
-    else:
-        target_slope, target_root = _drawn_to_source(
-            source, target, context, source_slope, source_root, reach
-        )
+        return source_part, regression(target, context)
+    return source_part, _drawn_to_source(source, target, context, *source_part, reach)
+
+
+def _map_between(
+    source: Moments,
+    target: Moments,
+    source_part: tuple[Floats, Floats],
+    target_part: tuple[Floats, Floats],
+    context: Flags,
+    reach: bool,
+) -> tuple[AffineMap, int, float]:
+    """Return what `conditional_map` does, from slope and root of each side."""
+    rest = ~context
+    (source_slope, source_root), (target_slope, target_root) = source_part, target_part
     carry = optimal_map(source_root, target_root, reach=reach)
     rank, unreached = target_root.shape[1], 0.0
     if reach:

@@ -8,10 +8,10 @@ from scipy.linalg import solve
 from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.utils.validation import has_fit_parameter
 
-from skat._compat import HasMethods
+from skat._compat import HasMethods, safe_indexing
 from skat.gaussian.arrays import AnyArray, Flags, Floats, Places
 from skat.gaussian.backends import is_dask, on_host
-from skat.transport.base import BaseTransport, Samples, same_length
+from skat.transport.base import BaseTransport, Samples, named, same_length, weight_of_pairs
 from skat.transport.procrustes import ProcrustesAffineTransport
 
 __all__ = ["KernelRidgeCV", "ResidualTransport"]
@@ -46,7 +46,8 @@ class ResidualTransport(BaseTransport):
         two folds of consecutive rows choose. Its time grows with the cube of the number of rows and its memory with
         the square: beyond some 5,000 rows give another, as ``make_pipeline(StandardScaler(), Nystroem(), RidgeCV())``.
     cv : int or cross-validation splitter, default=3
-        Folds of the cross-fitting. An int is of consecutive rows, so that neighbours in time stay together.
+        Folds of the cross-fitting, each pair left out once; pairs of no weight are in none. An int is of consecutive
+        rows, so that neighbours in time stay together.
     unlabelled, source_domain
         As for `AffineTransport`.
 
@@ -81,7 +82,7 @@ class ResidualTransport(BaseTransport):
 
     _parameter_constraints = {
         **BaseTransport._parameter_constraints,
-        "transport": [None, HasMethods(["fit", "transform"])],
+        "transport": [None, BaseTransport],
         "regressor": [None, HasMethods(["fit", "predict"])],
         "cv": ["cv_object"],
     }
@@ -100,6 +101,10 @@ class ResidualTransport(BaseTransport):
         self.regressor = regressor
         self.cv = cv
 
+    def _see_columns(self, X: AnyArray, rows: AnyArray) -> None:
+        """Keep the columns' names, for a transport that goes by them."""
+        self._frame = None if is_dask(X) else named(np.empty((0, rows.shape[1])), X)
+
     def _fit(self, samples: Samples) -> None:
         from sklearn.model_selection import check_cv
 
@@ -115,18 +120,28 @@ class ResidualTransport(BaseTransport):
         X, y = (np.asarray(on_host(rows), dtype=np.float64) for rows in (samples.source, samples.target))
         if not (np.isfinite(X).all() and np.isfinite(y).all()):
             self._refuse_infinite((X, "X"), (y, "X" if samples.stacked else "y"))
-        weight = samples.source_weight
-        if weight is not None and not np.array_equal(weight, samples.target_weight):
-            raise ValueError("a pair has one weight: give one array of weights, not two that differ.")
+        weight = weight_of_pairs(samples)
+        if weight is not None:
+            # A fold without weight would be none.
+            X, y, weight = (part[weight > 0] for part in (X, y, weight))
         transport = ProcrustesAffineTransport() if self.transport is None else self.transport
         regressor = KernelRidgeCV() if self.regressor is None else self.regressor
-        self.transport_ = clone(transport).fit(X, y, **_given(weight))
+        source, target = named(X, self._frame), named(y, self._frame)
+        self.transport_ = clone(transport).fit(source, target, **_given(weight))
         self.wasserstein_distance_ = self.transport_.wasserstein_distance_
         self._lengths = _deviations(y)
         residuals = np.empty(y.shape)
         splits = list(check_cv(self.cv).split(X))
+        times = np.bincount(np.concatenate([left_out for _, left_out in splits]), minlength=len(X))
+        if not np.array_equal(times, np.ones(len(X))):
+            raise ValueError(
+                f"cv has to leave each of the {len(X)} pairs of positive weight out once, as KFold does; {self.cv!r} "
+                f"leaves {np.count_nonzero(times != 1)} out never or more often."
+            )
         for kept, left_out in splits:
-            carried = _fitted(transport, X[kept], y[kept], _part(weight, kept)).transform(X[left_out])
+            pairs = safe_indexing(source, kept), safe_indexing(target, kept)
+            fold = _fitted(transport, pairs[0], pairs[1], _part(weight, kept))
+            carried = np.asarray(fold.transform(safe_indexing(source, left_out)))
             residuals[left_out] = (y[left_out] - carried) / self._lengths
         predictions = np.empty(y.shape)
         for kept, left_out in splits:
@@ -141,13 +156,19 @@ class ResidualTransport(BaseTransport):
         rows = np.asarray(on_host(X), dtype=np.float64)
         if not np.isfinite(rows).all():
             self._refuse_infinite((rows, "X"))
-        carried = self.transport_.transform(rows)
-        if self.regressor_ is not None:
-            correction = _rows_of(self.regressor_.predict(rows), rows.shape[1])
-            carried = carried + self.weights_ * self._lengths * correction
-        if keep is not None:
-            carried = np.where(np.asarray(keep)[:, np.newaxis], rows, carried)
+        carried = rows.copy()
+        moves = np.ones(len(rows), dtype=bool) if keep is None else ~np.asarray(keep, dtype=bool)
+        if moves.any():
+            carried[moves] = self._corrected(rows[moves])
         return carried.astype(np.float32 if on_host(X).dtype == np.float32 else np.float64)
+
+    def _corrected(self, rows: Floats) -> Floats:
+        carried = np.asarray(self.transport_.transform(named(rows, self._frame)))
+        if self.regressor_ is None:
+            return carried
+        correction = _rows_of(self.regressor_.predict(rows), rows.shape[1])
+        corrected: Floats = carried + self.weights_ * self._lengths * correction
+        return corrected
 
     def support_distance(self, X: AnyArray) -> Floats:
         """Return how far rows are from the fitted ones, as of `transport_`."""
@@ -195,7 +216,9 @@ class KernelRidgeCV(RegressorMixin, BaseEstimator):
             errors += _errors_by_penalty(X, y, weight, first, second, gammas)
             best = np.unravel_index(np.argmin(errors), errors.shape)
             gamma, alpha = gammas[best[0]], PENALTIES[best[1]]
-        self.model_ = make_pipeline(StandardScaler(), KernelRidge(kernel="rbf", gamma=gamma, alpha=alpha))
+        # Whatever transforms return elsewhere, here it is arrays.
+        scaler = StandardScaler().set_output(transform="default")
+        self.model_ = make_pipeline(scaler, KernelRidge(kernel="rbf", gamma=gamma, alpha=alpha))
         names = [] if sample_weight is None else list(self.model_.named_steps)
         self.model_.fit(X, y, **{f"{name}__sample_weight": sample_weight for name in names})
         return self

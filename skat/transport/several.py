@@ -5,15 +5,19 @@ from typing import NoReturn, Self
 
 import numpy as np
 from sklearn.base import clone
+from sklearn.utils import assert_all_finite
 
-from skat._compat import HasMethods, StrOptions, safe_indexing
-from skat.gaussian import AffineMap, covariance_root, optimal_map, row_moments
+from skat._compat import StrOptions, safe_indexing
+from skat.gaussian import AffineMap, barycentre_root, optimal_map, root_of_moments, row_moments
 from skat.gaussian.arrays import AnyArray, Flags, Floats, Places
 from skat.gaussian.backends import is_dask, on_host
+from skat.metrics.domains import WORDS, are_among
 from skat.transport.affine import AffineTransport
-from skat.transport.base import BaseTransport
+from skat.transport.base import BaseTransport, checked_weight, named
 
 __all__ = ["MultiSourceTransport"]
+
+TARGETS = [name for name, sign in WORDS.items() if sign < 0]
 
 
 class MultiSourceTransport(BaseTransport):
@@ -62,7 +66,7 @@ class MultiSourceTransport(BaseTransport):
     """
 
     _parameter_constraints = {
-        "transport": [None, HasMethods(["fit", "transform"])],
+        "transport": [None, BaseTransport],
         "by": [StrOptions({"each", "barycentre"})],
         "target_domain": "no_validation",
         "unlabelled": [StrOptions({"raise", "target"})],
@@ -110,18 +114,19 @@ class MultiSourceTransport(BaseTransport):
         Raises
         ------
         ValueError
-            If the domains are missing, or hold no target or no source.
+            If domains are missing, or hold no target or no source, or if rows are not finite.
         """
         self._validate_params()
+        self._forget()
         if sample_domain is None:
             raise ValueError(
                 f"{type(self).__name__} has to know the domain of every row: fit(X, sample_domain=labels)."
             )
         if is_dask(X):
             raise ValueError(f"{type(self).__name__} needs all rows in memory. Compute them first.")
-        rows = self._rows(X, "X", reset=True)
+        rows = self._finite_rows(X, reset=True)
         labels = self._labels(sample_domain, rows)
-        weight = None if sample_weight is None else np.asarray(on_host(sample_weight), dtype=np.float64)
+        weight = checked_weight(sample_weight, rows)
         is_target = np.array([label is None for label in labels], dtype=bool)
         sources = list(dict.fromkeys(label for label in labels if label is not None))
         if not sources or not is_target.any():
@@ -137,7 +142,8 @@ class MultiSourceTransport(BaseTransport):
             to_middle |= maps
             moved = np.concatenate([maps[label](rows[mask]) for label, mask in members.items()])
             order = np.concatenate([np.flatnonzero(mask) for mask in members.values()])
-            shared = _fitted(transport, moved, rows[is_target], weight, order, is_target)
+            target = rows[is_target]
+            shared = _fitted(transport, named(moved, X), named(target, X), weight, order, is_target)
             self.transports_ = dict.fromkeys(sources, shared)
         else:
             self.transports_ = {
@@ -174,10 +180,11 @@ class MultiSourceTransport(BaseTransport):
         Raises
         ------
         ValueError
-            If domains are missing, unless `unlabelled` says that such rows are target rows, or were not fitted.
+            If domains are missing, unless `unlabelled` says that such rows are target rows, or were not fitted;
+            or if rows are not finite.
         """
         self._check_is_fitted()
-        rows = self._rows(X, "X", reset=False)
+        rows = self._finite_rows(X, reset=False)
         if sample_domain is None:
             if self.unlabelled == "target":
                 return np.array(rows)
@@ -201,7 +208,7 @@ class MultiSourceTransport(BaseTransport):
                 moved = safe_indexing(X, np.flatnonzero(mask))
                 to_middle = self._to_middle[label]
                 if to_middle is not None:
-                    moved = to_middle(rows[mask])
+                    moved = named(to_middle(rows[mask]), X)
                 carried[mask] = on_host(transport.transform(moved))
         return carried
 
@@ -230,11 +237,11 @@ class MultiSourceTransport(BaseTransport):
         """
         from skat.metrics import affinity_score
 
-        rows = self._rows(X, "X", reset=False)
+        rows = self._finite_rows(X, reset=False)
         labels = self._labels(sample_domain, rows)
         carried = self.transform(X, sample_domain=sample_domain)
         target = np.array([label is None for label in labels], dtype=bool)
-        weight = None if sample_weight is None else np.asarray(on_host(sample_weight), dtype=np.float64)
+        weight = checked_weight(sample_weight, rows)
         scores, sizes = [], []
         for label in dict.fromkeys(label for label in labels if label is not None):
             mask = np.array([other == label for other in labels], dtype=bool)
@@ -243,6 +250,11 @@ class MultiSourceTransport(BaseTransport):
             sizes.append(mask.sum())
         return float(np.average(scores, weights=sizes))
 
+    def _finite_rows(self, X: AnyArray, *, reset: bool) -> AnyArray:
+        rows = self._rows(X, "X", reset=reset)
+        assert_all_finite(rows, estimator_name=type(self).__name__, input_name="X")
+        return rows
+
     def _labels(self, sample_domain: AnyArray, rows: AnyArray) -> list[Hashable]:
         """Return the label of each row's source domain, None for target rows."""
         labels = on_host(sample_domain)
@@ -250,37 +262,37 @@ class MultiSourceTransport(BaseTransport):
             raise ValueError(
                 f"sample_domain must have one label per row; its shape is {labels.shape}, there are {len(rows)} rows."
             )
-        labels = labels.tolist()
-        if self.target_domain is not None:
-            targets = np.atleast_1d(np.asarray(self.target_domain)).tolist()
-            return [None if label in targets else label for label in labels]
-        if all(isinstance(label, int | float) for label in labels):
-            return [None if label < 0 else label for label in labels]
-        return [None if label in ("real", "target", "measured") else label for label in labels]
+        is_target = are_among(labels, TARGETS if self.target_domain is None else self.target_domain)
+        named = labels.tolist()
+        if self.target_domain is None and all(isinstance(label, int | float) for label in named):
+            if 0 in named:
+                raise ValueError(
+                    "numbers of domains are positive for sources and negative for the target; "
+                    f"{named.count(0)} of {len(named)} are zero. Say which label is the target's by target_domain=0."
+                )
+            is_target = labels < 0
+        return [None if target else label for target, label in zip(is_target, named)]
 
     def _to_barycentre(
         self, rows: AnyArray, members: dict[Hashable, Flags], weight: Floats | None
     ) -> dict[Hashable, AffineMap]:
         """Return the map of each source to the barycentre of them all."""
-        import ot
-
         moments = {
-            label: row_moments(rows[mask], None if weight is None else weight[mask])
+            label: row_moments(
+                rows[mask], None if weight is None else checked_weight(weight[mask], rows[mask])
+            )
             for label, mask in members.items()
         }
         sides = list(moments.values())
         shares = np.array([side.weight for side in sides])
-        mean, covariance = ot.gaussian.bures_wasserstein_barycenter(
-            np.stack([side.mean for side in sides]),
-            np.stack([side.covariance for side in sides]),
-            shares / shares.sum(),
-            num_iter=1000,
-            eps=1e-10,
-        )
-        self.barycentre_mean_, self.barycentre_covariance_ = mean, covariance
-        root = covariance_root((covariance + covariance.T) / 2)
+        shares /= shares.sum()
+        rounding = np.sqrt(shares @ np.square([side.rounding for side in sides]))
+        roots = {label: root_of_moments(side) for label, side in moments.items()}
+        middle = barycentre_root(list(roots.values()), shares, rounding)
+        self.barycentre_mean_ = shares @ [side.mean for side in sides]
+        self.barycentre_covariance_ = middle @ middle.T
         return {
-            label: AffineMap(optimal_map(covariance_root(side.covariance), root), side.mean, mean)
+            label: AffineMap(optimal_map(roots[label], middle), side.mean, self.barycentre_mean_)
             for label, side in moments.items()
         }
 

@@ -57,7 +57,8 @@ class TargetRows:
         source_domain: object = None,
         paired: bool = False,
     ) -> None:
-        self.cv = cv
+        # A grid asks for the folds twice.
+        self.cv = list(cv) if isinstance(cv, Iterator) else cv
         self.sample_domain = sample_domain
         self.source_domain = source_domain
         self.paired = paired
@@ -72,8 +73,11 @@ class TargetRows:
         groups: AnyArray | None = None,
         sample_domain: AnyArray | None = None,
     ) -> int:
-        """Return the number of folds."""
-        return int(self._cv(None).get_n_splits(X, y, groups))
+        """Return the number of folds, of arguments as for `split`; without a domain that of `cv` for all rows."""
+        if self.sample_domain is not None or sample_domain is not None:
+            _, target = self._sides(sample_domain, None)
+            X, y, groups = np.empty((len(target), 1)), _part(y, target), _part(groups, target)
+        return int(self._cv(y).get_n_splits(X, y, groups))
 
     def split(
         self,
@@ -102,26 +106,30 @@ class TargetRows:
         ValueError
             If the domain is missing or has no rows of one side, or of `paired` the numbers differ.
         """
+        source, target = self._sides(sample_domain, X.shape[0] if hasattr(X, "shape") else len(X))
+        if self.paired and len(source) != len(target):
+            raise ValueError(
+                f"pairs are as many on both sides; there are {len(source)} and {len(target)} rows."
+            )
+        y, groups = _part(y, target), _part(groups, target)
+        for train, test in self._cv(y).split(np.empty((len(target), 1)), y, groups):
+            yield _alternating(source[train] if self.paired else source, target[train]), target[test]
+
+    def _sides(self, sample_domain: AnyArray | None, n_rows: int | None) -> tuple[Places, Places]:
+        """Return the numbers of source rows and of target rows."""
         domain = self.sample_domain if sample_domain is None else sample_domain
         if domain is None:
             raise ValueError(
                 "TargetRows has to know which rows are target rows: TargetRows(cv, sample_domain=...), or, with "
                 "metadata routing, sample_domain beside X."
             )
-        n_rows = X.shape[0] if hasattr(X, "shape") else len(X)
         signs = domain_signs(domain, n_rows, self.source_domain)
         source, target = np.flatnonzero(signs > 0), np.flatnonzero(signs < 0)
         if not len(source) or not len(target):
             raise ValueError(
                 f"there are {len(source)} source and {len(target)} target rows. Give some of each."
             )
-        if self.paired and len(source) != len(target):
-            raise ValueError(
-                f"pairs are as many on both sides; there are {len(source)} and {len(target)} rows."
-            )
-        y, groups = (None if given is None else on_host(given)[target] for given in (y, groups))
-        for train, test in self._cv(y).split(np.empty((len(target), 1)), y, groups):
-            yield _alternating(source[train] if self.paired else source, target[train]), target[test]
+        return source, target
 
     def _cv(self, y: AnyArray | None) -> "BaseCrossValidator":
         from sklearn.model_selection import check_cv
@@ -141,6 +149,10 @@ class TargetRows:
         if groups is not UNCHANGED:
             self._groups = groups
         return self
+
+
+def _part(given: AnyArray | None, rows: Places) -> AnyArray | None:
+    return None if given is None else on_host(given)[rows]
 
 
 def _alternating(first: Places, second: Places) -> Places:

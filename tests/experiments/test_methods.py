@@ -6,6 +6,7 @@ from skat import AffineTransport
 from skat.experiments.methods import (
     DIAGNOSIS,
     METHODS,
+    Method,
     RegressionTransport,
     chosen_methods,
     fitted_transport,
@@ -62,6 +63,23 @@ def test_a_disjoint_method_sees_halves_that_share_no_row(pairs):
         fitted_transport(method, *pairs, CONTEXT).transform(pairs[0]),
         fitted_transport(method, *changed, CONTEXT).transform(pairs[0]),
     )
+
+
+@pytest.mark.parametrize(("n_source", "n_target"), [(60, 12), (12, 60), (40, 40)])
+def test_halves_of_unlike_numbers_of_rows_share_none(n_source, n_target):
+    seen = []
+
+    class Seeing(AffineTransport):
+        def fit(self, X, y):
+            seen.extend([X, y])
+            return self
+
+    method = Method("seeing", lambda context: Seeing(), disjoint=True)
+    numbers = np.arange(60)[:, np.newaxis]
+    fitted_transport(method, numbers[:n_source], numbers[:n_target], CONTEXT)
+    source, target = (set(rows.ravel()) for rows in seen)
+    assert target == set(range(n_target // 2, n_target))
+    assert source == set(range(n_source)) - target
 
 
 def test_methods_are_chosen_by_name_and_own_ones_are_cloned(pairs):

@@ -143,3 +143,8 @@ def test_the_diagnosis_is_one_of_the_methods_and_predicts_by_the_extended_simula
 def test_what_does_not_exist_is_refused(robot, options, message):
     with pytest.raises(ValueError, match=message):
         domain_matrix(robot, **options)
+
+
+def test_no_episode_is_fitted_and_tested():
+    with pytest.raises(ValueError, match="n_transitions must be a multiple of that; it is 310"):
+        domain_matrix("hopper", split="episodes", **{**SMALL, "n_transitions": 310})

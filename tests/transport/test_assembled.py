@@ -2,12 +2,30 @@
 
 import numpy as np
 import pandas as pd
+import polars as pl
 import pytest
+from sklearn import config_context
 from sklearn.linear_model import Ridge
-from sklearn.model_selection import GroupKFold, KFold, StratifiedKFold
+from sklearn.model_selection import (
+    GridSearchCV,
+    GroupKFold,
+    KFold,
+    LeaveOneGroupOut,
+    LeaveOneOut,
+    ShuffleSplit,
+    StratifiedKFold,
+    TimeSeriesSplit,
+)
+from sklearn.pipeline import make_pipeline
 
-from skat import AffineTransport, MultiSourceTransport, ResidualTransport, TargetRows
-from skat.gaussian import gaussian_wasserstein_distance, transport_map
+from skat import (
+    AffineTransport,
+    ConditionalAffineTransport,
+    MultiSourceTransport,
+    ResidualTransport,
+    TargetRows,
+)
+from skat.gaussian import barycentre_root, gaussian_wasserstein_distance, transport_map
 from skat.metrics import affinity_score
 from skat.transport.residual import KernelRidgeCV
 
@@ -105,6 +123,10 @@ def test_a_regressor_without_weights_serves_rows_without_weights():
     ("change", "options", "message"),
     [
         ({"sample_weight": (np.ones(20), np.arange(1.0, 21))}, {}, "a pair has one weight"),
+        ({"sample_weight": (None, np.arange(1.0, 21))}, {}, "a pair has one weight"),
+        ({"sample_weight": (np.arange(1.0, 21), None)}, {}, "a pair has one weight"),
+        ({}, {"cv": TimeSeriesSplit(3)}, "cv has to leave each of the 20 pairs .* 5 out never"),
+        ({}, {"cv": ShuffleSplit(3, random_state=0)}, "ShuffleSplit.* out never or more often"),
         ({"sample_weight": np.ones(20)}, {"regressor": Unweighted()}, "Unweighted takes no sample_weight"),
         ({"y": rows_of(19, seed=1)}, {}, "there are 20 source rows and 19 target rows"),
         ({"X": np.full((20, 2), np.nan)}, {}, "Input X contains NaN"),
@@ -115,6 +137,33 @@ def test_pairs_that_cannot_be_corrected_are_refused(change, options, message):
     given = {"X": rows_of(20), "y": rows_of(20, seed=1)} | change
     with pytest.raises(ValueError, match=message):
         ResidualTransport(AffineTransport(), **options).fit(**given)
+
+
+def test_pairs_without_weight_are_as_if_they_were_not_there():
+    X = rows_of(50)
+    weight = np.repeat([0.0, 1.0], [30, 20])
+    found = ResidualTransport(AffineTransport()).fit(X, X**2, sample_weight=weight)
+    same = ResidualTransport(AffineTransport()).fit(X[30:], X[30:] ** 2, sample_weight=weight[30:])
+    np.testing.assert_array_equal(found.transform(X), same.transform(X))
+
+
+def test_target_rows_of_a_stack_do_not_reach_the_transport():
+    X = rows_of(60)
+    rows, domain = np.vstack([X, X + 50]), np.repeat([1, -1], 60)
+    fitted = ResidualTransport(AffineTransport(outside="raise"), Ridge()).fit(rows, sample_domain=domain)
+    np.testing.assert_array_equal(fitted.transform(rows, sample_domain=domain)[60:], X + 50)
+
+
+@pytest.mark.parametrize("output", ["pandas", "polars"])
+@pytest.mark.parametrize("container", [pd.DataFrame, pl.DataFrame])
+def test_a_correction_knows_columns_by_their_names_and_takes_any_output(container, output):
+    X, y = rows_of(40), rows_of(40, seed=1)
+    named = [container({"a": rows[:, 0], "b": rows[:, 1]}) for rows in (X, y)]
+    expected = ResidualTransport(ConditionalAffineTransport(context=[1])).fit(X, y)
+    with config_context(transform_output=output):
+        fitted = ResidualTransport(ConditionalAffineTransport(context=["b"])).fit(*named)
+        np.testing.assert_allclose(np.asarray(fitted.transform(named[0])), expected.transform(X), atol=1e-12)
+    np.testing.assert_array_equal(fitted.in_support(named[0]), expected.in_support(X))
 
 
 @pytest.mark.parametrize(("n_rows", "gamma", "alpha"), [(11, 1.0 / 2, 1.0), (12, 0.05 / 2, 1e-3)])
@@ -173,7 +222,7 @@ def test_the_barycentre_is_of_sources_by_their_weight_and_one_map_leads_from_it(
     middle = fitted.barycentre_covariance_
     np.testing.assert_allclose(fitted.barycentre_mean_, sum(shares[label] * means[label] for label in "ab"))
     mean_map = sum(shares[label] * transport_map(middle, spreads[label]) for label in "ab")
-    np.testing.assert_allclose(mean_map, np.eye(2), atol=1e-4)
+    np.testing.assert_allclose(mean_map, np.eye(2), atol=1e-8)
     moved = rows.copy()
     for label in "ab":
         step = (rows[labels == label] - means[label]) @ transport_map(spreads[label], middle).T
@@ -204,6 +253,8 @@ def test_the_barycentre_is_of_sources_by_their_weight_and_one_map_leads_from_it(
         ([1, 0, 2, 0, 1, 0] * 3, 0, [1, 2]),
         (["a", "lab", "b", "hall", "a", "lab"] * 3, ["lab", "hall"], ["a", "b"]),
         (np.array([1, "target", "b", "real", 1, "measured"] * 3, dtype=object), None, [1, "b"]),
+        (np.array([1, "lab", "b", 3, 1, "lab"] * 3, dtype=object), ["lab", 3], [1, "b"]),
+        (["a", "lab", "b", 3, "a", "lab"] * 3, ["lab", 3], ["a", "b"]),
     ],
 )
 def test_target_rows_are_known_by_their_labels(labels, target_domain, sources):
@@ -226,6 +277,9 @@ def test_target_rows_are_known_by_their_labels(labels, target_domain, sources):
         (["a", "b"] * 3, "there are 0 target rows and 2 sources"),
         (["a", "real"], r"its shape is \(2,\), there are 6 rows"),
         ([["a", "real"]] * 3, r"its shape is \(3, 2\), there are 6 rows"),
+        (np.array(["a", None, "real"] * 2, dtype=object), "no label for 2 of 6 rows"),
+        ([1.0, np.nan, -1.0] * 2, "no label for 2 of 6 rows"),
+        ([1, 0, -1] * 2, "2 of 6 are zero. Say which label is the target's by target_domain=0"),
     ],
 )
 def test_labels_without_a_target_or_a_source_are_refused(labels, message):
@@ -240,6 +294,77 @@ def test_rows_of_a_domain_that_was_not_fitted_and_the_way_back_are_refused():
         fitted.transform(rows[:3], sample_domain=["c", "d", "real"])
     with pytest.raises(ValueError, match=r"Use transports_\[label\]"):
         fitted.inverse_transform(rows)
+
+
+@pytest.mark.parametrize("method", ["fit", "transform", "score"])
+def test_rows_of_all_domains_must_be_finite_and_have_a_weight_each(method):
+    rows, labels, weight = domains()
+    transport = MultiSourceTransport().fit(rows, sample_domain=labels)
+    broken = rows.copy()
+    broken[np.flatnonzero(labels == "real")[0], 0] = np.nan
+    with pytest.raises(ValueError, match="Input X contains NaN"):
+        getattr(transport, method)(broken, sample_domain=labels)
+    if method != "transform":
+        with pytest.raises(ValueError, match=r"\(59,\)"):
+            getattr(transport, method)(rows, sample_weight=weight[1:], sample_domain=labels)
+
+
+@pytest.mark.parametrize("by", ["each", "barycentre"])
+def test_a_source_without_weight_is_refused(by):
+    rows, labels, weight = domains()
+    weight[labels == "a"] = 0
+    with pytest.raises(ValueError, match="at least one non-zero"):
+        MultiSourceTransport(by=by).fit(rows, sample_weight=weight, sample_domain=labels)
+
+
+@pytest.mark.parametrize("estimator", [MultiSourceTransport, ResidualTransport])
+def test_what_is_no_transport_is_refused_as_one(estimator):
+    rows, labels, _ = domains()
+    with pytest.raises(ValueError, match="'transport' parameter"):
+        estimator(make_pipeline(AffineTransport())).fit(rows, sample_domain=labels)
+
+
+@pytest.mark.parametrize("unit", [1e-8, 1e-4, 1e6])
+def test_the_barycentre_does_not_depend_on_the_unit(unit):
+    rows, labels, _ = domains()
+    here, there = (
+        MultiSourceTransport(by="barycentre").fit(factor * rows, sample_domain=labels) for factor in (1, unit)
+    )
+    np.testing.assert_allclose(there.barycentre_covariance_, unit**2 * here.barycentre_covariance_, rtol=1e-9)
+
+
+def test_the_barycentre_of_dependent_columns_is_that_of_the_others():
+    rows, labels, _ = domains()
+    dependent = np.column_stack([rows, rows.sum(axis=1), np.full(60, 0.1)])
+    # Displacement of the third column counts, too: it is a matter of the metric in the plane.
+    corner = np.linalg.cholesky(np.eye(2) + np.ones((2, 2)))
+    here = MultiSourceTransport(by="barycentre").fit(rows @ corner, sample_domain=labels)
+    there = MultiSourceTransport(by="barycentre").fit(dependent, sample_domain=labels)
+    np.testing.assert_allclose(
+        corner.T @ there.barycentre_covariance_[:2, :2] @ corner, here.barycentre_covariance_, rtol=1e-8
+    )
+    carried = there.transform(dependent, sample_domain=labels)
+    np.testing.assert_allclose(carried[:, :2].sum(axis=1), carried[:, 2], rtol=1e-9)
+    np.testing.assert_allclose(carried[:, 3], 0.1)
+
+
+def test_the_barycentre_of_two_lines_at_right_angles_is_that_by_hand():
+    roots = [np.array([[2.0], [0.0]]), np.array([[0.0], [4.0]])]
+    root = barycentre_root(roots, np.array([0.25, 0.75]))
+    np.testing.assert_allclose(root @ root.T, np.diag([0.25, 9.0]), atol=1e-12)
+
+
+@pytest.mark.parametrize("container", [pd.DataFrame, pl.DataFrame])
+def test_by_the_barycentre_columns_keep_their_names(container):
+    rows, labels, _ = domains()
+    frame = container({"a": rows[:, 0], "b": rows[:, 1]})
+    named, numbered = (
+        MultiSourceTransport(ConditionalAffineTransport(context=context), by="barycentre").fit_transform(
+            X, sample_domain=labels
+        )
+        for context, X in ((["b"], frame), ([1], rows))
+    )
+    np.testing.assert_array_equal(named, numbered)
 
 
 # -- splitters ---------------------------------------------------------------------------------------------------------
@@ -270,6 +395,25 @@ def test_target_rows_are_split_by_any_splitter_with_their_values_and_groups(cv, 
     for (train, test), (kept, left_out) in zip(found, expected):
         np.testing.assert_array_equal(test, TARGET[left_out])
         assert sorted(train) == sorted([*SOURCE, *TARGET[kept]])
+
+
+@pytest.mark.parametrize(
+    ("cv", "groups", "n_folds"),
+    [
+        (LeaveOneOut(), None, 6),
+        # The last group has no target row.
+        (LeaveOneGroupOut(), np.arange(10) // 3, 3),
+        (KFold(3).split(TARGET), None, 3),
+    ],
+)
+def test_a_grid_over_target_rows_has_as_many_folds_as_they_make(cv, groups, n_folds):
+    splitter = TargetRows(cv, sample_domain=DOMAIN)
+    grid = GridSearchCV(Ridge(), {"alpha": [0.1, 1.0]}, cv=splitter, scoring="neg_mean_squared_error")
+    X = rows_of(10)
+    scores = grid.fit(X, X[:, 0], groups=groups).cv_results_
+    assert splitter.get_n_splits(X, X[:, 0], groups) == n_folds
+    assert f"split{n_folds - 1}_test_score" in scores
+    assert f"split{n_folds}_test_score" not in scores
 
 
 def test_pairs_leave_with_their_partners_and_come_two_by_two():

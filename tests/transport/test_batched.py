@@ -43,3 +43,12 @@ def test_what_cannot_be_solved_is_told_so():
     X[1, :, 0] = 0
     with pytest.raises(np.linalg.LinAlgError, match="rank"):
         fit_batched(X, y)
+
+
+def test_a_column_that_is_constant_but_for_rounding_does_not_vary():
+    X, y = problems(3)
+    X[1, :, 0] = 0.1
+    with pytest.raises(np.linalg.LinAlgError, match="rank"):
+        fit_batched(X, y)
+    y[1, :, 0] = 0.7
+    np.testing.assert_allclose(fit_batched(X, y).coef[1], AffineTransport().fit(X[1], y[1]).coef_, rtol=1e-9)

@@ -218,3 +218,10 @@ def test_columns_of_two_containers_stand_side_by_side():
     assert beside(lazy_X, lazy_y).chunks[0] == lazy_X.chunks[0]
     np.testing.assert_array_equal(on_host(lazy_X), X)
     assert to_namespace(X, lazy_X) is X
+
+
+def test_stacked_rows_are_no_pairs():
+    rows = da.from_array(arrays(30)[0], chunks=(7, 4))
+    domain = da.from_array(np.tile([1, -1], 15), chunks=7)
+    with pytest.raises(ValueError, match="stacked dask rows do not show"):
+        ProcrustesAffineTransport().fit(rows, sample_domain=domain)

@@ -382,6 +382,39 @@ def test_a_pickle_carries_both_ways_knows_its_support_and_goes_on_learning(trans
     nearly(again.partial_fit(*later).coef_, fitted.partial_fit(*later).coef_)
 
 
+@each_transport
+def test_nothing_is_left_of_an_earlier_fit_where_another_fails(transport):
+    X, y = pairs()
+    fitted = clone(transport).fit(X, y)
+    for source, target in ((np.full_like(X, np.nan), y), (X, np.full_like(y, np.nan))):
+        with pytest.raises(ValueError, match="NaN"):
+            fitted.fit(source, target)
+        assert [name for name in vars(fitted) if name.endswith("_")] == ["n_features_in_"]
+        for method in (fitted.transform, fitted.inverse_transform):
+            with pytest.raises(NotFittedError):
+                method(X)
+    np.testing.assert_array_equal(fitted.fit(X, y).transform(X), clone(transport).fit(X, y).transform(X))
+
+
+def test_a_refit_without_shrinkage_has_none():
+    X, y = pairs()
+    fitted = AffineTransport(covariance="shrunk", mean="shrunk").fit(X, y)
+    fitted.set_params(covariance="empirical", mean="empirical").fit(X, y)
+    assert not hasattr(fitted, "shrinkage_")
+    assert not hasattr(fitted, "mean_shrinkage_")
+
+
+@pytest.mark.parametrize("change", [{"covariance": "empirical"}, {"metric_scale": None}], ids=str)
+def test_parameters_act_at_the_next_fit_only(change):
+    X, y = pairs(20)
+    fitted = AffineTransport(covariance="shrunk", metric_scale=[1.0, 10.0, 100.0]).fit(X, y)
+    expected, covariance = fitted.inverse_transform(y), fitted.target_covariance_
+    changed = clone(fitted).fit(X, y).set_params(**change)
+    for found in (changed, pickle.loads(pickle.dumps(changed))):
+        np.testing.assert_allclose(found.inverse_transform(y), expected, rtol=1e-9)
+        np.testing.assert_allclose(found.target_covariance_, covariance, rtol=1e-12)
+
+
 def test_a_pickle_before_there_is_a_map_goes_on_learning():
     X, y = pairs()
     begun = pickle.loads(pickle.dumps(AffineTransport().partial_fit(X)))

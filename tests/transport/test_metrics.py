@@ -21,6 +21,7 @@ from skat.metrics import (
     normal_approximation_bound,
     wasserstein_distance,
 )
+from skat.metrics.samples import twice_the_spread
 
 seeds = st.integers(0, 2**32 - 1)
 dimensions = st.integers(1, 5)
@@ -230,3 +231,11 @@ def test_weights_of_bounds_count_rows():
     for bound in (normal_approximation_bound, affine_error_bound):
         repeated = bound(np.repeat(y, counts, axis=0))
         assert bound(y, sample_weight=counts) == pytest.approx(repeated, rel=1e-12)
+
+
+@pytest.mark.parametrize("unit", [1e-200, 1e160])
+def test_an_affinity_does_not_depend_on_the_unit_where_squares_have_no_room(unit):
+    X, y = np.random.default_rng(0).normal(size=(2, 30, 3))
+    assert affinity_score(unit * X, unit * (y + 3)) == pytest.approx(affinity_score(X, y + 3), rel=1e-12)
+    with pytest.raises(ValueError, match="beyond the range of float64"):
+        twice_the_spread(unit * y)

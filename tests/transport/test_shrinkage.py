@@ -276,3 +276,17 @@ def test_a_slope_drawn_to_the_source_has_no_unit_of_its_own(unit):
     scaled, _, same = ridge_regression(row_moments(np.hstack([context, unit * outcome])), known, unit * prior)
     np.testing.assert_allclose(scaled, unit * plain, rtol=1e-9)
     assert same == pytest.approx(freedom)
+
+
+@pytest.mark.parametrize("n_columns", [1, 2])
+def test_the_way_back_from_a_map_drawn_to_the_source_is_its_inverse(n_columns):
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(200, 4)) @ rng.normal(size=(4, 4))
+    if n_columns == 1:
+        # The third column follows from the others, in both domains.
+        X[:, 2] = X[:, 0] + X[:, 3]
+    y = X[:20] * [1.0, 1.0, 2.0, 2.0] + [0.0, 0.0, 1.0, 3.0]
+    y[:, 3] += rng.normal(size=20)
+    y[:, 2] = y[:, 0] + y[:, 3] if n_columns == 1 else y[:, 2]
+    transport = ConditionalAffineTransport(context=2, shrinkage="source").fit(X, y)
+    np.testing.assert_allclose(transport.inverse_transform(transport.transform(X)), X, atol=1e-11)

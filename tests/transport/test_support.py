@@ -101,6 +101,19 @@ def test_target_rows_of_a_stack_are_never_outside():
     AffineTransport(outside="raise").fit(rows, sample_domain=domain).transform(rows, sample_domain=domain)
 
 
+@pytest.mark.parametrize("n_rows", [200, 5000])
+def test_a_weight_counts_as_repetitions_in_the_support(n_rows):
+    rng = np.random.default_rng(0)
+    rows = rng.normal(size=(n_rows, 2))
+    weight = np.where(np.abs(rows[:, 0]) > 1, 9, rng.integers(0, 2, n_rows))
+    repeated = np.repeat(rows, weight, axis=0)
+    weighted = AffineTransport().fit(rows, rows, sample_weight=weight)
+    plain = AffineTransport().fit(repeated, repeated)
+    for level in (0.3, 0.9, 0.99):
+        radii = [fitted._fitted_support().radius(level) for fitted in (weighted, plain)]
+        assert radii[0] == pytest.approx(radii[1], rel=0.1)
+
+
 def test_level_and_missing_rows_are_refused_with_what_to_do():
     rng = np.random.default_rng(0)
     rows = rng.normal(size=(50, 2))
