@@ -68,7 +68,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
     max_effects : int or None, default=None
         Most causes at a time.
     test_size : float, default=0.3
-        Share of the rows, in whole episodes, held out to measure the gain. 0: all rows are fitted and `gain_` is None.
+        Share of the rows held out to measure the gain: whole episodes, or pieces of time of a single one. 0: all rows
+        are fitted and `gain_` is None.
     hidden : sequence of str, default=()
         State channels that were not measured, as if their columns held NaN.
     velocities : {"auto", "measured", "computed"}, default="auto"
@@ -91,7 +92,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         Processes of joblib that share the simulations; ``joblib.parallel_config(backend="dask")`` takes them to a
         cluster. None means one, whose own threads take all cores where the simulator is a `MujocoSimulator`.
     random_state : int, RandomState or None, default=None
-        Which episodes are held out.
+        What is held out, and the draws by which gain and remainder are measured.
 
     Attributes
     ----------
