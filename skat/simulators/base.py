@@ -450,6 +450,15 @@ class Simulator(BaseEstimator, ABC):
         parameters["built_in"] = self._total(effects) or None
         return type(self)(**parameters)
 
+    def set_params(self, **params: Any) -> Self:
+        """Set constructor parameters by name, all of them or, where the simulator cannot be made so, none."""
+        known = self.get_params(deep=False)
+        unknown = sorted(set(params) - set(known))
+        if unknown:
+            raise ValueError(f"unknown parameters {', '.join(unknown)}; valid: {', '.join(known)}")
+        self.__dict__ = vars(type(self)(**(known | params)))
+        return self
+
     def _lags(self, values: Mapping[str, float]) -> int:
         """Return how many rows back the inputs act on a row."""
         return 0

@@ -1,13 +1,13 @@
 """A simulator around any function."""
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Self
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skat.effects import Effect
-from skat.simulators.base import LONGEST_LAG, Acting, Simulator, is_sensor
+from skat.simulators.base import LONGEST_LAG, Acting, Simulator, is_sensor, sensor_lags
 from skat.simulators.commands import CommandPath
 from skat.simulators.tables import Array
 
@@ -77,7 +77,7 @@ class FunctionSimulator(Simulator):
         self.built_in = built_in
         self._effects = tuple(effects)  # `effects` is a method of every simulator
         _check_names(self.input_names, self.output_names, self.state_names)
-        _check_effects(self._effects)
+        _check_effects(self._effects, [effect.name for effect in sensor_lags(self.state_names, dt)])
         _check_units(self.units, (*self.input_names, *self.output_names))
 
     def __repr__(self) -> str:
@@ -100,16 +100,6 @@ class FunctionSimulator(Simulator):
             "effects": self._effects,
             "units": self._units,
         }
-
-    def set_params(self, **params: Any) -> Self:
-        """Set constructor parameters by name."""
-        unknown = sorted(set(params) - set(self.get_params()))
-        if unknown:
-            raise ValueError(
-                f"unknown parameters {', '.join(unknown)}; valid: {', '.join(self.get_params())}"
-            )
-        self.__init__(**{**self.get_params(), **params})  # type: ignore[misc]
-        return self
 
     def _own_effects(self) -> tuple[Effect, ...]:
         return (*self._effects, *self._late_effects())
@@ -195,17 +185,17 @@ class FunctionSimulator(Simulator):
         return result.astype(float)
 
 
-def _check_effects(effects: Sequence[Effect]) -> None:
+def _check_effects(effects: Sequence[Effect], lags: Collection[str]) -> None:
     for effect in effects:
         if not isinstance(effect, Effect):
             raise TypeError(
                 "effects must be a sequence of skat.effects.Effect, such as "
                 f"Effect('drag', unit='1/s', neutral=0.0, bounds=(0.0, 2.0)); got {effect!r}"
             )
-        if is_sensor(effect.name):
+        if is_sensor(effect.name) or effect.name in lags:
             raise ValueError(
-                f"{effect.name} is no name for an effect of one's own: bias[...] and scale[...] of each measured "
-                "channel are there already, and act on what its sensor reads. Choose another family"
+                f"{effect.name} is no name for an effect of one's own: bias[...], scale[...] and, with dt, lag[...] "
+                "of each measured channel are there already, and act on what its sensor reads. Choose another family"
             )
     names = [effect.name for effect in effects]
     repeated = sorted({name for name in names if names.count(name) > 1})

@@ -91,6 +91,17 @@ def test_bounds_are_relative_to_what_is_built_in(pendulum):
     assert bounds["damping[joint]"] == (-1.0, 4.0)
 
 
+def test_what_is_built_in_reaches_a_bound_in_any_number_of_steps():
+    """In floating point .1 + .2 is more than .3, and .3 - .1 - .2 less than 0."""
+    drag = Effect("drag", unit="1/s", neutral=0.0, bounds=(0.0, 0.3))
+    still = FunctionSimulator(
+        lambda X, drag: X * (1 - drag), input_names=("v",), output_names=("v",), effects=[drag]
+    )
+    full = still.extended({"drag": 0.1}).extended({"drag": 0.2})
+    assert (full.built_in, full.effects()[0].bounds) == ({"drag": 0.3}, (-0.3, 0.0))
+    assert full.extended({"drag": -0.1}).extended({"drag": -0.2}).built_in is None
+
+
 def test_quantity_stated_in_full_stays_one_when_it_is_built_in():
     pull = Effect("pull", unit="N", neutral=2.0, bounds=(0.0, 5.0))
     simulator = FunctionSimulator(
@@ -109,6 +120,11 @@ def test_quantity_stated_in_full_stays_one_when_it_is_built_in():
     [
         (
             [Effect("scale[motor]", unit="1", neutral=1.0, bounds=(0.2, 3.0))],
+            ValueError,
+            "Choose another family",
+        ),
+        (
+            [Effect("lag[angle]", unit="s", neutral=0.0, bounds=(0.0, 1.0))],
             ValueError,
             "Choose another family",
         ),
@@ -181,6 +197,9 @@ def test_parameters_can_be_set(pendulum):
     assert pendulum.get_params()["effects"] == EFFECTS
     with pytest.raises(ValueError, match="unknown parameters mass"):
         pendulum.set_params(mass=1)
+    with pytest.raises(ValueError, match="angel"):
+        pendulum.set_params(units={"angel": "rad"}, dt=0.3)
+    assert pendulum.dt == 0.2
 
 
 def test_data_frame_columns_are_matched_by_name(pendulum, rows):
