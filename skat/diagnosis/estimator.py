@@ -37,7 +37,7 @@ from skat.diagnosis.report.from_diagnosis import DiagnosisReport
 from skat.diagnosis.saving import Begun, Checkpoint, read_diagnosis, write_diagnosis
 from skat.diagnosis.smoothing import Smoothing, smoothing_of
 from skat.diagnosis.statespace import CHAIN_LENGTH, StateSpace, state_space
-from skat.diagnosis.velocities import computed_velocities
+from skat.diagnosis.velocities import computed_velocities, motions
 from skat.effects import Effect, unknown_name_message
 from skat.simulators import Simulator
 
@@ -57,9 +57,9 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
     ----------
     simulator : Simulator
         A `MujocoSimulator`, a `FunctionSimulator`, or what `make_simulator` returns.
-    effects : "all" or list of str, default="all"
-        Names of the effects that may be found, of those in ``simulator.effects(also="all")``; "all" are those in
-        ``simulator.effects()``.
+    effects : "all" or list of str or Effect, default="all"
+        The effects that may be found, of those in ``simulator.effects(also="all")``; "all" are those in
+        ``simulator.effects()``. Of one that is given as an `Effect` the odds, the typical size and the bounds hold.
     noise : "estimate" or array-like of shape (n_residuals,), default="estimate"
         Standard deviation of the measurement noise of each channel, in the channel's unit; by default estimated.
     alpha : float, default=0.01
@@ -611,18 +611,21 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         known = {effect.name: effect for effect in self.simulator.effects(also="all")}
         if isinstance(self.effects, str) and self.effects == "all":
             return list(self.simulator.effects())
-        named = [self.effects] if isinstance(self.effects, str | Effect) else list(self.effects)
-        names = [effect.name if isinstance(effect, Effect) else effect for effect in named]
-        for name in names:
+        given = [self.effects] if isinstance(self.effects, str | Effect) else list(self.effects)
+        chosen = {}
+        for one in given:
+            name = one.name if isinstance(one, Effect) else one
             if name not in known:
                 raise ValueError(unknown_name_message(name, known))
-        if not names:
+            chosen[name] = _checked_effect(one, known[name]) if isinstance(one, Effect) else known[name]
+        if not chosen:
             raise ValueError("effects is empty: name at least one, or pass 'all'.")
-        return [known[name] for name in dict.fromkeys(names)]
+        return list(chosen.values())
 
     def _without_computed(self, log: Log) -> Log:
         names = self.simulator.state_names
         rates = [name for name in names if name.startswith("qvel.")]
+        rates = rates or [rate for _, rate in motions(self.simulator)]
         self.computed_velocities_: tuple[str, ...] = ()
         if self.velocities == "measured" or not rates or not log.consecutive:
             return log
@@ -781,6 +784,17 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         if not self.causes_:
             return "nothing detected" if self.diverged_share_ < MOST_DIVERGED else "unexplained"
         return "ambiguous" if any(cause.aliases for cause in self.causes_) else "named"
+
+
+def _checked_effect(given: Effect, known: Effect) -> Effect:
+    """Return an effect that was given in the place of the simulator's, if it is of the same quantity."""
+    (low, high), (least, most) = given.bounds, known.bounds
+    if (given.unit, given.neutral) != (known.unit, known.neutral) or low < least or high > most:
+        raise ValueError(
+            f"{given.name} must be in {known.unit}, neutral at {known.neutral:g}, with bounds within {known.bounds}; "
+            f"it is in {given.unit}, neutral at {given.neutral:g}, with bounds {given.bounds}."
+        )
+    return given
 
 
 def _rows_of(log: Log) -> tuple[Array, Array, NDArray[np.intp]]:

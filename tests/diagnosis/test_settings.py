@@ -87,6 +87,23 @@ def test_effects_are_chosen_by_name_once_in_their_order():
         SimulationDiagnosis(simulator, effects=["dragg"])._chosen_effects()
 
 
+def test_an_effect_that_is_given_says_how_likely_and_how_large_it_is():
+    simulator = rolling(more=("b",))
+    drag = replace(simulator.effects()[0], odds=7.0, typical=0.4, bounds=(0.0, 1.0))
+    (chosen,) = SimulationDiagnosis(simulator, effects=[drag])._chosen_effects()
+    assert (chosen.odds, chosen.typical, chosen.bounds) == (7.0, 0.4, (0.0, 1.0))
+    for other in (
+        replace(drag, unit="N"),
+        replace(drag, neutral=0.1),
+        replace(drag, bounds=(-0.1, 1.0)),
+        replace(drag, bounds=(0.0, 2.1)),
+    ):
+        with pytest.raises(
+            ValueError, match=r"drag must be in 1/s, neutral at 0, with bounds within \(0.0, 2.0\)"
+        ):
+            SimulationDiagnosis(simulator, effects=other)._chosen_effects()
+
+
 def verdict(causes=(), *, evidence=-1.0, settled=True, diverged=0.0, gain=None):
     part = SimpleNamespace(evidence=evidence, ahead=1.0, predictable=1.0, scale=1.0)
     told = SimpleNamespace(
