@@ -561,6 +561,14 @@ def test_preflight_asks_for_groups_only_where_none_were_given(simulator):
         diagnosis.preflight(X)
 
 
+@pytest.mark.parametrize(
+    ("groups", "message"), [([0, 0, 1], r"it has shape \(3,\)"), ([0, 0, np.nan, 1], "missing in row 2")]
+)
+def test_preflight_reads_groups_as_a_fit_does(simulator, groups, message):
+    with pytest.raises(ValueError, match=message):
+        SimulationDiagnosis(simulator).preflight(np.zeros((4, 5)), groups)
+
+
 def test_a_cause_with_a_twin_is_ambiguous_and_has_at_most_half_of_the_probability():
     drive = FunctionSimulator(
         lambda X, gain, twin: X[:, :1] + 0.05 * gain * twin * X[:, 1:],
