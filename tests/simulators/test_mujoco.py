@@ -484,8 +484,9 @@ def test_broken_model_gets_mujocos_message(text, message):
 def test_model_of_another_type_is_refused():
     with pytest.raises(TypeError, match=r"a path, MJCF or URDF text, .* or a mujoco\.MjModel; got MjData"):
         MujocoSimulator(mujoco.MjData(mujoco.MjModel.from_xml_string(BOT)))
-    with pytest.raises(ValueError, match="frame_skip must be a positive whole number"):
-        MujocoSimulator(BOT, frame_skip=0)
+    for frame_skip in (0, 1.5, True, None, "2", np.inf, np.nan):
+        with pytest.raises(ValueError, match="frame_skip must be a positive whole number"):
+            MujocoSimulator(BOT, frame_skip=frame_skip)
 
 
 def test_missing_asset_is_named():

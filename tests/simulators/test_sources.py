@@ -139,6 +139,15 @@ def test_position_servos_pull_with_their_gains():
     np.testing.assert_array_equal(model.actuator_forcerange, [[-12, 12], [-5, 5]])
 
 
+def test_motors_of_joints_without_a_name_are_called_as_their_columns_are():
+    nameless = """<mujoco><worldbody><body><joint name="joint1" axis="0 1 0"/><geom size=".1"/><body>
+    <joint axis="0 1 0"/><geom size=".1"/></body></body></worldbody></mujoco>"""
+    columns = MujocoSimulator(nameless).state_names
+    driven = MujocoSimulator(nameless, motors="torque")
+    assert driven.state_names == columns
+    assert driven.input_names[4:] == ("ctrl.joint1", "ctrl.joint1_")
+
+
 @pytest.mark.parametrize(
     "motors", ["pid", "position", "position:1", "position:-1,2", "position:a,b", "torque:3"]
 )
