@@ -1,5 +1,6 @@
 """A simulator around any function."""
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
@@ -77,6 +78,8 @@ class FunctionSimulator(Simulator):
         self.built_in = built_in
         self._effects = tuple(effects)  # `effects` is a method of every simulator
         _check_names(self.input_names, self.output_names, self.state_names)
+        if dt is not None and not 0 < dt < math.inf:
+            raise ValueError(f"dt must be positive and finite, in s, or None; got {dt!r}")
         _check_effects(self._effects, [effect.name for effect in sensor_lags(self.state_names, dt)])
         _check_units(self.units, (*self.input_names, *self.output_names))
 
@@ -122,7 +125,9 @@ class FunctionSimulator(Simulator):
         )
 
     def _path(self, values: Mapping[str, float]) -> CommandPath:
-        """Return what lies between the inputs other than the state and the function."""
+        """Return what lies between the inputs other than the state and the function, but for what it does itself."""
+        own = {effect.name for effect in self._effects}
+        values = {name: value for name, value in values.items() if name not in own}
         names = self.input_names[len(self.state_names) :]
         delay, lag = (
             np.array([values.get(f"{family}[{name}]", 0.0) for name in names]) for family in ("delay", "lag")
