@@ -437,7 +437,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         Parameters
         ----------
         X, y, groups
-            As in `fit`.
+            As in `fit`, of one log.
         horizon : float or "episode", optional
             How far ahead, s (rows for a simulation without time), errors in noise units; by default the diagnosis's
             own. Or whole episodes in open loop, root mean squared distance in the outputs' units.
@@ -463,6 +463,12 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             raise ValueError(f"horizon must be seconds, None or 'episode'; it is {horizon!r}.")
         if initial_state not in ("measured", "fitted"):
             raise ValueError(f"initial_state must be 'measured' or 'fitted'; it is {initial_state!r}.")
+        if outputs is not None and (isinstance(outputs, str) or not isinstance(horizon, str)):
+            raise ValueError(f"outputs must be a list of names, with horizon='episode'; it is {outputs!r}.")
+        if y is None:
+            raise ValueError(
+                "evaluate takes the rows of one log: pass X, y and groups, such as log.X, log.y, log.groups."
+            )
         # In open loop a smoothed path is as near to the motion as one that was read.
         log = self._other_log(X, y, groups, undone=not isinstance(horizon, str))
         random_state = check_random_state(self.random_state)
@@ -590,6 +596,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             raise ValueError(f"velocities must be one of {', '.join(VELOCITIES)}; it is {self.velocities!r}.")
         if self.actions not in ACTIONS:
             raise ValueError(f"actions must be one of {', '.join(ACTIONS)}; it is {self.actions!r}.")
+        if isinstance(self.hidden, str):
+            raise ValueError(f"hidden must be a list of names; it is {self.hidden!r}.")
         if not self.tolerance > 0:
             raise ValueError(f"tolerance must be positive; it is {self.tolerance!r}.")
         if self.horizon is not None:

@@ -225,7 +225,7 @@ def _planned(simulator: Simulator, X: ArrayLike, groups: ArrayLike | None) -> Lo
     n_states = len(simulator.state_names)
     consecutive = groups is not None and n_states > 0
     episodes = np.arange(len(rows))
-    if consecutive:
+    if groups is not None and n_states:
         episodes, _ = checked_episodes(groups, len(rows))
     y = np.full((len(rows), len(simulator.output_names)), np.nan)
     if consecutive:

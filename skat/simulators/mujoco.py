@@ -654,7 +654,8 @@ class MujocoSimulator(Simulator):
     @property
     def _follows_places(self) -> NDArray[np.bool_]:
         """Whether each actuator's control is a place of what it moves, and no rate that it integrates."""
-        return self._feeds_back & (self._nominal.actuator_dyntype != INTEGRATOR)
+        follows: NDArray[np.bool_] = self._feeds_back & (self._nominal.actuator_dyntype != INTEGRATOR)
+        return follows
 
     @property
     def _native_delays(self) -> tuple[Array, NDArray[np.bool_]]:

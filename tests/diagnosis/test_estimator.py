@@ -340,6 +340,13 @@ def test_evaluate_refuses_what_it_does_not_know(diagnosed):
         diagnosis.evaluate(X, y, groups, horizon="whole")
     with pytest.raises(ValueError, match="initial_state must be 'measured' or 'fitted'; it is 'guessed'"):
         diagnosis.evaluate(X, y, groups, initial_state="guessed")
+    for outputs, horizon in ((["x"], None), (["x"], 0.1), ("x", "episode")):
+        with pytest.raises(
+            ValueError, match="outputs must be a list of names, with horizon='episode'; it is"
+        ):
+            diagnosis.evaluate(X, y, groups, outputs=outputs, horizon=horizon)
+    with pytest.raises(ValueError, match="evaluate takes the rows of one log"):
+        diagnosis.evaluate([(X, y, groups)], None)
     with pytest.raises(ValueError, match="needs a simulation with a state, and groups="):
         diagnosis.evaluate(X, y, horizon="episode")
 

@@ -48,7 +48,8 @@ def log_of(simulator, n=40, step=None):
         ("tolerance", [1e-9, 5.0], [0.0, -1.0]),
         ("n_jobs", [None, 1, -1, np.int64(2)], [0, 1.5]),
         ("velocities", ["measured", "computed", "auto"], ["guessed"]),
-        ("horizon", [None, 0.1], [0.0, -1.0]),
+        ("horizon", [None, 0.1], [0.0, -1.0, np.inf, np.nan]),
+        ("hidden", [(), ["v"]], ["v"]),
         ("priors", [None, {}, {"drag": 1e-9}], [{"drag": 0.0}, {"drag": np.inf}, {"drag": -1.0}]),
     ],
 )
