@@ -10,8 +10,6 @@ from skat.simulators.channels import element_name
 from skat.simulators.derived import write_down
 from skat.simulators.source import ModelSource, broken_model
 
-CUBIC = 2  # as MjsActuator.interp has it
-
 
 def lean_spec(source: ModelSource) -> mujoco.MjSpec:
     """Return the model as a spec, without what only the eye needs, so that copies compile fast."""
@@ -48,7 +46,7 @@ def _check_delays(spec: mujoco.MjSpec) -> None:
                 f"actuator {name!r} has a delay, which the integrator RK4 reads between time steps: take another "
                 "integrator, or take delay and nsample out of the MJCF and build the effect delay in"
             )
-        if actuator.interp == CUBIC:
+        if actuator.interp > 1:  # 0 holds, 1 is linear
             raise ValueError(
                 f'actuator {name!r} has a delay with interp="cubic"; only "zoh" and "linear" are supported'
             )
