@@ -274,7 +274,7 @@ class Effect:
         return first * second if self.is_factor else first + (second - self.neutral)
 
     def checked(self, value: Any) -> float:
-        """Return the value as a float.
+        """Return the value as a float within the bounds; sums and products may be beyond them by rounding.
 
         Raises
         ------
@@ -290,12 +290,13 @@ class Effect:
                 f"the value of {self.name} must be a number ({self.unit}); got {value!r}"
             ) from None
         low, high = self.bounds
-        if not math.isfinite(number) or not low - 1e-9 * abs(low) <= number <= high + 1e-9 * abs(high):
+        rounding = 1e-9 * (high - low)
+        if not math.isfinite(number) or not low - rounding <= number <= high + rounding:
             raise ValueError(
                 f"{self.name} = {number:g} is out of bounds: expected a value from {low:g} to {high:g} "
                 f"({self.unit}); {self.neutral:g} is neutral"
             )
-        return number
+        return min(max(number, low), high)
 
 
 def checked_values(effects: Iterable[Effect], values: Mapping[str, float] | None) -> dict[str, float]:

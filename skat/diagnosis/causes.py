@@ -21,6 +21,7 @@ from skat.diagnosis.fitting import (
     noise_without,
     priors_of,
     slopes_of,
+    time_step,
     value_at,
 )
 from skat.diagnosis.found import Found, Rival, also_seen, exchanged, is_held, stand_ins, told
@@ -523,7 +524,7 @@ def _gains(
 def _ends_of_chords(simulator: Simulator, effect: Effect, typical: float, dead: bool) -> Array:
     """Return the values to which chords of an effect are drawn."""
     if effect.family == "delay" and simulator.dt:
-        step = simulator.dt / int(getattr(simulator, "frame_skip", 1))
+        step = time_step(simulator)
         return np.asarray(step * np.arange(1.0, int(effect.bounds[1] / step + 1e-9) + 1), dtype=np.float64)
     places = np.array([-typical, typical])
     if dead or effect.family in THRESHOLDS:

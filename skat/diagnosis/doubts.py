@@ -20,6 +20,7 @@ from skat.diagnosis.statespace import tangent_mask, tangents
 from skat.diagnosis.velocities import motions, noise_variance
 from skat.simulators import MujocoSimulator, Simulator
 from skat.simulators.base import HALF_TURNS
+from skat.simulators.stepping import quiet
 
 # Rows that are simulated for a look.
 ROWS_TRIED = 200
@@ -511,14 +512,15 @@ def _stepped(model: mujoco.MjModel, log: Log, n_substeps: int, *, warm: bool) ->
     """Return where plain MuJoCo takes each row, with a solver that begins with the solution before or with none."""
     data = mujoco.MjData(model)
     ends = np.full((len(log), model.nq + model.nv), np.nan)
-    for row, (values, step) in enumerate(zip(log.X, log.steps)):
-        if step == 0:
-            mujoco.mj_resetData(model, data)
-        data.qpos[:], data.qvel[:], data.ctrl[:] = np.split(values, [model.nq, model.nq + model.nv])
-        if not warm:
-            data.qacc_warmstart[:] = 0
-        mujoco.mj_step(model, data, n_substeps)
-        ends[row] = np.r_[data.qpos, data.qvel]
+    with quiet():
+        for row, (values, step) in enumerate(zip(log.X, log.steps)):
+            if step == 0:
+                mujoco.mj_resetData(model, data)
+            data.qpos[:], data.qvel[:], data.ctrl[:] = np.split(values, [model.nq, model.nq + model.nv])
+            if not warm:
+                data.qacc_warmstart[:] = 0
+            mujoco.mj_step(model, data, n_substeps)
+            ends[row] = np.r_[data.qpos, data.qvel]
     return ends
 
 

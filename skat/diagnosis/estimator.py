@@ -37,7 +37,7 @@ from skat.diagnosis.report.from_diagnosis import DiagnosisReport
 from skat.diagnosis.saving import Begun, Checkpoint, read_diagnosis, write_diagnosis
 from skat.diagnosis.smoothing import Smoothing, smoothing_of
 from skat.diagnosis.statespace import CHAIN_LENGTH, StateSpace, state_space
-from skat.diagnosis.velocities import computed_velocities
+from skat.diagnosis.velocities import computed_velocities, motions
 from skat.effects import Effect, unknown_name_message
 from skat.simulators import Simulator
 
@@ -57,9 +57,9 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
     ----------
     simulator : Simulator
         A `MujocoSimulator`, a `FunctionSimulator`, or what `make_simulator` returns.
-    effects : "all" or list of str, default="all"
-        Names of the effects that may be found, of those in ``simulator.effects(also="all")``; "all" are those in
-        ``simulator.effects()``.
+    effects : "all" or list of str or Effect, default="all"
+        The effects that may be found, of those in ``simulator.effects(also="all")``; "all" are those in
+        ``simulator.effects()``. Of one that is given as an `Effect` the odds, the typical size and the bounds hold.
     noise : "estimate" or array-like of shape (n_residuals,), default="estimate"
         Standard deviation of the measurement noise of each channel, in the channel's unit; by default estimated.
     alpha : float, default=0.01
@@ -68,7 +68,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
     max_effects : int or None, default=None
         Most causes at a time.
     test_size : float, default=0.3
-        Share of the rows, in whole episodes, held out to measure the gain. 0: all rows are fitted and `gain_` is None.
+        Share of the rows held out to measure the gain: whole episodes, or pieces of time of a single one. 0: all rows
+        are fitted and `gain_` is None.
     hidden : sequence of str, default=()
         State channels that were not measured, as if their columns held NaN.
     velocities : {"auto", "measured", "computed"}, default="auto"
@@ -91,7 +92,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         Processes of joblib that share the simulations; ``joblib.parallel_config(backend="dask")`` takes them to a
         cluster. None means one, whose own threads take all cores where the simulator is a `MujocoSimulator`.
     random_state : int, RandomState or None, default=None
-        Which episodes are held out.
+        What is held out, and the draws by which gain and remainder are measured.
 
     Attributes
     ----------
@@ -436,7 +437,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         Parameters
         ----------
         X, y, groups
-            As in `fit`.
+            As in `fit`, of one log.
         horizon : float or "episode", optional
             How far ahead, s (rows for a simulation without time), errors in noise units; by default the diagnosis's
             own. Or whole episodes in open loop, root mean squared distance in the outputs' units.
@@ -462,6 +463,12 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             raise ValueError(f"horizon must be seconds, None or 'episode'; it is {horizon!r}.")
         if initial_state not in ("measured", "fitted"):
             raise ValueError(f"initial_state must be 'measured' or 'fitted'; it is {initial_state!r}.")
+        if outputs is not None and (isinstance(outputs, str) or not isinstance(horizon, str)):
+            raise ValueError(f"outputs must be a list of names, with horizon='episode'; it is {outputs!r}.")
+        if y is None:
+            raise ValueError(
+                "evaluate takes the rows of one log: pass X, y and groups, such as log.X, log.y, log.groups."
+            )
         # In open loop a smoothed path is as near to the motion as one that was read.
         log = self._other_log(X, y, groups, undone=not isinstance(horizon, str))
         random_state = check_random_state(self.random_state)
@@ -589,6 +596,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             raise ValueError(f"velocities must be one of {', '.join(VELOCITIES)}; it is {self.velocities!r}.")
         if self.actions not in ACTIONS:
             raise ValueError(f"actions must be one of {', '.join(ACTIONS)}; it is {self.actions!r}.")
+        if isinstance(self.hidden, str):
+            raise ValueError(f"hidden must be a list of names; it is {self.hidden!r}.")
         if not self.tolerance > 0:
             raise ValueError(f"tolerance must be positive; it is {self.tolerance!r}.")
         if self.horizon is not None:
@@ -610,18 +619,21 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         known = {effect.name: effect for effect in self.simulator.effects(also="all")}
         if isinstance(self.effects, str) and self.effects == "all":
             return list(self.simulator.effects())
-        named = [self.effects] if isinstance(self.effects, str | Effect) else list(self.effects)
-        names = [effect.name if isinstance(effect, Effect) else effect for effect in named]
-        for name in names:
+        given = [self.effects] if isinstance(self.effects, str | Effect) else list(self.effects)
+        chosen = {}
+        for one in given:
+            name = one.name if isinstance(one, Effect) else one
             if name not in known:
                 raise ValueError(unknown_name_message(name, known))
-        if not names:
+            chosen[name] = _checked_effect(one, known[name]) if isinstance(one, Effect) else known[name]
+        if not chosen:
             raise ValueError("effects is empty: name at least one, or pass 'all'.")
-        return [known[name] for name in dict.fromkeys(names)]
+        return list(chosen.values())
 
     def _without_computed(self, log: Log) -> Log:
         names = self.simulator.state_names
         rates = [name for name in names if name.startswith("qvel.")]
+        rates = rates or [rate for _, rate in motions(self.simulator)]
         self.computed_velocities_: tuple[str, ...] = ()
         if self.velocities == "measured" or not rates or not log.consecutive:
             return log
@@ -780,6 +792,17 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         if not self.causes_:
             return "nothing detected" if self.diverged_share_ < MOST_DIVERGED else "unexplained"
         return "ambiguous" if any(cause.aliases for cause in self.causes_) else "named"
+
+
+def _checked_effect(given: Effect, known: Effect) -> Effect:
+    """Return an effect that was given in the place of the simulator's, if it is of the same quantity."""
+    (low, high), (least, most) = given.bounds, known.bounds
+    if (given.unit, given.neutral) != (known.unit, known.neutral) or low < least or high > most:
+        raise ValueError(
+            f"{given.name} must be in {known.unit}, neutral at {known.neutral:g}, with bounds within {known.bounds}; "
+            f"it is in {given.unit}, neutral at {given.neutral:g}, with bounds {given.bounds}."
+        )
+    return given
 
 
 def _rows_of(log: Log) -> tuple[Array, Array, NDArray[np.intp]]:

@@ -23,6 +23,7 @@ from skat.diagnosis.statespace import (
 )
 from skat.diagnosis.velocities import noise_variance
 from skat.effects import Effect
+from skat.simulators.base import Simulator
 
 # A path stands still when taking it anew changes the bound by less than so many nats.
 STILL = 1.0
@@ -499,7 +500,7 @@ def slopes_of(
     """
     least = SMALL_SHARE * sizes
     widths = least if widths is None else np.maximum(widths, least)
-    steps = _steps(fitted.values, effects, widths)
+    steps = _steps(fitted.values, effects, widths) | _of_one_time_step(space, fitted, effects, widths)
     known = _so_far(fitted)[1][:, :-1, : space.d, : space.d][space.places] if means else None
     wide = _steps(fitted.values, effects, np.maximum(widths, BENT_SHARE * sizes))
     slopes = derivatives(space, fitted.linear, fitted.values, steps, known, wide)
@@ -679,6 +680,31 @@ def _steps(
         one_side = (low, now) if high <= now else (now, high)
         steps[effect.name] = (low, high) if effect.name in values else one_side
     return steps
+
+
+def _of_one_time_step(
+    space: StateSpace, fitted: Fitted, effects: Sequence[Effect], widths: Array
+) -> dict[str, tuple[float, float]]:
+    """Return between which values slopes by delays that are causes are taken: none of them beyond a whole time step.
+
+    There what a delay does has a kink: of a stiff servo a command that is late by a little more than a row tells a
+    tenth of what one that is a little less late does.
+    """
+    simulator, found = space.simulator, {}
+    for effect, width in zip(effects, widths):
+        if effect.family != "delay" or effect.name not in fitted.values or not simulator.dt:
+            continue
+        step, value = time_step(simulator), fitted.values[effect.name]
+        before, after = step * np.floor(value / step), step * np.ceil(value / step)
+        low, high = around(effect, value, width)
+        if not np.isclose(value, (before, after)).any():
+            found[effect.name] = max(low, before), min(high, after)
+    return found
+
+
+def time_step(simulator: Simulator) -> float:
+    """Return the time step, s, of which a transition has a whole number; 0 of a simulation without time."""
+    return float(simulator.dt or 0.0) / int(getattr(simulator, "frame_skip", 1))
 
 
 def _force_guess(linear: Linear, typical: Array) -> Array:

@@ -11,7 +11,7 @@ from skat.diagnosis.chains import Array
 from skat.diagnosis.evidence import Gram, Priors, weigh
 from skat.diagnosis.filtering import kalman_filter
 from skat.diagnosis.fitting import priors_of, response
-from skat.diagnosis.log import Log, check_log, check_matrix, without_channels
+from skat.diagnosis.log import Log, check_log, check_matrix, checked_episodes, without_channels
 from skat.diagnosis.slopes import derivatives
 from skat.diagnosis.statespace import StateSpace, linearise, state_space, tangents
 from skat.effects import Effect
@@ -225,9 +225,8 @@ def _planned(simulator: Simulator, X: ArrayLike, groups: ArrayLike | None) -> Lo
     n_states = len(simulator.state_names)
     consecutive = groups is not None and n_states > 0
     episodes = np.arange(len(rows))
-    if consecutive:
-        labels = np.asarray(groups)
-        episodes = np.cumsum(np.r_[True, labels[1:] != labels[:-1]]) - 1
+    if groups is not None and n_states:
+        episodes, _ = checked_episodes(groups, len(rows))
     y = np.full((len(rows), len(simulator.output_names)), np.nan)
     if consecutive:
         follows = np.flatnonzero(np.diff(episodes) == 0)

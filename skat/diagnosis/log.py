@@ -307,7 +307,7 @@ def check_log(
                 stacklevel=3,
             )
         return _with_something_measured(Log(X, y, np.arange(len(X)), False, None, simulator))
-    episodes, labels = _episodes(groups, len(X))
+    episodes, labels = checked_episodes(groups, len(X))
     if not n_states:
         if episodes[-1] == 0:
             episodes = np.arange(len(X))  # One group says nothing of rows without time order.
@@ -525,7 +525,7 @@ def _share_that_follows(states: Array, y: Array) -> float:
     return float(same.mean()) if len(same) else 0.0
 
 
-def _episodes(groups: ArrayLike, n_rows: int) -> tuple[Places, tuple[Any, ...]]:
+def checked_episodes(groups: ArrayLike, n_rows: int) -> tuple[Places, tuple[Any, ...]]:
     """Return the number of each row's episode, and what each episode is called."""
     groups = np.asarray(groups)
     if groups.shape != (n_rows,):
@@ -538,16 +538,16 @@ def _episodes(groups: ArrayLike, n_rows: int) -> tuple[Places, tuple[Any, ...]]:
         )
     starts: NDArray[np.bool_] = np.r_[True, groups[1:] != groups[:-1]]
     episodes = np.cumsum(starts) - 1
-    labels = groups[starts]
-    if len(np.unique(groups)) <= episodes[-1]:
-        first = {label: place for place, label in reversed(list(enumerate(labels)))}
+    labels = groups[starts].tolist()
+    first = {label: place for place, label in reversed(list(enumerate(labels)))}
+    if len(first) < len(labels):
         again = next(place for place, label in enumerate(labels) if first[label] != place)
         row = np.flatnonzero(starts)[again]
         raise ValueError(
-            f"Episode {groups[row]!r} goes on at row {row} after rows of another episode. The rows of an episode must "
-            "be consecutive and in time order: sort the log by episode and time."
+            f"Episode {labels[again]!r} goes on at row {row} after rows of another episode. The rows of an episode "
+            "must be consecutive, and those of a simulation with a state in time order: sort the log."
         )
-    return episodes, tuple(labels.tolist())
+    return episodes, tuple(labels)
 
 
 def _with_something_measured(log: Log) -> Log:

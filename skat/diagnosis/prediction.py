@@ -102,10 +102,10 @@ def horizon_rows(simulator: Simulator, horizon: float | None = None) -> int:
     Raises
     ------
     ValueError
-        If the horizon is not positive.
+        If the horizon is not positive and finite.
     """
-    if horizon is not None and not horizon > 0:
-        raise ValueError(f"horizon must be positive, in seconds; it is {horizon!r}.")
+    if horizon is not None and not 0 < horizon < np.inf:
+        raise ValueError(f"horizon must be positive and finite, in seconds; it is {horizon!r}.")
     if not simulator.state_names:
         return 1
     dt = simulator.dt

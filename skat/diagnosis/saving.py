@@ -282,7 +282,7 @@ class Checkpoint:
             parameters["random_state"] = None  # what was drawn is kept
         self._parameters = {name: value for name, value in parameters.items() if name not in IDLE}
         self._about: dict[str, Any] = {
-            "log": digest((log, floor)),
+            "log": digest((_with_plain_labels(log), floor)),
             "simulator": vars(replace(SavedSimulator.of(self._simulator, log), parameters=None)),
             "model": _digest(self._simulator),
             "parameters": self._parameters,
@@ -316,7 +316,9 @@ class Checkpoint:
 
     def write(self, begun: Begun, search: Search) -> None:
         """Write how far a search has come."""
-        write_archive(self._path, SEARCH, {**self._about, "begun": {**vars(begun), "search": search}})
+        logs = {"fitted": begun.fitted, "held_out": begun.held_out}
+        plain = {name: log and _with_plain_labels(log) for name, log in logs.items()}
+        write_archive(self._path, SEARCH, {**self._about, "begun": vars(begun) | plain | {"search": search}})
 
     def remove(self) -> None:
         """Remove the file: nothing is left to resume."""

@@ -16,7 +16,7 @@ SPHERE = int(mujoco.mjtGeom.mjGEOM_SPHERE)
 JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 TENDON_TRANSMISSION = int(mujoco.mjtTrn.mjTRN_TENDON)
 EXPLICIT_INTEGRATOR = int(mujoco.mjtIntegrator.mjINT_RK4)
-NO_DYNAMICS = int(mujoco.mjtDyn.mjDYN_NONE)
+NO_DYNAMICS, INTEGRATOR = int(mujoco.mjtDyn.mjDYN_NONE), int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
 EULER = int(mujoco.mjtIntegrator.mjINT_EULER)
 
 # Of a degree of freedom, in m or rad, over which tendons are differentiated.

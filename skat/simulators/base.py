@@ -84,17 +84,18 @@ class Simulator(BaseEstimator, ABC):
 
         Parameters
         ----------
-        also : collection of str, or "all"
+        also : str or collection of str, default=()
             Families, or names, of effects that are listed only when asked for, as few machines have them or their
             simulation takes long: lags, delays of single actuators, play, a servo's finer friction, a payload,
-            commands in the wrong unit. `predict` accepts them all, listed or not.
+            commands in the wrong unit; "all": all of them. `predict` accepts them all, listed or not.
         """
         unlisted, asked = self._unlisted_effects(), self._asked_effects()
+        wanted = {also} if isinstance(also, str) else set(also)
         return tuple(
             effect
             for effect in self._by_name.values()
             if effect.name not in unlisted
-            and (effect.name not in asked or also == "all" or {effect.name, effect.family} & set(also))
+            and (effect.name not in asked or {"all", effect.name, effect.family} & wanted)
         )
 
     @property
@@ -449,6 +450,15 @@ class Simulator(BaseEstimator, ABC):
         parameters = self.get_params(deep=False)
         parameters["built_in"] = self._total(effects) or None
         return type(self)(**parameters)
+
+    def set_params(self, **params: Any) -> Self:
+        """Set constructor parameters by name, all of them or, where the simulator cannot be made so, none."""
+        known = self.get_params(deep=False)
+        unknown = sorted(set(params) - set(known))
+        if unknown:
+            raise ValueError(f"unknown parameters {', '.join(unknown)}; valid: {', '.join(known)}")
+        self.__dict__ = type(self)(**(known | params)).__dict__
+        return self
 
     def _lags(self, values: Mapping[str, float]) -> int:
         """Return how many rows back the inputs act on a row."""

@@ -19,6 +19,7 @@ from skat.simulators import contacts, edits
 from skat.simulators.anatomy import (
     EULER,
     EXPLICIT_INTEGRATOR,
+    INTEGRATOR,
     NO_DYNAMICS,
     TENDON_TRANSMISSION,
     Anatomy,
@@ -481,7 +482,7 @@ def _actuator_effects(anatomy: Anatomy) -> Found:
         anatomy, [index for index in simple if _has_velocity_gain(model, index)]
     )
     for index in simple:
-        if _is_servo(model, index):
+        if _is_servo(model, index) and not _integrates(model, index):
             low, high = model.actuator_ctrlrange[index]
             limit = float(high - low) / 2 if model.actuator_ctrllimited[index] else LARGEST_OFFSET
             edit = partial(edits.offset_command, index)
@@ -571,13 +572,18 @@ def _is_servo(model: mujoco.MjModel, actuator: int) -> bool:
     return bool(is_affine and gain[0] != 0 and not gain[1:3].any() and -gain[0] in bias[1:3])
 
 
+def _integrates(model: mujoco.MjModel, actuator: int) -> bool:
+    """Whether an actuator's control is a rate, which it integrates."""
+    return int(model.actuator_dyntype[actuator]) == INTEGRATOR
+
+
 def _control_unit(anatomy: Anatomy, actuator: int) -> str:
     """Return the unit of a control: of what a servo follows, or of a motor's force, as far as transmissions tell."""
     model, joint = anatomy.model, int(anatomy.model.actuator_trnid[actuator, 0])
     kind = anatomy.joint_kind(joint) if actuator in anatomy.joint_driven else None
     if kind in (HINGE, SLIDE) and model.actuator_gear[actuator, 0] == 1:
         if _is_servo(model, actuator):
-            is_of_position = model.actuator_biasprm[actuator, 1] != 0
+            is_of_position = model.actuator_biasprm[actuator, 1] != 0 and not _integrates(model, actuator)
             return ("m" if kind == SLIDE else "rad") + ("" if is_of_position else "/s")
         if model.actuator_gainprm[actuator, 0] == 1 and model.actuator_dyntype[actuator] == NO_DYNAMICS:
             return "N" if kind == SLIDE else "N m"
@@ -612,19 +618,20 @@ def _late_effects(anatomy: Anatomy, dt: float) -> Found:
     if filtered:
         yield _effect("lag", "all", longest, partial(edits.filter_commands, tuple(filtered))), True
     for index in _simple(anatomy):
-        servo = _is_servo(model, index)
+        servo, integrates = _is_servo(model, index), _integrates(model, index)
         unit, limit = _control_unit(anatomy, index), LARGEST_OFFSET if servo else LARGEST_CONTROL
         if model.actuator_ctrllimited[index]:
             low, high = model.actuator_ctrlrange[index]
             limit = float(high - low) / 2
         if not model.actuator_gainprm[index, 1:3].any():
-            edit = partial(edits.shift_command, index)
+            # Of a control that is integrated no gain and no force makes up for what comes before.
+            both = (edits.shift_command, edits.scale_command)
+            shift, scale = (None if integrates else partial(one, index) for one in both)
             target = f"ctrl.{name(index)}"
-            shift = _effect("bias", target, (-limit, limit), edit, unit=unit, typical=0.1 * limit)
-            yield shift, not servo
+            bias = _effect("bias", target, (-limit, limit), shift, unit=unit, typical=0.1 * limit)
+            yield bias, integrates or not servo
             bounds = (-LARGEST_SCALE, LARGEST_SCALE)
-            edit = partial(edits.scale_command, index)
-            yield _effect("scale", target, bounds, edit, typical=0.2), servo
+            yield _effect("scale", target, bounds, scale, typical=0.2), servo
         yield _effect("dead_zone", name(index), (0.0, 0.9 * limit), unit=unit, typical=0.01 * limit), True
 
 

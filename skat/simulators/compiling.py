@@ -1,8 +1,10 @@
 """From the text of a model to what MuJoCo steps."""
 
 import warnings
+from typing import Any
 
 import mujoco
+import numpy as np
 
 from skat.simulators.channels import element_name
 from skat.simulators.derived import write_down
@@ -22,6 +24,7 @@ def lean_spec(source: ModelSource) -> mujoco.MjSpec:
         light.texture = ""
     for element in [*spec.materials, *spec.textures, *spec.skins]:
         spec.delete(element)
+    _check_delays(spec)
     for actuator in spec.actuators:  # the commands are delayed outside
         actuator.nsample, actuator.delay = 0, 0
     for sensor in spec.sensors:  # what a sensor remembers acts on nothing
@@ -32,6 +35,23 @@ def lean_spec(source: ModelSource) -> mujoco.MjSpec:
     return spec
 
 
+def _check_delays(spec: mujoco.MjSpec) -> None:
+    """Raise where MuJoCo delays a control in another way than the commands are delayed outside of it."""
+    for index, actuator in enumerate(spec.actuators):
+        if not (actuator.nsample and actuator.delay):
+            continue
+        name = actuator.name or f"actuator{index}"
+        if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+            raise ValueError(
+                f"actuator {name!r} has a delay, which the integrator RK4 reads between time steps: take another "
+                "integrator, or take delay and nsample out of the MJCF and build the effect delay in"
+            )
+        if actuator.interp > 1:  # 0 holds, 1 is linear
+            raise ValueError(
+                f'actuator {name!r} has a delay with interp="cubic"; only "zoh" and "linear" are supported'
+            )
+
+
 def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
     """Return the compiled model; what MuJoCo warns of was said when the source was read."""
     with warnings.catch_warnings():
@@ -39,7 +59,7 @@ def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
         return spec.compile()
 
 
-def checked_model(spec: mujoco.MjSpec, frame_skip: int) -> mujoco.MjModel:
+def checked_model(spec: mujoco.MjSpec, frame_skip: Any) -> mujoco.MjModel:
     """Return the compiled model, if its state is that of rows [qpos, qvel, ctrl].
 
     Raises
@@ -47,7 +67,8 @@ def checked_model(spec: mujoco.MjSpec, frame_skip: int) -> mujoco.MjModel:
     ValueError
         If MuJoCo refuses the model, nothing can move, there are other states, or actuators of several controls.
     """
-    if isinstance(frame_skip, bool) or int(frame_skip) != frame_skip or frame_skip < 1:
+    is_number = isinstance(frame_skip, int | float | np.integer) and not isinstance(frame_skip, bool)
+    if not is_number or frame_skip % 1 or frame_skip < 1:
         raise ValueError(f"frame_skip must be a positive whole number of time steps; got {frame_skip!r}")
     try:
         model = compile_spec(spec)

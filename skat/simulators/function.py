@@ -1,13 +1,14 @@
 """A simulator around any function."""
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Self
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skat.effects import Effect
-from skat.simulators.base import LONGEST_LAG, Acting, Simulator, is_sensor
+from skat.simulators.base import LONGEST_LAG, Acting, Simulator, is_sensor, sensor_lags
 from skat.simulators.commands import CommandPath
 from skat.simulators.tables import Array
 
@@ -77,7 +78,9 @@ class FunctionSimulator(Simulator):
         self.built_in = built_in
         self._effects = tuple(effects)  # `effects` is a method of every simulator
         _check_names(self.input_names, self.output_names, self.state_names)
-        _check_effects(self._effects)
+        if dt is not None and not 0 < dt < math.inf:
+            raise ValueError(f"dt must be positive and finite, in s, or None; got {dt!r}")
+        _check_effects(self._effects, [effect.name for effect in sensor_lags(self.state_names, dt)])
         _check_units(self.units, (*self.input_names, *self.output_names))
 
     def __repr__(self) -> str:
@@ -101,16 +104,6 @@ class FunctionSimulator(Simulator):
             "units": self._units,
         }
 
-    def set_params(self, **params: Any) -> Self:
-        """Set constructor parameters by name."""
-        unknown = sorted(set(params) - set(self.get_params()))
-        if unknown:
-            raise ValueError(
-                f"unknown parameters {', '.join(unknown)}; valid: {', '.join(self.get_params())}"
-            )
-        self.__init__(**{**self.get_params(), **params})  # type: ignore[misc]
-        return self
-
     def _own_effects(self) -> tuple[Effect, ...]:
         return (*self._effects, *self._late_effects())
 
@@ -132,7 +125,9 @@ class FunctionSimulator(Simulator):
         )
 
     def _path(self, values: Mapping[str, float]) -> CommandPath:
-        """Return what lies between the inputs other than the state and the function."""
+        """Return what lies between the inputs other than the state and the function, but for what it does itself."""
+        own = {effect.name for effect in self._effects}
+        values = {name: value for name, value in values.items() if name not in own}
         names = self.input_names[len(self.state_names) :]
         delay, lag = (
             np.array([values.get(f"{family}[{name}]", 0.0) for name in names]) for family in ("delay", "lag")
@@ -195,17 +190,17 @@ class FunctionSimulator(Simulator):
         return result.astype(float)
 
 
-def _check_effects(effects: Sequence[Effect]) -> None:
+def _check_effects(effects: Sequence[Effect], lags: Collection[str]) -> None:
     for effect in effects:
         if not isinstance(effect, Effect):
             raise TypeError(
                 "effects must be a sequence of skat.effects.Effect, such as "
                 f"Effect('drag', unit='1/s', neutral=0.0, bounds=(0.0, 2.0)); got {effect!r}"
             )
-        if is_sensor(effect.name):
+        if is_sensor(effect.name) or effect.name in lags:
             raise ValueError(
-                f"{effect.name} is no name for an effect of one's own: bias[...] and scale[...] of each measured "
-                "channel are there already, and act on what its sensor reads. Choose another family"
+                f"{effect.name} is no name for an effect of one's own: bias[...], scale[...] and, with dt, lag[...] "
+                "of each measured channel are there already, and act on what its sensor reads. Choose another family"
             )
     names = [effect.name for effect in effects]
     repeated = sorted({name for name in names if names.count(name) > 1})

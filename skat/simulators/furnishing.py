@@ -115,9 +115,10 @@ def with_motors(source: ModelSource, motors: str | None) -> ModelSource:
         )
     follows = {equality.name1 for equality in spec.equalities if equality.type == mujoco.mjtEq.mjEQ_JOINT}
     limits = []
-    for joint in spec.joints:
+    for index, joint in enumerate(spec.joints):
         if joint.type not in (HINGE, SLIDE) or joint.name in follows:
             continue
+        joint.name = joint.name or _free_name(spec, f"joint{index}")
         actuator = spec.add_actuator(name=joint.name, target=joint.name)
         actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
         low, high = joint.actfrcrange
@@ -133,3 +134,10 @@ def with_motors(source: ModelSource, motors: str | None) -> ModelSource:
     driven = ", ".join(actuator.name for actuator in spec.actuators)
     note = f"Added {of} on {driven}; limits of effort: {', '.join(limits) or 'none'}."
     return replace(source, xml=write_xml(spec), motors=motors, notes=(*source.notes, note))
+
+
+def _free_name(spec: mujoco.MjSpec, name: str) -> str:
+    """Return a joint's name, with underscores where another one is called that."""
+    while any(joint.name == name for joint in spec.joints):
+        name += "_"
+    return name

@@ -17,10 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from skat.effects import FAMILIES, Effect
 from skat.files import whole, writable
-from skat.simulators.anatomy import EXPLICIT_INTEGRATOR, NO_DYNAMICS, Anatomy, actuator_name
+from skat.simulators.anatomy import EXPLICIT_INTEGRATOR, INTEGRATOR, NO_DYNAMICS, Anatomy, actuator_name
 from skat.simulators.base import Acting, Courses, Simulator, sensor_lags
 from skat.simulators.catalogue import Listing, effect_listing
-from skat.simulators.channels import HINGE, StateLayout, joint_name, state_layout
+from skat.simulators.channels import FREE, HINGE, StateLayout, joint_name, state_layout
 from skat.simulators.commands import CommandPath
 from skat.simulators.compiling import checked_model, compile_spec, lean_spec
 from skat.simulators.derived import write_down
@@ -38,11 +38,15 @@ from skat.simulators.source import (
 )
 from skat.simulators.stepping import Forces, Job, Play, Stepper
 from skat.simulators.tables import Array, episode_starts
-from skat.simulators.urdf import DERIVED, HELD, edited_urdf
+from skat.simulators.urdf import DERIVED, HELD, HELD_OF_JOINTS, edited_urdf
 
 CACHED_MODELS = 256
-# Families that need the stepping; with those of `friction.budget`. MJCF cannot express them.
-STEPPED = ("wind", "air_drag", "force", "dead_zone", "torque_speed", "lag_torque")
+# Families whose edit only makes room in the model for what the stepping does.
+PREPARED = ("torque_speed", "lag_torque")
+# Families that need the stepping; with those of `friction.budget`.
+STEPPED = ("wind", "air_drag", "force", "dead_zone", *PREPARED)
+# Families that act by their names, whatever an edit says.
+RESERVED = ("bias", "scale", "lag", "delay", "timestep", "backlash", "payload", *PREPARED)
 
 
 class MujocoSimulator(Simulator):
@@ -243,7 +247,8 @@ class MujocoSimulator(Simulator):
         not divide a transition is written as the nearest one that does; the notes beside the model say so. What MJCF
         cannot express (wind, drag on bodies that turn, friction that grows with position or load or falls with
         speed, forces on joints, dead zones, torque that lags or falls with speed, sensors, a delay shorter than a time
-        step, and any under the Runge-Kutta integrator, which reads delayed controls between time steps) is written
+        step, any under the Runge-Kutta integrator, which reads delayed controls between time steps, and what lies
+        between a command and an actuator that integrates it, but a delay) is written
         beside it, into ``<name>.effects.json``. A ``backlash`` is written as a joint of its own, ``<joint>.play``.
 
         Parameters
@@ -284,7 +289,7 @@ class MujocoSimulator(Simulator):
                 edits[effect.name](spec, written)
                 continue
             fits = effect.family != "delay" or self._reads_delayed(spec, value, values)
-            if effect.name not in edits or not fits or effect.family in STEPPED:
+            if effect.name not in edits or not fits or effect.family in PREPARED:
                 beside |= {} if of_payload else {effect.name: value}
             else:
                 edits[effect.name](spec, value)
@@ -343,10 +348,21 @@ class MujocoSimulator(Simulator):
 
     def _is_held_by_urdf(self, name: str, value: float) -> bool:
         effect = self._own_by_name.get(name)
-        if effect is None or effect.apply is None or effect.family in {"timestep", "delay"}:
+        if (
+            effect is None
+            or effect.apply is None
+            or effect.family in PREPARED
+            or self._is_of_commands(effect)
+        ):
             return False
         models = self._model({}, self.frame_skip), self._model({name: value}, self.frame_skip)
-        return set(differing_fields(*models)) <= HELD | DERIVED
+        if not set(differing_fields(*models)) <= HELD | DERIVED:
+            return False
+        # The joint of base="free" is none of the URDF's.
+        free = self._nominal.jnt_type[self._nominal.dof_jntid] == FREE
+        return all(
+            np.array_equal(*(getattr(model, field)[free] for model in models)) for field in HELD_OF_JOINTS
+        )
 
     def _write(
         self,
@@ -621,7 +637,7 @@ class MujocoSimulator(Simulator):
             bias=bias,
             delay=delay + own_delay + values.get("delay[action]", 0.0),
             lag=lag + np.where(late, values.get("lag[all]", 0.0), 0.0),
-            dead_zone=np.where(self._feeds_back, 0.0, dead_zone) if nu else dead_zone,
+            dead_zone=np.where(self._follows_places, 0.0, dead_zone) if nu else dead_zone,
             holds=holds,
         )
 
@@ -631,9 +647,15 @@ class MujocoSimulator(Simulator):
 
     @property
     def _feeds_back(self) -> NDArray[np.bool_]:
-        """Whether each actuator's force depends on the place of what it moves, so that its control is one, too."""
+        """Whether each actuator's force depends on the place of what it moves."""
         feeds_back: NDArray[np.bool_] = self._nominal.actuator_biasprm[:, 1] != 0
         return feeds_back
+
+    @property
+    def _follows_places(self) -> NDArray[np.bool_]:
+        """Whether each actuator's control is a place of what it moves, and no rate that it integrates."""
+        follows: NDArray[np.bool_] = self._feeds_back & (self._nominal.actuator_dyntype != INTEGRATOR)
+        return follows
 
     @property
     def _native_delays(self) -> tuple[Array, NDArray[np.bool_]]:
@@ -797,7 +819,7 @@ class MujocoSimulator(Simulator):
             ]
             for family in ("dead_zone", "torque_speed", "lag_torque")
         }
-        feeds_back = self._feeds_back
+        follows_places = self._follows_places
         return Forces(
             body=anatomy.root,
             wind=tuple(values.get(f"wind[{axis}]", 0.0) for axis in "xyz"),  # type: ignore[arg-type]
@@ -806,7 +828,7 @@ class MujocoSimulator(Simulator):
             joints=tuple((seen[dofs[name]], values[name]) for name in dofs if name in values),
             friction=tuple(friction),
             dead_zones=tuple(
-                (index, width) for index, width in by_actuator["dead_zone"] if feeds_back[index]
+                (index, width) for index, width in by_actuator["dead_zone"] if follows_places[index]
             ),
             speed_slopes=tuple(by_actuator["torque_speed"]),
             torque_lags=tuple(by_actuator["lag_torque"]),
@@ -964,6 +986,12 @@ class MujocoSimulator(Simulator):
         if taken:
             raise ValueError(
                 f"extra_effects names {', '.join(sorted(taken))}; the model has effects of these names, choose others"
+            )
+        reserved = sorted(effect.name for effect in self.extra_effects if effect.family in RESERVED)
+        if reserved:
+            raise ValueError(
+                f"extra_effects names {', '.join(reserved)}; what the families {', '.join(RESERVED)} do is no edit of "
+                "the model: choose another family"
             )
         return listing
 

@@ -194,7 +194,7 @@ class Stepper:
         n_rows, n_states = inputs.shape[1], inputs.shape[2] - jobs[0].model.nu
         states = np.empty((len(jobs), n_rows, n_states))
         hidden = [np.empty((n_rows, job.n_hidden)) for job in jobs]
-        with self._lock, _quiet():
+        with self._lock, quiet():
             self._forget_batches_of_parent()
             for members in _alike(jobs):
                 together = [jobs[index] for index in members]
@@ -212,7 +212,7 @@ class Stepper:
         n_rows, n_states = inputs.shape[1], inputs.shape[2] - jobs[0].model.nu
         courses = [np.empty((job.n_substeps, n_rows, n_states)) for job in jobs]
         hidden = [np.empty((n_rows, job.n_hidden)) for job in jobs]
-        with self._lock, _quiet():
+        with self._lock, quiet():
             self._forget_batches_of_parent()
             for members in _alike(jobs):
                 together = [jobs[index] for index in members]
@@ -248,7 +248,7 @@ class Stepper:
         """
         n_rows = inputs.shape[1]
         forces, friction = np.empty((2, len(jobs), n_rows, jobs[0].model.nv))
-        with self._lock, _quiet():
+        with self._lock, quiet():
             self._forget_batches_of_parent()
             for members in _alike(jobs):
                 destinations = np.array(members)
@@ -261,7 +261,7 @@ class Stepper:
     def constrained(self, job: Job, inputs: Array) -> NDArray[np.bool_]:
         """Return in which rows (1, n_rows, n_states + nu) a constraint of the job's model exerts a force."""
         found = np.zeros(inputs.shape[1], dtype=bool)
-        with self._lock, _quiet():
+        with self._lock, quiet():
             self._forget_batches_of_parent()
             for pool, _, row, _, _ in self._loaded([job], inputs, inputs.shape[1]):
                 found[row] = pool.constrained()
@@ -825,7 +825,7 @@ def _thread_count() -> int:
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def quiet() -> Iterator[None]:
     """Keep MuJoCo from writing a log file about rows that diverge; they are reported as NaN."""
     before = mujoco.MjLogConfig.get()
     quiet = mujoco.MjLogConfig.get()

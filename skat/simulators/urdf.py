@@ -11,9 +11,11 @@ import mujoco
 import numpy as np
 
 # What a URDF says of a model, and what a compiler derives from that.
+HELD_OF_JOINTS = ("dof_damping", "dof_frictionloss")
 HELD = {
     *("body_mass", "body_inertia", "body_iquat", "body_ipos", "body_pos"),
-    *("dof_damping", "dof_frictionloss", "actuator_forcerange"),
+    *HELD_OF_JOINTS,
+    "actuator_forcerange",
 }
 DERIVED = {
     *("body_invweight0", "body_subtreemass", "body_sameframe"),

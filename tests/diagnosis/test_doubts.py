@@ -480,6 +480,16 @@ def test_a_warm_solver_goes_on_as_a_whole_episode_of_mujoco_does_and_a_cold_one_
     assert np.abs(cold - states[1:]).max() > 1e-3
 
 
+def test_rows_that_diverge_leave_no_log_of_mujoco_behind(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    legged = MujocoSimulator(LEGGED.format(1, 4), frame_skip=2)
+    states, commands = walked(LEGGED.format(1, 4), 2, noise=0.0)
+    log = check_log(legged, np.hstack([states[:-1], commands]), states[1:], np.zeros(200))
+    log.X[:3, len(legged.state_names) - 1] = 1e12
+    doubts._stepped(legged.compiled(), log, 2, warm=True)
+    assert not list(tmp_path.iterdir())
+
+
 def test_doubts_have_names_of_their_own_and_explain_only_such():
     names = [one.name for one in doubts.DOUBTS]
     assert len(set(names)) == len(names)

@@ -340,6 +340,13 @@ def test_evaluate_refuses_what_it_does_not_know(diagnosed):
         diagnosis.evaluate(X, y, groups, horizon="whole")
     with pytest.raises(ValueError, match="initial_state must be 'measured' or 'fitted'; it is 'guessed'"):
         diagnosis.evaluate(X, y, groups, initial_state="guessed")
+    for outputs, horizon in ((["x"], None), (["x"], 0.1), ("x", "episode")):
+        with pytest.raises(
+            ValueError, match="outputs must be a list of names, with horizon='episode'; it is"
+        ):
+            diagnosis.evaluate(X, y, groups, outputs=outputs, horizon=horizon)
+    with pytest.raises(ValueError, match="evaluate takes the rows of one log"):
+        diagnosis.evaluate([(X, y, groups)], None)
     with pytest.raises(ValueError, match="needs a simulation with a state, and groups="):
         diagnosis.evaluate(X, y, horizon="episode")
 
@@ -559,6 +566,14 @@ def test_preflight_asks_for_groups_only_where_none_were_given(simulator):
         diagnosis.preflight(X, groups=groups)
     with pytest.warns(UserWarning, match="Pass groups="):
         diagnosis.preflight(X)
+
+
+@pytest.mark.parametrize(
+    ("groups", "message"), [([0, 0, 1], r"it has shape \(3,\)"), ([0, 0, np.nan, 1], "missing in row 2")]
+)
+def test_preflight_reads_groups_as_a_fit_does(simulator, groups, message):
+    with pytest.raises(ValueError, match=message):
+        SimulationDiagnosis(simulator).preflight(np.zeros((4, 5)), groups)
 
 
 def test_a_cause_with_a_twin_is_ambiguous_and_has_at_most_half_of_the_probability():

@@ -339,3 +339,36 @@ def test_what_a_lasting_force_does_is_kept_as_inertia_moves_alone(name, asked, m
     effect = next(one for one in simulator.effects() if one.name == name)
     assert np.any(slopes_of(space, fitted, [effect], np.ones(1)))
     assert bool(calls) == asked
+
+
+# -- delays ----------------------------------------------------------------------------------------------------------
+
+STIFF = """<mujoco><option timestep='.004' gravity='0 0 0' integrator='implicitfast'/><worldbody><body>
+<geom size='.1' mass='1'/><joint name='rail' type='slide' axis='1 0 0'/></body></worldbody>
+<actuator><position name='drive' joint='rail' kp='4000' kv='400'/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(("late", "ends"), [(5.05, (5.05, 5.5)), (5.0, (4.5, 5.5))])
+def test_a_slope_by_a_delay_is_of_its_own_time_step_and_of_both_that_it_is_between(late, ends):
+    """A row has 5 of them: what is later than that moves a stiff servo thirty times less."""
+    rng, step = np.random.default_rng(0), 0.004
+    simulator = MujocoSimulator(STIFF, frame_skip=5)
+    delay = next(one for one in simulator.effects() if one.name == "delay[action]")
+    commands = 0.1 * np.cumsum(rng.normal(size=(1, 60, 1)), axis=1)
+    states = simulator.extended({delay.name: late * step}).rollout(np.zeros((1, 2)), commands, n_steps=60)[0]
+    states += [0.001, 0.003] * rng.normal(size=states.shape)
+    X, y, groups = np.c_[states[:-1], commands[0]], states[1:], np.zeros(60, int)
+    space = state_space(simulator, X, y, groups, consecutive=True)
+    fitted = first_fit(space, {delay.name: late * step})
+    slopes = slopes_of(space, fitted, [delay], np.array([delay.typical]), np.array([0.5 * step]))[..., 0]
+
+    def chord(first, last):
+        early, after = (
+            simulator.predict(X, effects={delay.name: one * step}, groups=groups) for one in (first, last)
+        )
+        return (after - early) / ((last - first) * step)
+
+    sizes = np.abs(chord(*ends)).max(axis=0)
+    np.testing.assert_allclose(slopes / sizes, chord(*ends) / sizes, atol=1e-9)
+    before, behind, across = (np.linalg.norm(chord(*one)[:, 1]) for one in ((4.5, 5), (5, 5.5), (4.5, 5.5)))
+    assert min(before, across) > 10 * behind

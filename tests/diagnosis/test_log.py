@@ -290,8 +290,16 @@ def test_last_row_of_an_episode_need_not_lead_to_the_next_episode(simulator):
 def test_episode_that_goes_on_after_another_is_named_with_its_row(simulator):
     X, y, _ = rows([30])
     groups = np.r_[np.zeros(10), np.ones(10), np.zeros(10)]
-    with pytest.raises(ValueError, match=r"Episode .*0\.0.* goes on at row 20 after rows of another episode"):
+    with pytest.raises(ValueError, match=r"Episode 0\.0 goes on at row 20 after rows of another episode"):
         check_log(simulator, X, y, groups)
+
+
+def test_episodes_have_labels_of_any_kind(simulator):
+    X, y, _ = rows([10, 10, 10])
+    groups = np.repeat(np.array(["a", 1, 2.5], dtype=object), 10)
+    assert check_log(simulator, X, y, groups).labels == ("a", 1, 2.5)
+    with pytest.raises(ValueError, match="Episode 'a' goes on at row 29"):
+        check_log(simulator, X, y, np.r_[groups[:-1], groups[:1]])
 
 
 def test_groups_must_name_the_episode_of_every_row(simulator):

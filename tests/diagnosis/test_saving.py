@@ -4,6 +4,7 @@ import json
 import pickletools
 import zipfile
 from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -465,6 +466,13 @@ def test_rows_held_out_by_chance_stay_so(of_mujoco, tmp_path):
     interrupted(fit_of(np.random.RandomState(3)), log, path, "search", 1)
     resumed = fit_of(None).fit(*log, resume=path)
     assert_same_answers(resumed, diagnosis, log)
+
+
+def test_a_fit_goes_on_whatever_episodes_are_called(of_function, tmp_path):
+    reference, (X, y, groups) = of_function
+    log = X, y, np.array([Path(f"run_{number}.csv") for number in range(13)])[groups.astype(int)]
+    interrupted(a_diagnosis(), log, tmp_path / "fit.skat", "gain", 0)
+    assert a_diagnosis().fit(*log, resume=tmp_path / "fit.skat").causes_ == reference.causes_
 
 
 def test_fit_that_is_not_interrupted_writes_and_leaves_nothing_behind(of_mujoco, tmp_path, turns):

@@ -48,7 +48,8 @@ def log_of(simulator, n=40, step=None):
         ("tolerance", [1e-9, 5.0], [0.0, -1.0]),
         ("n_jobs", [None, 1, -1, np.int64(2)], [0, 1.5]),
         ("velocities", ["measured", "computed", "auto"], ["guessed"]),
-        ("horizon", [None, 0.1], [0.0, -1.0]),
+        ("horizon", [None, 0.1], [0.0, -1.0, np.inf, np.nan]),
+        ("hidden", [(), ["v"]], ["v"]),
         ("priors", [None, {}, {"drag": 1e-9}], [{"drag": 0.0}, {"drag": np.inf}, {"drag": -1.0}]),
     ],
 )
@@ -85,6 +86,23 @@ def test_effects_are_chosen_by_name_once_in_their_order():
         SimulationDiagnosis(simulator, effects=[])._chosen_effects()
     with pytest.raises(ValueError, match="dragg"):
         SimulationDiagnosis(simulator, effects=["dragg"])._chosen_effects()
+
+
+def test_an_effect_that_is_given_says_how_likely_and_how_large_it_is():
+    simulator = rolling(more=("b",))
+    drag = replace(simulator.effects()[0], odds=7.0, typical=0.4, bounds=(0.0, 1.0))
+    (chosen,) = SimulationDiagnosis(simulator, effects=[drag])._chosen_effects()
+    assert (chosen.odds, chosen.typical, chosen.bounds) == (7.0, 0.4, (0.0, 1.0))
+    for other in (
+        replace(drag, unit="N"),
+        replace(drag, neutral=0.1),
+        replace(drag, bounds=(-0.1, 1.0)),
+        replace(drag, bounds=(0.0, 2.1)),
+    ):
+        with pytest.raises(
+            ValueError, match=r"drag must be in 1/s, neutral at 0, with bounds within \(0.0, 2.0\)"
+        ):
+            SimulationDiagnosis(simulator, effects=other)._chosen_effects()
 
 
 def verdict(causes=(), *, evidence=-1.0, settled=True, diverged=0.0, gain=None):

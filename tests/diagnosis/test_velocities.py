@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from scipy import signal
 
+from skat.diagnosis import SimulationDiagnosis
+from skat.diagnosis.log import check_log
 from skat.diagnosis.velocities import computed_velocities, is_computed, motions, noise_variance
 from skat.simulators import FunctionSimulator, MujocoSimulator
 
@@ -180,3 +182,18 @@ def test_velocities_of_a_log_that_were_computed_are_named():
     assert computed_velocities(of_units(units), X, y, np.array(groups)) == ("v",)
     X[:, 3], y[:, 3] = X[:, 2], y[:, 2]
     assert computed_velocities(of_units(units), X, y, np.array(groups)) == ("v",)
+
+
+def test_velocities_of_any_name_are_left_out_where_they_were_computed():
+    rng, units = np.random.default_rng(0), {"x": "m", "y": "rad", "v": "m/s", "w": "rad/s"}
+    simulator = of_units(units)
+    place, angle, rate = (
+        *(one + 1e-3 * rng.normal(size=301) for one in (motion(rng, 301)[0], *motion(rng, 301))),
+    )
+    states = np.column_stack([place, angle, np.gradient(place, DT), rate])
+    log = check_log(simulator, states[:-1], states[1:], np.zeros(300))
+    with pytest.warns(UserWarning, match="^v were computed from the positions"):
+        less = SimulationDiagnosis(simulator)._without_computed(log)
+    np.testing.assert_array_equal(less.measured, [True, True, False, True])
+    less = SimulationDiagnosis(simulator, velocities="computed")._without_computed(log)
+    np.testing.assert_array_equal(less.measured, [True, True, False, False])

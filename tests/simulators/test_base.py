@@ -91,6 +91,17 @@ def test_bounds_are_relative_to_what_is_built_in(pendulum):
     assert bounds["damping[joint]"] == (-1.0, 4.0)
 
 
+def test_what_is_built_in_reaches_a_bound_in_any_number_of_steps():
+    """In floating point .1 + .2 is more than .3, and .3 - .1 - .2 less than 0."""
+    drag = Effect("drag", unit="1/s", neutral=0.0, bounds=(0.0, 0.3))
+    still = FunctionSimulator(
+        lambda X, drag: X * (1 - drag), input_names=("v",), output_names=("v",), effects=[drag]
+    )
+    full = still.extended({"drag": 0.1}).extended({"drag": 0.2})
+    assert (full.built_in, full.effects()[0].bounds) == ({"drag": 0.3}, (-0.3, 0.0))
+    assert full.extended({"drag": -0.1}).extended({"drag": -0.2}).built_in is None
+
+
 def test_quantity_stated_in_full_stays_one_when_it_is_built_in():
     pull = Effect("pull", unit="N", neutral=2.0, bounds=(0.0, 5.0))
     simulator = FunctionSimulator(
@@ -109,6 +120,11 @@ def test_quantity_stated_in_full_stays_one_when_it_is_built_in():
     [
         (
             [Effect("scale[motor]", unit="1", neutral=1.0, bounds=(0.2, 3.0))],
+            ValueError,
+            "Choose another family",
+        ),
+        (
+            [Effect("lag[angle]", unit="s", neutral=0.0, bounds=(0.0, 1.0))],
             ValueError,
             "Choose another family",
         ),
@@ -181,6 +197,12 @@ def test_parameters_can_be_set(pendulum):
     assert pendulum.get_params()["effects"] == EFFECTS
     with pytest.raises(ValueError, match="unknown parameters mass"):
         pendulum.set_params(mass=1)
+    with pytest.raises(ValueError, match="angel"):
+        pendulum.set_params(units={"angel": "rad"}, dt=0.3)
+    assert pendulum.dt == 0.2
+    for dt in (0.0, -1.0, np.inf, np.nan):
+        with pytest.raises(ValueError, match="dt must be positive and finite"):
+            pendulum.set_params(dt=dt)
 
 
 def test_data_frame_columns_are_matched_by_name(pendulum, rows):
@@ -287,6 +309,22 @@ def test_number_of_steps_is_checked(pendulum, n_steps):
         pendulum.rollout([[0.0, 0.0]], n_steps=n_steps)
 
 
+def test_a_delay_that_the_function_has_itself_acts_once():
+    own = Effect("delay[u]", unit="s", neutral=0.0, bounds=(0.0, 0.3))
+    simulator = FunctionSimulator(
+        lambda X, **values: X[:, :1] + X[:, 1:] + values["delay[u]"],
+        input_names=("x", "u"),
+        output_names=("x",),
+        state_names=("x",),
+        effects=[own],
+        dt=0.1,
+    )
+    rows = np.c_[np.zeros(5), np.arange(5.0)]
+    found = simulator.predict(rows, effects={"delay[u]": 0.1})
+    np.testing.assert_array_equal(found[:, 0], rows[:, 1] + 0.1)
+    assert simulator.n_lags({"delay[u]": 0.1}) == 0
+
+
 def test_actions_of_another_shape_are_refused(pendulum):
     with pytest.raises(ValueError, match=r"\(1, 3, 1\), with the columns torque; got \(1, 2, 1\)"):
         pendulum.rollout([[0.0, 0.0]], np.zeros((1, 2, 1)), n_steps=3)
@@ -373,7 +411,8 @@ def test_a_bias_is_up_to_half_a_turn_in_any_unit_and_lags_are_listed_when_asked_
     asked = {name for name in late if name not in plain}
     assert {"lag[place]", "lag[speed]"} <= asked
     assert {effect.name for effect in oscillator.effects(also=["lag[speed]"])} == {*plain, "lag[speed]"}
-    by_family = {effect.name for effect in oscillator.effects(also=["lag"])} - {*plain}
+    assert oscillator.effects(also="lag") == oscillator.effects(also=["lag"])
+    by_family = {effect.name for effect in oscillator.effects(also="lag")} - {*plain}
     assert by_family == {name for name in asked if name.startswith("lag[")}
     assert late["lag[place]"].typical == oscillator.dt == oscillator.time_step
     assert late["lag[place]"].bounds[0] == late["lag[place]"].neutral == 0.0

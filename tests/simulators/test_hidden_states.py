@@ -140,6 +140,21 @@ def test_native_delays_are_mujocos(delay, interp):
 
 
 @pytest.mark.parametrize(
+    ("interp", "integrator", "message"),
+    [
+        ("zoh", "RK4", "which the integrator RK4 reads between time steps"),
+        ("cubic", "Euler", 'with interp="cubic"'),
+    ],
+)
+def test_native_delays_that_are_not_simulated_as_mujoco_does_are_refused(interp, integrator, message):
+    text = """<mujoco><option integrator="{}"/><worldbody><body><joint name="j"/><geom size=".1"/></body></worldbody>
+    <actuator><motor name="drive" joint="j" {}/></actuator></mujoco>"""
+    with pytest.raises(ValueError, match=f"actuator 'drive' has a delay,? {message}"):
+        MujocoSimulator(text.format(integrator, f'delay=".01" nsample="8" interp="{interp}"'))
+    MujocoSimulator(text.format(integrator, 'nsample="8"'))
+
+
+@pytest.mark.parametrize(
     "actuator",
     [
         '<position name="a" joint="shoulder" kp="40" kv="2" timeconst=".05"/>',

@@ -234,6 +234,19 @@ def test_changed_parameters_take_effect(bot):
     np.testing.assert_array_equal(clone(bot).set_params(frame_skip=10).predict(rows), slower)
 
 
+def test_another_model_base_or_motors_make_another_simulator_or_change_nothing():
+    walker = """<mujoco><worldbody><body name="trunk"><freejoint name="float"/><geom size=".1"/>
+    <body><joint name="hip"/><geom size=".05" pos="0 0 -.3"/></body></body></worldbody></mujoco>"""
+    changed = MujocoSimulator(BOT).set_params(model=walker, base="fixed", motors="torque")
+    assert changed.input_names == ("qpos.hip", "qvel.hip", "ctrl.hip")
+    assert clone(changed).input_names == changed.input_names
+    with pytest.raises(ValueError, match="frame_skip must be"):
+        changed.set_params(base=None, frame_skip=0)
+    assert (changed.base, changed.frame_skip) == ("fixed", 1)
+    with pytest.raises(ValueError, match="unknown parameters bas; valid: "):
+        changed.set_params(bas="free")
+
+
 def test_model_is_read_from_path_text_and_spec(bot, tmp_path):
     path, rows = tmp_path / "bot.xml", rows_of(bot, 5)
     path.write_text(BOT)
@@ -471,8 +484,9 @@ def test_broken_model_gets_mujocos_message(text, message):
 def test_model_of_another_type_is_refused():
     with pytest.raises(TypeError, match=r"a path, MJCF or URDF text, .* or a mujoco\.MjModel; got MjData"):
         MujocoSimulator(mujoco.MjData(mujoco.MjModel.from_xml_string(BOT)))
-    with pytest.raises(ValueError, match="frame_skip must be a positive whole number"):
-        MujocoSimulator(BOT, frame_skip=0)
+    for frame_skip in (0, 1.5, True, None, "2", np.inf, np.nan):
+        with pytest.raises(ValueError, match="frame_skip must be a positive whole number"):
+            MujocoSimulator(BOT, frame_skip=frame_skip)
 
 
 def test_missing_asset_is_named():

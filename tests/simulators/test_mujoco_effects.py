@@ -8,6 +8,7 @@ import pytest
 
 from skat.effects import Effect
 from skat.simulators import MujocoSimulator
+from skat.simulators.mujoco import RESERVED
 from tests.machines import changed, plain
 
 ARM = """
@@ -273,6 +274,13 @@ def test_extra_effect_must_have_a_name_of_its_own():
         MujocoSimulator(ARM, extra_effects=(again,)).effects()
 
 
+@pytest.mark.parametrize("name", [*(f"{family}[foo]" for family in RESERVED), "lag[qpos.shoulder]", "delay"])
+def test_extra_effect_is_of_no_family_that_acts_by_its_name(name):
+    own = Effect(name, unit="1", neutral=0.0, bounds=(0.0, 2.0), apply=lambda spec, value: None)
+    with pytest.raises(ValueError, match="choose another family"):
+        MujocoSimulator(ARM, extra_effects=(own,)).effects()
+
+
 @pytest.mark.parametrize(
     ("values", "exponent"),
     [({"air_drag[all]": 0.02}, None), ({"air_drag[x]": 0.02, "air_drag[y]": 0.01}, "axes")],
@@ -307,6 +315,15 @@ def test_air_drag_along_a_slide_is_quadratic_damping():
         [[50.0, 0.0]], effects={"air_drag[all]": 0.03}
     )
     np.testing.assert_allclose(fallen[0, 1], -speed * math.tanh(9.81 * 2 / speed), rtol=1e-6)
+
+
+def test_air_drag_along_a_slide_is_written_as_mjcf(tmp_path):
+    text = """<mujoco><worldbody><body name="ball"><joint name="fall" type="slide" axis="0 0 1"/>
+    <geom size=".1" mass=".5"/></body></worldbody></mujoco>"""
+    falling = MujocoSimulator(text, frame_skip=20).extended({"air_drag[z]": 0.03})
+    (written,) = falling.to_mjcf(tmp_path / "ball.xml")
+    rows = np.array([[50.0, -3.0], [20.0, 12.0]])
+    np.testing.assert_array_equal(plain(written.read_text(), rows, 20), falling.predict(rows))
 
 
 def test_position_friction_holds_up_to_its_size_times_the_angle():

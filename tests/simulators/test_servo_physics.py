@@ -264,6 +264,27 @@ def test_a_dead_zone_of_a_servo_is_one_of_its_error_and_of_a_motor_one_of_its_co
     )
 
 
+def test_what_comes_before_a_control_that_is_integrated_is_no_force(tmp_path):
+    drive = '<intvelocity name="lift" joint="hinge" kp="30" actrange="-3 3" ctrlrange="-2 2"/>'
+    simulator = MujocoSimulator(
+        f"""<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="hinge" damping="1"/>
+        <geom size=".1" pos=".2 0 0"/></body></worldbody><actuator>{drive}</actuator></mujoco>""",
+        frame_skip=5,
+    )
+    effects = {effect.name: effect for effect in simulator.all_effects()}
+    assert {effects[f"{name}lift]"].unit for name in ("dead_zone[", "bias[ctrl.")} == {"rad/s"}
+    assert "offset[lift]" not in effects
+    rows = np.array([[0.4, 0.0, command] for command in (0.0, 0.2, 1.0, -0.8)])
+    values = {"dead_zone[lift]": 0.3, "scale[ctrl.lift]": 2.0, "bias[ctrl.lift]": 0.1}
+    as_if = rows.copy()
+    as_if[:, 2] = [0.0, 0.2, 1.8, -1.2]
+    found, groups = simulator.predict(rows, effects=values, groups=range(4)), range(4)
+    np.testing.assert_allclose(found, simulator.predict(as_if, groups=groups), atol=1e-12)
+    np.testing.assert_allclose(found[0], [0.4, 0.0], atol=1e-12)
+    _, notes = simulator.extended(values).to_mjcf(tmp_path / "drive.xml")
+    assert {one["name"] for one in json.loads(notes.read_text())["effects"]} == set(values)
+
+
 def test_a_command_in_the_wrong_unit_is_a_scale_and_written_as_mjcf(tmp_path):
     simulator = MujocoSimulator(SERVO_ARM, frame_skip=2)
     rows = np.random.default_rng(0).normal(size=(10, 6))

@@ -43,6 +43,11 @@ ARM = """<?xml version="1.0"?>
 UNBOLTED = ARM.replace('  <link name="world"/>\n', "").replace(
     '  <joint name="bolt" type="fixed"><parent link="world"/><child link="base"/></joint>\n', ""
 )
+HEAVY = UNBOLTED.replace(
+    '<link name="base"/>',
+    '<link name="base"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+    "</inertial></link>",
+)
 SLIDER = (
     '<mujoco><worldbody><body><joint name="{}" type="slide"/><geom size="0.1"/></body></worldbody></mujoco>'
 )
@@ -78,12 +83,7 @@ def test_a_urdf_without_a_joint_to_the_world_asks_whether_its_root_is_free():
     with pytest.raises(ValueError, match=r"root link 'base' .* say base='fixed' or base='free' .*--base"):
         MujocoSimulator(UNBOLTED)
     assert MujocoSimulator(UNBOLTED, base="fixed").state_names == MujocoSimulator(ARM).state_names
-    heavy = UNBOLTED.replace(
-        '<link name="base"/>',
-        '<link name="base"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
-        "</inertial></link>",
-    )
-    assert MujocoSimulator(heavy, base="free").state_names[:3] == (
+    assert MujocoSimulator(HEAVY, base="free").state_names[:3] == (
         "qpos.root.x",
         "qpos.root.y",
         "qpos.root.z",
@@ -137,6 +137,15 @@ def test_position_servos_pull_with_their_gains():
     np.testing.assert_array_equal(model.actuator_gainprm[:, 0], 20)
     np.testing.assert_array_equal(model.actuator_biasprm[:, 1:3], [[-20, -0.5]] * 2)
     np.testing.assert_array_equal(model.actuator_forcerange, [[-12, 12], [-5, 5]])
+
+
+def test_motors_of_joints_without_a_name_are_called_as_their_columns_are():
+    nameless = """<mujoco><worldbody><body><joint name="joint1" axis="0 1 0"/><geom size=".1"/><body>
+    <joint axis="0 1 0"/><geom size=".1"/></body></body></worldbody></mujoco>"""
+    columns = MujocoSimulator(nameless).state_names
+    driven = MujocoSimulator(nameless, motors="torque")
+    assert driven.state_names == columns
+    assert driven.input_names[4:] == ("ctrl.joint1", "ctrl.joint1_")
 
 
 @pytest.mark.parametrize(
@@ -222,6 +231,26 @@ def test_what_a_urdf_does_not_say_is_written_beside(tmp_path):
         MujocoSimulator(ARM).to_urdf(written)
     with pytest.raises(ValueError, match="not read from a URDF"):
         MujocoSimulator(SLIDER.format("a")).to_urdf(tmp_path / "no.urdf")
+
+
+@pytest.mark.parametrize(
+    ("motors", "effect", "value"),
+    [
+        *(
+            ("position:20,0.5", name, 0.03)
+            for name in ("lag[elbow]", "lag_torque[elbow]", "torque_speed[elbow]")
+        ),
+        *(("position:20,0.5", f"{family}[ctrl.elbow]", 0.5) for family in ("scale", "bias")),
+        ("position:20,0.5", "backlash[elbow]", 0.01),
+        ("torque", "lag[all]", 0.03),
+        ("torque", "damping[root]", 0.03),
+    ],
+)
+def test_no_effect_that_changes_no_number_of_a_urdf_is_lost(motors, effect, value, tmp_path):
+    arm = MujocoSimulator(HEAVY, base="free", motors=motors).extended({effect: value})
+    written, notes = arm.to_urdf(tmp_path / "arm.urdf")
+    assert written.read_text() == HEAVY
+    assert effect in notes.read_text()
 
 
 def test_a_compiled_model_is_taken_with_the_numbers_that_it_has():
