@@ -93,6 +93,8 @@ class Fits:
         members = tuple(members)
         chosen = [self.effects[one] for one in members]
         origin = np.array([self._place(one, near.values) for one in members])
+        if not own_slopes:
+            places = self._with_whole_rows(members, places, near)
         # What the set has beside `near` cannot make the log less likely, but for a step too far.
         reached = near.fitted.bound - STILL if set(near.members) <= set(members) else -np.inf
         start, best = near.fitted, None
@@ -125,6 +127,31 @@ class Fits:
         if best is None:
             raise RuntimeError("no turn was made")
         return best
+
+    def _with_whole_rows(self, members: tuple[int, ...], places: Array, near: Fit) -> Array:
+        """Return the coordinates to begin with, of a new delay the likeliest of its own and the whole rows beside it.
+
+        Between whole rows, and between time steps, the likelihood of a delay has maxima of its own: of commands that
+        come two rows late that of one and two thirds leads back to none.
+        """
+        row, best = self.space.simulator.dt, np.array(places, dtype=np.float64)
+        for column, one in enumerate(members):
+            effect = self.effects[one]
+            if effect.family != "delay" or effect.name in near.values or not row:
+                continue
+            starts = [best]
+            for rows in np.unique([np.floor(best[column] / row), np.ceil(best[column] / row)]):
+                if 0 < rows * row <= effect.bounds[1]:
+                    starts.append(np.where(np.arange(len(best)) == column, rows * row, best))
+            if len(starts) > 1:
+                best = max(starts, key=lambda start: self._bound(members, start, near))
+        return best
+
+    def _bound(self, members: tuple[int, ...], places: Array, near: Fit) -> float:
+        """Return the bound of a set at given coordinates, about the path of another fit and with its slopes."""
+        effects = [self.effects[one] for one in members]
+        values = {effect.name: value_at(effect, at) for effect, at in zip(effects, places)}
+        return self._compared(values, near.fitted).bound
 
     def about(self, members: Sequence[int], places: Array, near: Fit) -> Fit:
         """Return a set as it is at given places, about the path of another fit but with slopes of its own."""

@@ -39,6 +39,18 @@ BALL = """
   </worldbody>
 </mujoco>
 """
+STIFF = """
+<mujoco>
+  <option timestep="0.004" gravity="0 0 0" integrator="implicitfast"/>
+  <worldbody>
+    <body>
+      <joint name="rail" type="slide" axis="1 0 0"/>
+      <geom size=".1" mass="1"/>
+    </body>
+  </worldbody>
+  <actuator><position name="drive" joint="rail" kp="4000" kv="400"/></actuator>
+</mujoco>
+"""
 predict = SIMULATOR.predict_many
 HEAVIER = pendulum.TEXT.format(damping=0.15)
 
@@ -290,3 +302,20 @@ def test_blocks_of_time_are_as_long_in_short_chains_as_in_long_ones():
         sizes = np.bincount(np.unique(blocks[:, :-1][short.real], return_inverse=True)[1])
         assert 20 <= np.median(sizes) <= 32
         assert np.all(np.diff(blocks[short.places]) >= 0)
+
+
+@pytest.mark.parametrize("rows", [0.4, 1.2, 1.66, 2.5])
+def test_a_delay_is_found_from_wherever_slopes_say(rows):
+    """Between whole rows its likelihood has maxima of its own, most of which lead back to no delay."""
+    rng = np.random.default_rng(0)
+    simulator = MujocoSimulator(STIFF, frame_skip=5)
+    delay = next(one for one in simulator.effects() if one.name == "delay[action]")
+    commands = 0.1 * np.cumsum(rng.normal(size=(1, 200, 1)), axis=1)
+    late = simulator.extended({delay.name: 2 * simulator.dt})
+    states = late.rollout(np.zeros((1, 2)), commands, n_steps=200)[0]
+    states += [0.001, 0.003] * rng.normal(size=states.shape)
+    X, y, groups = np.c_[states[:-1], commands[0]], states[1:], np.zeros(200, int)
+    space = state_space(simulator, X, y, groups, consecutive=True)
+    fits = Fits(space, (delay,), priors_of((delay,)), Known(), 1.0)
+    found = fits.of((0,), np.array([rows * simulator.dt]), fits.first(), own_slopes=False)
+    assert found.values[delay.name] == pytest.approx(2 * simulator.dt, rel=1e-3)
