@@ -45,6 +45,8 @@ MOST_COLUMNS = 1500
 LONGEST_TABLE = 5
 # Rows of a block of time, of which each half of a log has every other.
 BLOCK_ROWS = 16
+# What a force's own past is called, and how many rows of it there are from the horizon on.
+PAST, PAST_ROWS = "its own past", 12
 # Fewer episodes do not tell a law of time from chance.
 EPISODES_FOR_TIME = 5
 # Of a force's variance: where the sensors show less of it, there is no saying what it looks like.
@@ -63,7 +65,7 @@ class Law:
     Attributes
     ----------
     coordinate : str
-        An input, "time", or a product of two inputs.
+        An input, "time", a product of two inputs, or `PAST`.
     edges : ndarray of shape (n_bins + 1,)
     mean, low, high : ndarray of shape (n_bins,)
         Force in each bin, and its 95 % interval.
@@ -101,7 +103,7 @@ class Left:
     ahead : float
         What the predictable part adds to the mean square error at the horizon, in units of a right model's.
     frequencies, spectrum : ndarray of shape (n_frequencies,)
-        Hz (or per row), and the power density of what no law predicts, as if sensors hid nothing.
+        Hz (or per row), and the power density of what no law but its own past predicts, as if sensors hid nothing.
     word : str
         "drift", "vibration at 22 Hz", "impacts", "white", or "none" where sensors show no force.
     tried : tuple of (str, float)
@@ -223,7 +225,7 @@ def find_remainder(
     white = _white_spectra(space, fitted, directions, random_state)
     looks = [seen, *_with_normal_noise(space, seen, known)]
     runs = _runs(space, looks[-1], fitted.values, h)
-    laws = [_likeliest(space, looks, directions, index, rows) for index in range(len(directions.names))]
+    laws = [_likeliest(space, looks, directions, index, rows, h) for index in range(len(directions.names))]
     # How large it is, is a matter of mean squares: heavy tails would take a law's largest forces for outliers.
     sized = _without_laws(space, looks[-1], directions, laws, known)
     parts = [
@@ -244,15 +246,21 @@ class _Likeliest:
 
 
 def _likeliest(
-    space: StateSpace, looks: Sequence[Seen], directions: _Directions, index: int, rows: Array
+    space: StateSpace,
+    looks: Sequence[Seen],
+    directions: _Directions,
+    index: int,
+    rows: Array,
+    horizon: int,
 ) -> _Likeliest:
     scale = float(directions.scales[index])
-    regressors = _regressors(space, directions, index, rows)
-    # Own laws have half of the weight for themselves.
-    n_own = sum(one.is_own for one in regressors)
-    n_other = len(regressors) - n_own
+    of_rows = _regressors(space, directions, index, rows)
     tried = []
     for look in looks:
+        regressors = [*of_rows, *_own_past(space, look, directions.columns[..., index], scale, horizon)]
+        # Own laws have half of the weight for themselves.
+        n_own = sum(one.is_own for one in regressors)
+        n_other = len(regressors) - n_own
         for one in regressors:
             N = _response(space, look, directions.columns[..., index], one.columns)
             nats, size = worth_of(*_gram(look, N), scale)
@@ -323,7 +331,9 @@ def _left(
     added = _added(space, seen, column, np.stack(predicted, axis=-1), runs)
     force, variance = directions.forces[:, index], directions.variances[:, index]
     mean_square = float(np.mean(force**2 + variance))
-    left = force - ((predicted[0] + predicted[1]) / 2 if law.evidence > 0 else 0.0)
+    # What its own past predicts is what a spectrum is to show.
+    is_law = law.evidence > 0 and chosen.name != PAST
+    left = force - ((predicted[0] + predicted[1]) / 2 if is_law else 0.0)
     shown = 1 - float(variance.mean()) / mean_square if mean_square > 0 else 0.0
     frequencies, spectrum = _spectrum(space, left, white[0], white[1])
     word = word_of(left, frequencies, spectrum, "Hz" if space.simulator.dt else "per row")
@@ -494,6 +504,27 @@ def _regressors(space: StateSpace, directions: _Directions, index: int, rows: Ar
         for name in others:
             found += binned(name, rows[:, places[name]], OTHER_BINS, is_own=False)
     return found
+
+
+def _own_past(space: StateSpace, seen: Seen, direction: Array, scale: float, horizon: int) -> list[Regressor]:
+    """Return the regressor of what innovations say of a force a horizon before, and in the rows before that.
+
+    A vibration that keeps its phase is predicted so; a random force whose memory is short against the horizon is not.
+    """
+    chain, step = space.places
+    steps, last = steps_of(space.groups), horizon + PAST_ROWS - 1
+    if not space.simulator.state_names or steps.max() < last:
+        return []
+    factors = seen.estimate.filtered.factors[chain, step + 1][..., : space.d]
+    moved = (factors @ direction[..., None])[..., 0]
+    shown = np.sum(moved * seen.estimate.filtered.whitened[chain, step + 1], axis=1)
+    force = shown / (np.sum(moved**2, axis=1) + 1 / scale**2)
+    columns = np.zeros((len(force), PAST_ROWS))
+    for column, before in enumerate(range(horizon, last + 1)):
+        there = np.flatnonzero(steps >= before)
+        columns[there, column] = force[there - before]
+    size = float(np.sqrt(np.mean(columns**2)))
+    return [Regressor(PAST, PAST, columns[:, 0], columns / size, True)] if size > 0 else []
 
 
 def _turned_back(space: StateSpace, rows: Array) -> Array:

@@ -92,11 +92,28 @@ def test_a_white_force_makes_no_verdict_and_is_called_so(simulator):
     assert level == pytest.approx(0.3**2 * 2 * 0.01, rel=0.3)  # a white force held for a row of 10 ms
 
 
-def test_a_vibration_is_named_with_its_frequency(simulator):
+def test_a_vibration_is_named_with_its_frequency_and_predicted_by_its_own_past(simulator):
     remainder = left(simulator, lambda q, v, time, rng: 0.3 * np.sin(2 * np.pi * 8 * time))
-    word = remainder.parts[0].word
-    assert word.startswith("vibration at ")
-    assert float(word.split()[2]) == pytest.approx(8, abs=0.4)  # of 128 rows: bins of .8 Hz
+    (part,) = remainder.parts
+    assert part.word.startswith("vibration at ")
+    assert float(part.word.split()[2]) == pytest.approx(8, abs=0.4)  # of 128 rows: bins of .8 Hz
+    assert part.regressor == part.law.coordinate == "its own past"
+    assert part.predictable == pytest.approx(0.3 / np.sqrt(2), rel=0.1)
+    assert is_unexplained(remainder, None)
+
+
+def test_a_resonance_that_has_lost_its_phase_at_the_horizon_makes_no_verdict(simulator):
+    """A random force at 8 Hz whose phase lasts for 50 ms, of a horizon of a quarter of a second."""
+    turned, kept = np.exp(2j * np.pi * 8 * 0.01), np.exp(-0.01 / 0.05)
+    state = np.zeros(1, dtype=complex)
+
+    def resonance(q, v, time, rng):
+        fresh = rng.normal(size=2) @ np.array([1, 1j]) * np.sqrt((1 - kept**2) / 2)
+        state[0] = kept * turned * state[0] + fresh
+        return 0.3 * state[0].real
+
+    remainder = left(simulator, resonance)
+    assert remainder.parts[0].rms == pytest.approx(0.3 / np.sqrt(2), rel=0.25)
     assert not is_unexplained(remainder, None)
 
 

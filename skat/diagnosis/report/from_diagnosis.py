@@ -14,6 +14,7 @@ from skat.diagnosis.comparison import EXTENDED, NOMINAL, ceiling_sentence, compa
 from skat.diagnosis.evidence import weigh
 from skat.diagnosis.fitting import around
 from skat.diagnosis.log import Log
+from skat.diagnosis.remainder import PAST
 from skat.diagnosis.report.changes import model_changes
 from skat.diagnosis.report.content import (
     Alternative,
@@ -353,7 +354,7 @@ def _left(diagnosis: Any) -> tuple[Left, ...]:
                 None,
                 part.scale if part.scale > NO_FORCE else None,
                 part.share if is_clear else None,
-                _law(simulator, part.law) if is_clear else None,
+                _law(simulator, part) if is_clear else None,
                 spectrum,
                 f"{capital(left_sentence(part))}." if is_clear else "",
             )
@@ -361,8 +362,8 @@ def _left(diagnosis: Any) -> tuple[Left, ...]:
     return tuple(left)
 
 
-def _law(simulator: Any, law: Any) -> Law:
-    units = {**simulator.units, "time": "s" if simulator.dt else ""}
+def _law(simulator: Any, part: Any) -> Law:
+    law, units = part.law, {**simulator.units, "time": "s" if simulator.dt else "", PAST: part.unit}
     return Law(
         law.coordinate,
         units.get(law.coordinate, ""),

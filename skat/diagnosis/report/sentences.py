@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from skat.diagnosis.comparison import ceiling_sentence, is_beaten
-from skat.diagnosis.remainder import is_unexplained
+from skat.diagnosis.remainder import PAST, is_unexplained
 from skat.diagnosis.report.tables import GAP, is_guarded, plain_unit, probability_text
 from skat.rounding import amount, interval_text, size_text
 from skat.simulators.base import Simulator, is_sensor
@@ -182,6 +182,9 @@ def left_sentence(part: Left) -> str:
     size += f" (rms), {100 * part.predictable / part.scale:.2g} % of what acts there,"
     if part.regressor == "constant":
         return f"at {part.name} {size} are left at all times, which no cause explains"
+    if part.regressor == PAST:
+        looks = "" if part.word in ("none", "white") else f" ({part.word})"
+        return f"what is left at {part.name} goes on as before{looks}: its past predicts {size} that no cause explains"
     return f"what is left at {part.name} depends on {part.regressor}, which predicts {size} that no cause explains"
 
 
