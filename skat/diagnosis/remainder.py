@@ -556,13 +556,17 @@ def binned(name: str, values: Array, n_bins: int, *, is_own: bool) -> list[Regre
 
 
 def bins_of(values: Array, n_bins: int) -> tuple[Array, Array]:
-    """Return edges, and which bin each row is in as columns."""
-    edges: Array = np.unique(np.quantile(values, np.linspace(0, 1, n_bins + 1)))
-    if len(edges) < 3:
-        centre = float(values.mean())
-        edges = np.array([min(float(values.min()), centre), max(float(values.max()), centre + 1e-12)])
-    place = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
-    return edges, np.eye(len(edges) - 1)[place]
+    """Return edges, and which bin each row is in as columns: bins of about as many rows, equal values in one.
+
+    Few values, such as those of a command that is on or off, have a bin each.
+    """
+    levels, place, counts = np.unique(values, return_inverse=True, return_counts=True)
+    middles = (np.cumsum(counts) - counts / 2) / len(values)
+    bins = np.unique((n_bins * middles).astype(int), return_inverse=True)[1]
+    last = np.flatnonzero(np.diff(bins))
+    between = (levels[last] + levels[last + 1]) / 2
+    edges: Array = np.r_[levels[0], between, max(levels[-1], np.nextafter(levels[0], np.inf))]
+    return edges, np.eye(len(edges) - 1)[bins[place]]
 
 
 def _response(space: StateSpace, seen: Seen, direction: Array, columns: Array) -> Array:
