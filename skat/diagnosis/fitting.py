@@ -527,7 +527,9 @@ def gram_of(space: StateSpace, fitted: Fitted, slopes: Array, effects: Sequence[
     )
     gram = Gram(columns.T @ columns, columns.T @ whitened, origin)
     blocks = np.broadcast_to(_blocks(space)[..., None], chains.mask.shape)[chains.mask]
-    return Columns(gram, whitened, columns, np.unique(blocks, return_inverse=True)[1])
+    # That groups have something in common was said; that pieces of time have is to be seen.
+    fewest = 2 if _are_grouped(space) else FEWEST_BLOCKS
+    return Columns(gram, whitened, columns, np.unique(blocks, return_inverse=True)[1], fewest)
 
 
 def response(space: StateSpace, chains: Chains, filtered: Filtered, slopes: Array) -> Array:
@@ -549,13 +551,16 @@ class Columns:
     whitened : ndarray of shape (n_measured,)
     columns : ndarray of shape (n_measured, k)
     blocks : ndarray of int of shape (n_measured,)
-        Piece of time that each belongs to.
+        Piece of time, or group, that each belongs to.
+    fewest : int, default=10
+        Pieces between which scores are compared at least.
     """
 
     gram: Gram
     whitened: Array
     columns: Array
     blocks: NDArray[np.intp]
+    fewest: int = FEWEST_BLOCKS
 
     def dense(self, scales: Array) -> Array:
         """Return what all effects together, each held by a normal law of its typical size, would move.
@@ -584,7 +589,7 @@ class Columns:
         n_logs = int(origin.max(initial=0)) + 1
         pairs, blocks = np.unique(self.blocks * n_logs + origin, return_inverse=True)
         n_blocks = len(pairs)
-        if n_blocks - n_logs < FEWEST_BLOCKS - 1:
+        if n_blocks - n_logs < self.fewest - 1:
             return np.zeros(self.columns.shape[1])
         order = np.argsort(blocks, kind="stable")
         starts = np.searchsorted(blocks[order], np.arange(n_blocks))
@@ -608,11 +613,17 @@ def _blocks(space: StateSpace) -> NDArray[np.intp]:
     length = max(1, min(BLOCK_ROWS, int(space.real.sum()) // MOST_BLOCKS))
     per_chain = -(-(steps + 1) // length)
     block: NDArray[np.intp] = np.arange(n_chains)[:, None] * per_chain + np.arange(steps + 1) // length
-    if steps == 1:  # rows that are independent of each other
-        block = np.repeat(np.arange(n_chains)[:, None] // max(1, n_chains // MOST_BLOCKS), 2, axis=1)
+    if steps == 1:  # rows, or groups of them, that are independent of each other
+        pieces = space.groups if _are_grouped(space) else np.arange(n_chains)
+        block = np.repeat(pieces[:, None] // max(1, (int(pieces[-1]) + 1) // MOST_BLOCKS), 2, axis=1)
     elif steps + 1 < length:  # drift shows between pieces longer than a chain
         block = np.repeat(np.arange(n_chains)[:, None] // (length // (steps + 1)), steps + 1, axis=1)
     return block
+
+
+def _are_grouped(space: StateSpace) -> bool:
+    """Whether rows without a state are said to have something in common."""
+    return not space.simulator.state_names and int(space.groups[-1]) + 1 < len(space.groups)
 
 
 def noise_without(

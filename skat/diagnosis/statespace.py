@@ -45,7 +45,8 @@ class StateSpace:
     X : ndarray of shape (n_rows, n_inputs)
         As measured; what was not is a guess.
     groups : ndarray of shape (n_rows,)
-        Episode of each row, as the simulator takes it.
+        Episode of each row, as the simulator takes it; of a simulation without a state, rows that have something in
+        common.
     places : tuple of two ndarrays of int of shape (n_rows,)
         Chain and step of each row.
     measured : ndarray of shape (n_chains, n_steps + 1, n_states)
@@ -220,7 +221,7 @@ def state_space(
     (chain, step), states = in_chains(
         simulator, X, y, episodes, consecutive=consecutive, chain_length=chain_length
     )
-    if not (consecutive and n_states):
+    if n_states and not consecutive:
         episodes = chain
     shape = len(states), states.shape[1] - 1
     real = np.zeros(shape, dtype=bool)

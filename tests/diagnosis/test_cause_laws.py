@@ -264,7 +264,8 @@ def test_scores_scatter_between_blocks_by_what_the_blocks_have_in_common(each):
 
 @pytest.mark.parametrize("n", [30, 120, 1000])
 def test_rows_that_are_independent_fall_in_about_sixty_blocks(n):
-    blocks = _blocks(SimpleNamespace(real=np.ones((n, 1), dtype=bool)))
+    simulator = SimpleNamespace(state_names=("q",))
+    blocks = _blocks(SimpleNamespace(real=np.ones((n, 1), dtype=bool), simulator=simulator))
     assert blocks.shape == (n, 2)
     np.testing.assert_array_equal(blocks[:, 0], blocks[:, 1])
     assert (np.diff(blocks[:, 0]) >= 0).all()

@@ -110,6 +110,23 @@ def test_effect_of_the_smallest_size_is_named_in_about_half_of_the_logs(bending)
     assert 0.25 <= np.mean(named) <= 0.75
 
 
+@pytest.mark.parametrize("n_groups", [5, 20])
+def test_an_interval_is_as_wide_as_what_groups_of_rows_have_in_common_makes_it(n_groups):
+    simulator = simulation(lambda X, b: X + b, ("u",), ("p",), b=(0.0, -5.0, 5.0))
+    widths = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        groups = np.repeat(np.arange(n_groups), 600 // n_groups)
+        X = rng.uniform(-1, 1, size=(600, 1))
+        noise = 0.1 * rng.normal(size=(n_groups, 1))[groups] + 0.05 * rng.normal(size=X.shape)
+        diagnosis = SimulationDiagnosis(simulator, test_size=0, random_state=0).fit(
+            X, X + 0.5 + noise, groups
+        )
+        (cause,) = diagnosis.causes_
+        widths.append(np.diff(cause.interval).item())
+    assert np.mean(widths) == pytest.approx(2 * 1.96 * 0.1 / np.sqrt(n_groups), rel=0.25)
+
+
 @pytest.mark.xfail(
     strict=True, reason="rows of a group count as independent, so that their common noise is a law"
 )
