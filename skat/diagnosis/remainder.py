@@ -20,7 +20,6 @@ has it to be is free of what each takes for the law by chance.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy import signal
@@ -86,7 +85,7 @@ class Left:
     ----------
     name, unit : str
     rms : float
-        Of the force, what sensors hide of it included.
+        Of the force, what sensors hide of it included; no less than what is predictable.
     scale : float
         Root mean square of the force that the nominal model has there, same unit.
     predictable : float
@@ -340,7 +339,7 @@ def _left(
     return Left(
         directions.names[index],
         directions.units[index],
-        float(np.sqrt(mean_square)),
+        max(float(np.sqrt(mean_square)), predictable),
         float(directions.scales[index]),
         predictable,
         chosen.name,
@@ -432,23 +431,10 @@ def _total_forces(space: StateSpace, memory: Memory, noise: Noise, smoothed: Smo
 
 def _joint_scales(space: StateSpace, fitted: Fitted) -> Array:
     """Return the nominal model's rms force on each joint: that of motors, of gravity where none drives it."""
-    import mujoco
-
-    simulator = space.simulator
-    prepared: Callable[[Mapping[str, float]], Any] = getattr(simulator, "prepared")  # noqa: B009
-    model, _, _ = prepared({})
-    data = mujoco.MjData(model)
-    squares = np.zeros((2, model.nv))
-    rows = space.rows(fitted.linear.path)
-    n_states = len(simulator.state_names)
-    for row in rows:
-        data.qpos[:], data.qvel[:] = row[: model.nq], row[model.nq : model.nq + model.nv]
-        if len(row) - n_states == model.nu:
-            data.ctrl[:] = row[n_states:]
-        mujoco.mj_forward(model, data)
-        squares += np.stack([data.qfrc_actuator, data.qfrc_bias]) ** 2
-    actuator, bias = np.sqrt(squares / len(rows))
-    scales: Array = np.maximum(np.where(actuator > 0, actuator, bias), 1e-9)
+    exerted: Callable[[Array, Places], tuple[Array, Array]] = getattr(space.simulator, "exerted")  # noqa: B009
+    forces = exerted(space.rows(fitted.linear.path), space.groups)
+    actuators, bias = (np.sqrt(np.mean(force**2, axis=0)) for force in forces)
+    scales: Array = np.maximum(np.where(actuators > 0, actuators, bias), 1e-9)
     return scales
 
 

@@ -36,7 +36,7 @@ from skat.simulators.source import (
     read_source,
     write_xml,
 )
-from skat.simulators.stepping import Forces, Job, Play, Stepper
+from skat.simulators.stepping import Forces, Job, Play, Stepper, steady_activations
 from skat.simulators.tables import Array, episode_starts
 from skat.simulators.urdf import DERIVED, HELD, HELD_OF_JOINTS, edited_urdf
 
@@ -416,6 +416,34 @@ class MujocoSimulator(Simulator):
             Time steps to run; `frame_skip` by default.
         """
         return self._model(values, self.frame_skip), n_substeps or self.frame_skip, self._forces(values)
+
+    def exerted(self, inputs: Array, groups: Array) -> tuple[Array, Array]:
+        """Return the forces of actuators, and of gravity and motion, on each degree of freedom as the simulation is.
+
+        Parameters
+        ----------
+        inputs : ndarray of shape (n_rows, n_inputs)
+            Activations are those that commands held for long leave.
+        groups : ndarray of shape (n_rows,)
+
+        Returns
+        -------
+        actuators, bias : ndarray of shape (n_rows, nv)
+            ``qfrc_actuator`` and ``qfrc_bias``, N or N m.
+        """
+        # No motor is apart from its link where its link alone is seen.
+        values = {name: at for name, at in self._built_in().items() if not name.startswith("backlash[")}
+        model = self._model(self._physical(values), self.frame_skip)
+        n_states, forces = len(self.state_names), np.zeros((2, len(inputs), model.nv))
+        (commands,) = self.acting_commands(inputs[:, n_states:], [{}], groups=groups)
+        activations = steady_activations(model, commands, inputs[:, : model.nq])
+        data = mujoco.MjData(model)
+        for row, (state, command, activation) in enumerate(zip(inputs[:, :n_states], commands, activations)):
+            data.qpos[:], data.qvel[:] = np.split(state, [model.nq])
+            data.ctrl[:], data.act[:] = command, activation
+            mujoco.mj_forward(model, data)
+            forces[:, row] = data.qfrc_actuator, data.qfrc_bias
+        return forces[0], forces[1]
 
     def acting_commands(
         self,

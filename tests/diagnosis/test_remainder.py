@@ -179,3 +179,28 @@ def test_what_causes_explain_beside_a_law_decides_whether_it_is_much():
 
     assert is_unexplained(remainder, gain(2 * ahead))
     assert not is_unexplained(remainder, gain(20 * ahead))
+
+
+SERVO = """
+<mujoco>
+  <option timestep="0.005" integrator="implicitfast"/>
+  <worldbody>
+    <body><joint name="hinge" axis="0 1 0" damping=".05"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -.4" size=".02" mass=".8"/></body>
+  </worldbody>
+  <actuator><position joint="hinge" name="servo" kp="20" kv="1" {filter}/></actuator>
+</mujoco>"""
+
+
+def test_what_acts_on_a_joint_is_what_its_servo_exerts_with_a_filter_or_without():
+    scales = []
+    for filtered in ("", 'timeconst=".02"'):
+        simulator = MujocoSimulator(SERVO.format(filter=filtered), frame_skip=FRAME_SKIP)
+        commands = 1 + 0.3 * np.sin(0.02 * np.arange(300))[:, None]
+        states = simulator.rollout([[1.0, 0.0]], commands[None], n_steps=300)[0]
+        exerted, _ = simulator.exerted(np.column_stack([states[:-1], commands]), np.zeros(300, dtype=int))
+        scales.append(np.sqrt(np.mean(exerted**2)))
+    assert scales[1] == pytest.approx(scales[0], rel=0.1)
+    weak = MujocoSimulator(NOMINAL, frame_skip=FRAME_SKIP).extended({"gain[motor]": 0.25})
+    rows = np.array([[0.1, 0.2, 2.0]])
+    assert weak.exerted(rows, np.zeros(1, dtype=int))[0].item() == pytest.approx(0.5)

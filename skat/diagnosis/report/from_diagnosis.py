@@ -404,11 +404,12 @@ def _forces(diagnosis: Any) -> tuple[ForceNoise, ...]:
     if not simulator.state_names:
         return ()
     time = -simulator.dt / np.log(memory.share) if memory and simulator.dt else None
-    beside, forces = _beside(diagnosis), []
+    beside, clear, forces = _beside(diagnosis), clear_parts(diagnosis), []
     for part in diagnosis.remainder_.parts:
         lasts, (other, correlation) = part.past > memory.predicted / 2, beside.get(part.name, ("", 0.0))
         memory_s, returns = (time, memory.returns) if lasts else (0.0, False)
-        forces.append(ForceNoise(part.name, part.unit, part.rms, memory_s, returns, other, correlation))
+        rms = float(np.sqrt(part.rms**2 - part.predictable**2)) if part in clear else part.rms
+        forces.append(ForceNoise(part.name, part.unit, rms, memory_s, returns, other, correlation))
     return tuple(forces)
 
 
