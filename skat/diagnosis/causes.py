@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from skat.diagnosis.chains import Array
-from skat.diagnosis.evidence import Gram, Priors, Weighed, Weigher, weigh
+from skat.diagnosis.evidence import Gram, Priors, Weighed, Weigher, coarsened, weigh
 from skat.diagnosis.fits import Fit, Fits
 from skat.diagnosis.fitting import (
     NOTHING_KNOWN,
@@ -49,8 +49,6 @@ BIAS_SHARE = 0.03
 TURNS, QUICK_TURNS = 16, 3
 # How often noise and what all effects explain are taken in turns, before any is a cause.
 DENSE_TURNS = 2
-# No model is exact: a log of so many rows counts half [Miller, Dunson 2019].
-COARSE_ROWS = 10_000
 # Effects whose slopes are taken anew with the causes in, of those that promise most.
 LIVE = 24
 # The weakest causes, so many, must be missed by a fit of their own of the others, and their rivals' too.
@@ -215,7 +213,7 @@ def find_causes(
     """
     effects = readable(space, effects)
     priors = priors_of(effects, {**typical_biases(space, effects), **(typical or {})})
-    power = COARSE_ROWS / (COARSE_ROWS + len(space.X))
+    power = coarsened(len(space.X))
     needed = -float(np.log(alpha))
     known = replace(known, tolerance=STILL) if coarse else known
     fits = Fits(space, tuple(effects), priors, known, power)
@@ -245,7 +243,7 @@ def find_causes(
         compared = Comparison(fits, now)
         afar = state.turn == 0 and state.dense is not None
         if afar:
-            moved = _first_guess(start or {}, fits, now, needed)
+            moved = _first_guess(start or {}, fits, now, needed, max_effects)
             afar = moved is not None
         proposed = [] if afar else list(proposals(ranked, worth, now.members, needed))
         asked = [*proposed, *(_singles(worth, banned) if proposed else ())]
@@ -301,15 +299,19 @@ def _begun(fits: Fits) -> Search:
     return Search(0, now, dense, slopes, None, ())
 
 
-def _first_guess(start: Mapping[str, float], fits: Fits, now: Fit, needed: float) -> Fit | None:
+def _first_guess(
+    start: Mapping[str, float], fits: Fits, now: Fit, needed: float, most: int | None
+) -> Fit | None:
     """Return the fit of the set that missing forces ask for, if the log is likelier with it, as it is, than with none.
+
+    Not of one with more causes than may be.
 
     It is far from where slopes were taken: what these propose is asked for from there. What passes for noise about the
     path of a model without it is none about its own.
     """
     members = [place for place, effect in enumerate(fits.effects) if effect.name in start]
     places = np.array([coordinate(fits.effects[one], start[fits.effects[one].name]) for one in members])
-    if not members:
+    if not members or (most is not None and len(members) > most):
         return None
     about = fits.about(members, places, now)
     if about.fitted.bound - needed * len(members) <= now.fitted.bound:

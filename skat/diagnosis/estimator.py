@@ -22,6 +22,7 @@ from skat.diagnosis.causes import QUICK_TURNS, TURNS, find_causes
 from skat.diagnosis.chains import Array
 from skat.diagnosis.changes import find_changes
 from skat.diagnosis.doubts import warn_of_doubts
+from skat.diagnosis.evidence import coarsened
 from skat.diagnosis.findings import Alias, Cause, Gain
 from skat.diagnosis.fitting import Fitted, Known, coordinate, first_fit, hits, value_at
 from skat.diagnosis.forces.efforts import causes_of_efforts
@@ -293,7 +294,13 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
                 )
         self.extended_simulator_ = self.simulator.extended(self._values)
         self.identifiability_ = identifiability(
-            found.gram, found.priors, found.effects, found.values, alpha=self.alpha, value_at=value_at
+            found.gram,
+            found.priors,
+            found.effects,
+            found.values,
+            alpha=self.alpha,
+            power=coarsened(len(fitted)),
+            value_at=value_at,
         )
         told = ", ".join(f"{cause.name} {cause.value:.4g}" for cause in self.causes_)
         progress(f"what is left beside {told or 'no cause'}", 0, 1)

@@ -22,12 +22,19 @@ from scipy.special import log_ndtr
 
 from skat.diagnosis.chains import Array
 
+# No model is exact: a log of so many rows counts half [Miller, Dunson 2019].
+COARSE_ROWS = 10_000
 # Of the largest eigenvalue of a scaled Gram matrix: below it there is rounding.
 RANK = 1e-12
 # Of a normal law within its 95 % interval, in standard deviations.
 WIDTH_95 = 1.96
 # Steps of a posterior mode, each with a normal law in the place of each prior; so many from the values of a set alike.
 STEPS, FEW_STEPS = 30, 12
+
+
+def coarsened(n_rows: int) -> float:
+    """Return the power to which the likelihood of so many rows is taken where sets are weighed."""
+    return COARSE_ROWS / (COARSE_ROWS + n_rows)
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
+from skat.diagnosis.causes import typical_biases
 from skat.diagnosis.chains import Array
-from skat.diagnosis.evidence import Gram, Priors, weigh
+from skat.diagnosis.evidence import Gram, Priors, coarsened, weigh
 from skat.diagnosis.filtering import kalman_filter
 from skat.diagnosis.fitting import priors_of, response
 from skat.diagnosis.log import Log, check_log, check_matrix, checked_episodes, without_channels
@@ -47,6 +48,7 @@ def identifiability(
     values: Mapping[str, float],
     *,
     alpha: float = 0.01,
+    power: float = 1.0,
     value_at: Callable[[Effect, float], float] = from_neutral,
 ) -> pd.DataFrame:
     """Return a table of what a log shows of each effect, given the causes found.
@@ -62,6 +64,8 @@ def identifiability(
         The causes found.
     alpha : float, default=0.01
         A cause is named where the odds for it are 1 / alpha.
+    power : float, default=1.0
+        To which the likelihood is taken, as `evidence.weigh`'s.
     value_at : callable, optional
         ``value_at(effect, place)`` returns the value at a coordinate of the priors.
 
@@ -91,8 +95,9 @@ def identifiability(
         own = float(information[k, k] * shares[k])
         for low, high in ((0.0, priors.high[k]), (priors.low[k], 0.0)):
             if own > 0 and high > low:
-                place = _smallest(own, priors, k, -np.log(alpha), high if high > 0 else low)
-                smallest[k] = min(smallest[k], abs(value_at(effect, place) - effect.neutral))
+                place = _smallest(power * own, priors, k, -np.log(alpha), high if high > 0 else low)
+                if np.isfinite(place):
+                    smallest[k] = min(smallest[k], abs(value_at(effect, place) - effect.neutral))
     return pd.DataFrame(
         {
             "smallest": smallest,
@@ -210,11 +215,11 @@ def preflight(
     deviations = (
         COMMON_NOISE * np.where(spread > 0, spread, 1.0) if noise is None else np.asarray(noise, float)
     )
-    priors = priors_of(effects, typical, logarithmic=False)
     space = state_space(simulator, log.X, log.y, log.episodes, consecutive=log.consecutive)
+    priors = priors_of(effects, {**typical_biases(space, effects), **(typical or {})}, logarithmic=False)
     space = replace(space, mask=space.mask & without_channels(simulator, log, hidden).measured)
     gram = Gram(*_expected(space, effects, priors, deviations), np.zeros(len(effects)))
-    table = identifiability(gram, priors, effects, {}, alpha=alpha)
+    table = identifiability(gram, priors, effects, {}, alpha=alpha, power=coarsened(len(log)))
     table["separating_excitation"] = _excitations(simulator, log, effects, priors, deviations, table)
     return table
 

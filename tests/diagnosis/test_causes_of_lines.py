@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import special
 
-from skat.diagnosis.causes import COARSE_ROWS, _slopes, _without_doubtful, find_causes
-from skat.diagnosis.evidence import Gram, Weigher, weigh
+from skat.diagnosis.causes import _slopes, _without_doubtful, find_causes
+from skat.diagnosis.evidence import Gram, Weigher, coarsened, weigh
 from skat.diagnosis.fits import Fits
 from skat.diagnosis.fitting import Known, priors_of
 from skat.diagnosis.statespace import state_space
@@ -59,7 +59,7 @@ def gram_of(X, y):
 def all_sets(X, y, power=None, effects=None):
     """Return every set of causes, weighed."""
     priors = priors_of(effects_of() if effects is None else effects)
-    power = COARSE_ROWS / (COARSE_ROWS + len(X)) if power is None else power
+    power = coarsened(len(X)) if power is None else power
     return {
         members: weigh(gram_of(X, y), priors, members, power=power)
         for k in range(4)
@@ -106,7 +106,7 @@ def test_a_cause_is_named_where_its_odds_are_as_long_as_asked(more, named):
 
 def test_what_a_long_log_shows_but_no_model_gets_right_is_told_beside_the_causes(monkeypatch):
     """Of as many rows as count half, an effect is worth half of its likelihood, as no model is exact."""
-    monkeypatch.setattr("skat.diagnosis.causes.COARSE_ROWS", 100)
+    monkeypatch.setattr("skat.diagnosis.evidence.COARSE_ROWS", 100)
     X, y = measured([1.0, 0.25, 0.0], seed=4)
     coarse, exact = all_sets(X, y, power=0.5), all_sets(X, y, power=1.0)
     assert coarse[0, 1].evidence - coarse[0,].evidence < NEEDED - 0.5
@@ -119,7 +119,7 @@ def test_what_a_long_log_shows_but_no_model_gets_right_is_told_beside_the_causes
 
 def test_without_a_member_that_slopes_find_worth_no_name_the_others_have_values_of_their_own():
     X, y = measured([0.6, 0.3, 0.0], alike=0.95)
-    effects, power = effects_of(), COARSE_ROWS / (COARSE_ROWS + len(X))
+    effects, power = effects_of(), coarsened(len(X))
     space = state_space(sloped(effects), X, y, np.arange(len(X)), consecutive=False)
     fits = Fits(space, effects, priors_of(effects), GIVEN, power)
     both = fits.of((0, 1), np.zeros(2), fits.first())
@@ -160,7 +160,7 @@ def test_a_typical_size_of_a_user_s_own_holds_a_value_as_its_prior_does():
     X, y = measured([0.4, 0.0, 0.0], n=30)
     free, held = (found_in(X, y, typical=typical, alpha=0.9).values["a"] for typical in ({}, {"a": 0.05}))
     gram, priors = gram_of(X, y), priors_of(effects_of(), {"a": 0.05})
-    power = COARSE_ROWS / (COARSE_ROWS + 30)
+    power = coarsened(30)
     assert held == pytest.approx(weigh(gram, priors, (0,), power=power).values[0], abs=0.005)
     assert held < free
 
@@ -189,7 +189,7 @@ def test_effects_that_act_alike_share_a_name_by_their_odds(coarse):
     X, y = measured([0.35, 0.0, 0.0], alike=0.97, seed=2)
     found = found_in(X, y, coarse=coarse)
     assert list(found.values) == ["a"]
-    priors, power = priors_of(effects_of()), COARSE_ROWS / (COARSE_ROWS + len(X))
+    priors, power = priors_of(effects_of()), coarsened(len(X))
     slopes = {members: weigh(found.gram, priors, members, power=power).evidence for members in all_sets(X, y)}
     if not coarse:  # A fit of the other goes before what slopes say of it, and of more with it.
         at_its_fit = slopes[0,] - (all_sets(X, y)[0,].evidence - all_sets(X, y)[1,].evidence)

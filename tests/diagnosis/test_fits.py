@@ -229,12 +229,13 @@ def test_sets_with_the_slopes_of_another_fit_differ_as_fits_of_their_own_do(fits
 def test_a_search_goes_on_from_a_first_guess_that_is_likelier_as_it_is_than_nothing(fits, nothing):
     # The pendulum's damping is larger by .1.
     neutral = fits.effects[0].neutral
-    found = _first_guess({"damping[hinge]": neutral + 0.13}, fits, nothing, 4.6)
+    found = _first_guess({"damping[hinge]": neutral + 0.13}, fits, nothing, 4.6, None)
     assert found.members == (0,)
     assert found.values["damping[hinge]"] == pytest.approx(neutral + 0.1, abs=0.01)
-    assert _first_guess({}, fits, nothing, 4.6) is None
-    assert _first_guess({"damping[hinge]": neutral + 3.0}, fits, nothing, 4.6) is None
-    assert _first_guess({"damping[hinge]": neutral + 0.13}, fits, nothing, 1e4) is None
+    assert _first_guess({}, fits, nothing, 4.6, None) is None
+    assert _first_guess({"damping[hinge]": neutral + 3.0}, fits, nothing, 4.6, None) is None
+    assert _first_guess({"damping[hinge]": neutral + 0.13}, fits, nothing, 1e4, None) is None
+    assert _first_guess({"damping[hinge]": neutral + 0.13}, fits, nothing, 4.6, 0) is None
 
 
 def test_forces_are_given_no_memory_where_none_is_looked_for(space, nothing):

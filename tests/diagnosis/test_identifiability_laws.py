@@ -46,6 +46,19 @@ def test_at_the_smallest_size_the_expected_scores_just_reach_the_odds(alpha, inf
     assert weigh(scores, one_prior(low, high), [0]).evidence == pytest.approx(-np.log(alpha), abs=0.01)
 
 
+def test_what_even_the_bound_does_not_show_has_no_smallest_size():
+    table = identifiability(
+        one_gram(1e-3), one_prior(), [added()], {}, value_at=lambda effect, place: np.clip(place, -5, 5)
+    )
+    assert table.loc["a", "smallest"] == np.inf
+
+
+def test_where_a_likelihood_counts_in_part_sets_need_as_much_more():
+    half = identifiability(one_gram(900.0), one_prior(), [added()], {}, power=0.5)
+    whole = identifiability(one_gram(450.0), one_prior(), [added()], {})
+    assert half.loc["a", "smallest"] == whole.loc["a", "smallest"]
+
+
 def test_values_count_from_neutral():
     assert [from_neutral(added(neutral=1.0), place) for place in (-0.25, 0.5)] == [0.75, 1.5]
 

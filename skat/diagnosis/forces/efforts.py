@@ -23,9 +23,9 @@ from functools import partial
 import mujoco
 import numpy as np
 
-from skat.diagnosis.causes import COARSE_ROWS, REFITTED, proposals, readable, typical_biases
+from skat.diagnosis.causes import REFITTED, proposals, readable, typical_biases
 from skat.diagnosis.chains import Array, Mask
-from skat.diagnosis.evidence import Gram, Priors, Weighed, Weigher, weigh
+from skat.diagnosis.evidence import Gram, Priors, Weighed, Weigher, coarsened, weigh
 from skat.diagnosis.fits import STANDS_STILL, Fit, Fits
 from skat.diagnosis.fitting import (
     NOTHING_KNOWN,
@@ -283,7 +283,7 @@ def causes_of_efforts(
         )
     typical = {**typical_biases(space, effects), **(typical or {})}
     regression = Regression.of(simulator, log, effects, typical)
-    power = COARSE_ROWS / (COARSE_ROWS + len(space.X))
+    power = coarsened(len(space.X))
     question = _Question(regression, regression.priors(), power, -float(np.log(alpha)), max_effects)
     now, stands = question.searched(progress)
     values = regression.values(now.members, now.at)
