@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Estimate:
-    """An effect's coordinate in one log, beside the causes that this log names.
+    """An effect's coordinate in one log, beside the causes that any log of its robot names.
 
     Attributes
     ----------

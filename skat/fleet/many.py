@@ -4,7 +4,7 @@ import json
 import re
 import tempfile
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from hashlib import sha256
@@ -19,6 +19,7 @@ from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from skat.diagnosis import SimulationDiagnosis
 from skat.diagnosis.archive import digest, skat_version
+from skat.diagnosis.evidence import Gram
 from skat.diagnosis.identifiability import beside_causes
 from skat.diagnosis.report.machine import findings_as_data, plain
 from skat.effects import Effect
@@ -148,9 +149,9 @@ def diagnose_many(
             logs, simulator, parameters, dict(reading or {}), Path(store), n_jobs, progress
         )
     table = _table(names, owners, moments, findings, false_discoveries)
-    return Fleet(
-        table, _drifts(simulator, table, owners, moments, findings, false_discoveries), tuple(findings)
-    )
+    drifts = _drifts(simulator, table, owners, moments, findings, false_discoveries)
+    told = tuple({name: one for name, one in found.items() if name != "gram"} for found in findings)
+    return Fleet(table, drifts, told)
 
 
 def _checked(what: str, given: Sequence[Any], n: int) -> list[Any]:
@@ -248,18 +249,11 @@ def _diagnosed(
 ) -> dict[str, Any]:
     if isinstance(log, str | PathLike):
         log = load_log(log, simulator, **reading)
-    floor = None
     if isinstance(log, Log):
-        floor, simulator = log.floor, log.simulator
-        if parameters.get("actions", "auto") == "auto":
-            parameters = {**parameters, "actions": log.actions}
-        log = log.X, log.y, log.groups
-    diagnosis = SimulationDiagnosis(simulator, **parameters).fit(*log, floor=floor)
-    gram, best, priors = diagnosis._found.gram, diagnosis._found.best, diagnosis._found.priors
-    places, errors = beside_causes(gram, best.members)
-    shown = np.isfinite(errors)
-    estimates = {name: [places[k], errors[k]] for k, name in enumerate(priors.names) if shown[k]}
-    found: dict[str, Any] = plain({**findings_as_data(diagnosis), "estimates": estimates})
+        simulator = log.simulator
+    diagnosis = SimulationDiagnosis(simulator, **parameters).fit([log])
+    gram = {"names": diagnosis._found.priors.names, **vars(diagnosis._found.gram)}
+    found: dict[str, Any] = plain({**findings_as_data(diagnosis), "gram": gram})
     return found
 
 
@@ -349,11 +343,21 @@ def _drifts(
             own.sort(key=lambda at: times[at])
         causes = held.loc[held["robot"] == robot, "cause"]
         asked[robot] = [name for name in dict.fromkeys(causes) if name in effects]
-        estimates[robot] = [
-            {name: Estimate(*pair) for name, pair in findings[at]["estimates"].items()} for at in own
-        ]
+        # Beside the causes of all its logs: beside its own alone, each log would be read with another model.
+        named = {cause["name"] for at in own for cause in findings[at]["causes"]}
+        estimates[robot] = [_estimates(findings[at]["gram"], named) for at in own]
         moments[robot] = [times[at] if times[at] is not None else number for number, at in enumerate(own)]
     return drifts_of(estimates, moments, effects, asked, rate=rate)
+
+
+def _estimates(told: Mapping[str, Any], causes: Collection[str]) -> dict[str, Estimate]:
+    """Return what a log says of each effect that it shows beside causes."""
+    names = told["names"]
+    gram = Gram(*(np.array(told[part]) for part in ("products", "projections", "origin")))
+    places, errors = beside_causes(gram, [at for at, name in enumerate(names) if name in causes])
+    return {
+        name: Estimate(places[at], errors[at]) for at, name in enumerate(names) if np.isfinite(errors[at])
+    }
 
 
 def _sentence(drift: Mapping[str, Any]) -> str:

@@ -9,7 +9,7 @@ import pytest
 
 from skat.diagnosis import SimulationDiagnosis
 from skat.fleet import diagnose_many
-from skat.fleet.many import Fleet, _digest, clear_store
+from skat.fleet.many import Fleet, _digest, _drifts, _table, clear_store
 from skat.simulators import MujocoSimulator
 from tests.machines import DT, RATE, decaying, heater
 
@@ -110,6 +110,41 @@ def test_a_change_over_time_is_told(logs):
     (sentence,) = found.sentences
     assert sentence.startswith("17: rate went from 3")
     assert "(+4" in sentence or "(+3" in sentence
+
+
+def findings_of(name, gram, values, verdict="named"):
+    """Return findings of a log that names one cause, and shows of each effect what is there, without noise."""
+    cause = {
+        "name": name,
+        "value": 1.0,
+        "interval": [0.9, 1.1],
+        "unit": "1/s",
+        "probability": 1.0,
+        "aliases": [],
+    }
+    return {
+        "verdict": verdict,
+        "gain": None,
+        "causes": [cause | {"evidence": 100.0}],
+        "gram": {
+            "names": ["rate", "push"],
+            "products": gram,
+            "projections": gram @ values,
+            "origin": np.zeros(2),
+        },
+    }
+
+
+def test_what_one_log_names_and_the_next_does_not_is_no_change():
+    gram = 1e4 * np.array([[1.0, 0.8], [0.8, 1.0]])
+    found = [findings_of(name, gram, np.array([0.3, 0.2])) for name in ("rate", "push", "push")]
+    table = _table("abc", "rrr", range(3), found, 0.05)
+    assert table["held"].all()
+    assert _drifts(heater(), table, "rrr", range(3), found, 0.05).empty
+    moved = [*found, findings_of("push", gram, np.array([0.3, 0.4]))]
+    table = _table("abcd", "rrrr", range(4), moved, 0.05)
+    (row,) = _drifts(heater(), table, "rrrr", range(4), moved, 0.05).to_dict("records")
+    assert (row["effect"], row["since"]) == ("push", 3)
 
 
 @pytest.mark.parametrize(
