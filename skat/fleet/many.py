@@ -2,10 +2,8 @@
 
 import json
 import re
-import tempfile
 import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass
 from hashlib import sha256
 from os import PathLike
@@ -21,7 +19,9 @@ from skat.diagnosis import SimulationDiagnosis
 from skat.diagnosis.archive import digest, skat_version
 from skat.diagnosis.evidence import Gram
 from skat.diagnosis.identifiability import beside_causes
+from skat.diagnosis.reading import read_logs
 from skat.diagnosis.report.machine import findings_as_data, plain
+from skat.diagnosis.saving import has_code, simulator_digest
 from skat.effects import Effect
 from skat.files import whole
 from skat.fleet.drifts import Estimate, discoveries, drifts_of
@@ -99,7 +99,8 @@ def diagnose_many(
         Share of false ones in the mean among causes that hold in the table, and among changes over time.
     store : path, optional
         Folder that holds the findings of each log as soon as it is done. What is there of these logs, with this
-        simulator, these parameters and this version of skat, is not asked again.
+        simulator, these parameters and this version of skat, is not asked again. A simulator of Python code is known by
+        what it does with the first rows of each log, which are read for it.
     reading : mapping, optional
         Keyword arguments of `load_log`.
     n_jobs : int or None, default=None
@@ -142,12 +143,9 @@ def diagnose_many(
         raise ValueError(f"false_discoveries is a share between 0 and 1; it is {false_discoveries!r}.")
     parameters = {"random_state": 0, **parameters}
     SimulationDiagnosis(simulator, **parameters)
-    with ExitStack() as stack:
-        if store is None:
-            store = stack.enter_context(tempfile.TemporaryDirectory())
-        findings = _all_findings(
-            logs, simulator, parameters, dict(reading or {}), Path(store), n_jobs, progress
-        )
+    reading = dict(reading or {})
+    files = [None] * len(logs) if store is None else _files(Path(store), logs, simulator, parameters, reading)
+    findings = _all_findings(logs, files, simulator, parameters, reading, n_jobs, progress)
     table = _table(names, owners, moments, findings, false_discoveries)
     drifts = _drifts(simulator, table, owners, moments, findings, false_discoveries)
     told = tuple({name: one for name, one in found.items() if name != "gram"} for found in findings)
@@ -171,21 +169,18 @@ def _name(log: Any, at: int) -> str:
 
 def _all_findings(
     logs: Sequence[Any],
+    files: Sequence[Path | None],
     simulator: Simulator,
     parameters: Mapping[str, Any],
     reading: Mapping[str, Any],
-    store: Path,
     n_jobs: int | None,
     progress: Callable[[str, int, int], None] | None,
 ) -> list[dict[str, Any]]:
-    """Return the findings of each log: those that the store has, and those that are made now."""
-    store.mkdir(parents=True, exist_ok=True)
-    asked = _digest(simulator), digest(dict(parameters)), digest(dict(reading)), skat_version()
-    files = [
-        store / f"{sha256(repr((*asked, _content(log))).encode()).hexdigest()[:32]}.json" for log in logs
-    ]
+    """Return the findings of each log: those that are in its file, and those that are made now."""
     done = {
-        at: json.loads(file.read_text(encoding="utf-8")) for at, file in enumerate(files) if file.exists()
+        at: json.loads(file.read_text(encoding="utf-8"))
+        for at, file in enumerate(files)
+        if file is not None and file.exists()
     }
     tell = progress or (lambda *_: None)
     tell("logs", len(done), len(logs))
@@ -196,8 +191,9 @@ def _all_findings(
         try:
             for at, found in _asked(left, simulator, parameters, reading, n_jobs):
                 done[at] = found
-                if "error" not in found:  # which may be gone the next time
-                    with whole(files[at]) as draft:
+                file = files[at]
+                if file is not None and "error" not in found:  # which may be gone the next time
+                    with whole(file) as draft:
                         draft.write_text(json.dumps(found, allow_nan=False), encoding="utf-8")
                 tell("logs", len(done), len(logs))
         except TerminatedWorkerError as error:
@@ -209,15 +205,6 @@ def _all_findings(
                 ) from error
             warnings.warn("A process was killed; the logs that are not done are asked again.", stacklevel=3)
     return [done[at] for at in range(len(logs))]
-
-
-def clear_store(store: Path) -> None:
-    """Delete the findings in a store, and its folder where it holds nothing else."""
-    for file in list(store.iterdir()):
-        if STORED.fullmatch(file.name):
-            file.unlink()
-    if not any(store.iterdir()):
-        store.rmdir()
 
 
 def _asked(
@@ -239,7 +226,7 @@ def _findings(
         warnings.simplefilter("always")
         try:
             found = _diagnosed(log, simulator, parameters, reading)
-        except (ValueError, OSError, RuntimeError, TypeError, ImportError) as error:
+        except Exception as error:  # a reader may raise anything, and the others go on
             found = {"error": f"{type(error).__name__}: {error}"}
     return at, {**found, "warnings": list(dict.fromkeys(str(one.message) for one in told))}
 
@@ -251,18 +238,59 @@ def _diagnosed(
         log = load_log(log, simulator, **reading)
     if isinstance(log, Log):
         simulator = log.simulator
+    elif not isinstance(log, tuple):
+        raise TypeError(
+            f"expected a path, a log, or a tuple of (X, y) or (X, y, groups); got {type(log).__name__}."
+        )
     diagnosis = SimulationDiagnosis(simulator, **parameters).fit([log])
     gram = {"names": diagnosis._found.priors.names, **vars(diagnosis._found.gram)}
     found: dict[str, Any] = plain({**findings_as_data(diagnosis), "gram": gram})
     return found
 
 
-def _digest(simulator: Simulator) -> str:
-    """Return a digest of what a simulator was made of; of one of Python code, of the text that names it."""
-    try:
-        return digest(simulator.get_params(deep=False))
-    except TypeError:
-        return repr(simulator)
+# -- the store -------------------------------------------------------------------------------------------------------
+
+
+def clear_store(store: Path) -> None:
+    """Delete the findings in a store, and its folder where it holds nothing else."""
+    for file in list(store.iterdir()):
+        if STORED.fullmatch(file.name):
+            file.unlink()
+    if not any(store.iterdir()):
+        store.rmdir()
+
+
+def _files(
+    store: Path,
+    logs: Sequence[Any],
+    simulator: Simulator,
+    parameters: Mapping[str, Any],
+    reading: Mapping[str, Any],
+) -> list[Path | None]:
+    """Return where each log's findings are kept, by all that they depend on; None of a log that cannot be read."""
+    store.mkdir(parents=True, exist_ok=True)
+    asked = digest(dict(parameters)), digest(dict(reading)), skat_version()
+    files: list[Path | None] = []
+    for log in logs:
+        try:
+            with warnings.catch_warnings(action="ignore"):  # said again where it is diagnosed
+                about = *asked, _simulator_of(log, simulator, reading), _content(log)
+            files.append(store / f"{sha256(repr(about).encode()).hexdigest()[:32]}.json")
+        except Exception:  # told where it is diagnosed
+            files.append(None)
+    return files
+
+
+def _simulator_of(log: Any, simulator: Simulator, reading: Mapping[str, Any]) -> str:
+    """Return a digest of a log's simulator; one of Python code is known by what it does with the log's first rows."""
+    if isinstance(log, Log):
+        simulator = log.simulator
+    if not has_code(simulator):
+        return simulator_digest(simulator, None)
+    if isinstance(log, str | PathLike):
+        log = load_log(log, simulator, **reading)
+        simulator = log.simulator
+    return simulator_digest(simulator, read_logs(simulator, [log], None, None, None, "commanded").log)
 
 
 def _content(log: Any) -> str:
@@ -275,8 +303,16 @@ def _content(log: Any) -> str:
                 found.update(str(file.relative_to(path)).encode() + file.read_bytes())
         return f"{path} {found.hexdigest()}"
     if isinstance(log, Log):
-        return digest((log.X, log.y, log.groups, log.floor)) + _digest(log.simulator)
-    return digest(tuple(None if part is None else np.asarray(part) for part in log))
+        return digest((log.X, log.y, log.groups, log.floor, log.actions))
+    return digest(tuple(_named_columns(part) for part in log))
+
+
+def _named_columns(part: Any) -> tuple[list[str], Any]:
+    """Return the names of an array's columns, where it has some, and the array; labels of any kind as text."""
+    array = np.asarray(part)
+    return [str(name) for name in getattr(part, "columns", ())], (
+        array.astype(str) if array.dtype.hasobject else array
+    )
 
 
 # -- telling ---------------------------------------------------------------------------------------------------------
