@@ -68,7 +68,7 @@ class Fleet:
 
 
 def diagnose_many(
-    logs: Sequence[Any],
+    logs: Sequence[Any] | Mapping[str, Any],
     simulator: Simulator,
     *,
     names: Sequence[str] | None = None,
@@ -85,9 +85,9 @@ def diagnose_many(
 
     Parameters
     ----------
-    logs : sequence of path, log, or tuple of (X, y) or (X, y, groups)
+    logs : sequence or mapping of path, log, or tuple of (X, y) or (X, y, groups)
         A path is read where it is diagnosed, as `skat.logs.load_log` does; a log as that returns, or as in
-        `SimulationDiagnosis.fit`.
+        `SimulationDiagnosis.fit`. A mapping gives them names.
     simulator : Simulator
     names : sequence of str, optional
         Of the logs; by default where each was read from, or its number.
@@ -118,7 +118,12 @@ def diagnose_many(
     Raises
     ------
     ValueError
-        If there is no log, if names, robots or times are not one for each, or if a name is there twice.
+        If there is no log, if names, robots or times are not one for each, if a name is there twice, or if a parameter
+        is wrong.
+    FileExistsError
+        If `store` is a file.
+    TypeError
+        If `logs` is a single path, or names are given of a mapping.
     RuntimeError
         If processes are killed again and again; what was done until then is in `store`.
 
@@ -128,6 +133,12 @@ def diagnose_many(
     >>> fleet = diagnose_many(sorted(Path("logs").glob("*.mcap")), simulator, n_jobs=-1)  # doctest: +SKIP
     >>> fleet.table[fleet.table.held]  # doctest: +SKIP
     """
+    if isinstance(logs, str | PathLike):
+        raise TypeError(f"logs is one path, {str(logs)!r}; pass a list, such as sorted(Path(...).glob(...)).")
+    if isinstance(logs, Mapping):
+        if names is not None:
+            raise TypeError("names are those of the mapping; pass a list of logs to give others.")
+        names, logs = [str(name) for name in logs], list(logs.values())
     logs = list(logs)
     if not logs:
         raise ValueError("there is no log; expected a sequence of paths, logs, or tuples of (X, y, groups).")
@@ -142,7 +153,9 @@ def diagnose_many(
     if not 0 < false_discoveries < 1:
         raise ValueError(f"false_discoveries is a share between 0 and 1; it is {false_discoveries!r}.")
     parameters = {"random_state": 0, **parameters}
-    SimulationDiagnosis(simulator, **parameters)
+    asked = SimulationDiagnosis(simulator, **parameters)
+    asked._check_parameters()
+    asked._chosen_effects()
     reading = dict(reading or {})
     files = [None] * len(logs) if store is None else _files(Path(store), logs, simulator, parameters, reading)
     findings = _all_findings(logs, files, simulator, parameters, reading, n_jobs, progress)
@@ -177,11 +190,8 @@ def _all_findings(
     progress: Callable[[str, int, int], None] | None,
 ) -> list[dict[str, Any]]:
     """Return the findings of each log: those that are in its file, and those that are made now."""
-    done = {
-        at: json.loads(file.read_text(encoding="utf-8"))
-        for at, file in enumerate(files)
-        if file is not None and file.exists()
-    }
+    kept = [(at, _kept(file)) for at, file in enumerate(files)]
+    done = {at: found for at, found in kept if found is not None}
     tell = progress or (lambda *_: None)
     tell("logs", len(done), len(logs))
     tries = TRIES
@@ -268,6 +278,8 @@ def _files(
     reading: Mapping[str, Any],
 ) -> list[Path | None]:
     """Return where each log's findings are kept, by all that they depend on; None of a log that cannot be read."""
+    if store.exists() and not store.is_dir():
+        raise FileExistsError(f"{store} is a file; findings are kept in a folder of that name. Move it away.")
     store.mkdir(parents=True, exist_ok=True)
     asked = digest(dict(parameters)), digest(dict(reading)), skat_version()
     files: list[Path | None] = []
@@ -279,6 +291,15 @@ def _files(
         except Exception:  # told where it is diagnosed
             files.append(None)
     return files
+
+
+def _kept(file: Path | None) -> dict[str, Any] | None:
+    """Return the findings in a file; None where it is not there, or whole."""
+    try:
+        found = None if file is None else json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return found if isinstance(found, dict) and {"verdict", "gram"} <= found.keys() else None
 
 
 def _simulator_of(log: Any, simulator: Simulator, reading: Mapping[str, Any]) -> str:

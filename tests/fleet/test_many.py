@@ -260,11 +260,35 @@ def test_a_log_that_cannot_be_diagnosed_has_its_error_in_the_table(logs, tmp_pat
         ({"times": [1, 2, 3]}, "times must be one for each log"),
         ({"false_discoveries": 0.0}, "a share between 0 and 1"),
         ({"alfa": 0.1}, "alfa"),
+        ({"alpha": 2}, "alpha must lie between 0 and 1"),
+        ({"effects": ["nope"]}, "unknown effect 'nope'"),
+        ({"store": __file__}, "is a file; findings are kept in a folder"),
     ],
 )
 def test_wrong_arguments_are_told(logs, given, message):
-    with pytest.raises((ValueError, TypeError), match=message):
+    with pytest.raises((ValueError, TypeError, FileExistsError), match=message):
         diagnose_many(logs[:2], heater(), **given)
+
+
+def test_a_mapping_gives_logs_their_names(logs, fleet):
+    named = dict(zip("ab", logs))
+    pd.testing.assert_frame_equal(diagnose_many(named, heater()).table, fleet.table[:2])
+    with pytest.raises(TypeError, match="names are those of the mapping"):
+        diagnose_many(named, heater(), names=["a", "b"])
+
+
+def test_one_path_is_no_sequence_of_logs():
+    with pytest.raises(TypeError, match=r"logs is one path, 'logs/\*.csv'"):
+        diagnose_many("logs/*.csv", heater())
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "{}"])
+def test_findings_that_are_not_whole_are_asked_again(logs, fleet, tmp_path, text):
+    diagnose_many(logs[:1], heater(), names=["a"], store=tmp_path)
+    (file,) = tmp_path.iterdir()
+    file.write_text(text)
+    again = diagnose_many(logs[:1], heater(), names=["a"], store=tmp_path)
+    pd.testing.assert_frame_equal(again.table, fleet.table[:1])
 
 
 def test_no_log_is_told():
