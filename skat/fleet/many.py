@@ -30,10 +30,11 @@ from skat.simulators import Simulator
 
 COLUMNS = (
     *("log", "robot", "time", "verdict", "cause", "value", "low", "high", "unit", "probability", "evidence"),
-    *("aliases", "held", "explained", "error"),
+    *("aliases", "held", "explained", "error", "warnings"),
 )
 # A file of the store, or a draft of one that a killed process left.
 STORED = re.compile(r"\.?[0-9a-f]{32}(-\d+)?\.json")
+UNEXPLAINED = "unexplained"
 # How often work goes on after a process was killed without that a log was done in between.
 TRIES = 2
 
@@ -47,12 +48,13 @@ class Fleet:
     table : DataFrame
         A row for each log and cause, in the order of the logs; a log without a cause has one row. With columns log,
         robot, time, verdict, cause, value, low, high (95 % interval), unit, probability, evidence (nats), aliases,
-        held (whether it, or one of its aliases, is among those of which few are false), explained (share of the excess
-        error on rows that were held out) and error (why a log has no diagnosis).
+        held (whether it, or one of its aliases, is among those of which few are false; never where the verdict is
+        "unexplained"), explained (share of the excess error on rows that were held out), error (why a log has no
+        diagnosis) and warnings.
     drifts : DataFrame
-        What changed on a robot from one log to the next, likeliest first: robot, effect, since (the time of the first
-        log after it), before, after, change (a ratio of factors, a difference of others), low, high (95 % interval),
-        unit, neutral (of the model as given), p.
+        What changed on a robot from one log to the next, of logs that are not unexplained, likeliest first: robot,
+        effect, since (the time of the first log after it; its name where there are no times), before, after, change (a
+        ratio of factors, a difference of others), low, high (95 % interval), unit, neutral (of the model as given), p.
     findings : tuple of dict
         Of each log what `skat diagnose --json` writes, or its error.
     """
@@ -94,7 +96,7 @@ def diagnose_many(
     robots : sequence of str, optional
         Whose log each is; by default each is of a robot of its own.
     times : sequence, optional
-        When each was measured, in anything that has an order; by default logs of a robot are in the order of time.
+        When each was measured, in anything that has an order; by default logs of a robot are taken in the order given.
     false_discoveries : float, default=0.05
         Share of false ones in the mean among causes that hold in the table, and among changes over time.
     store : path, optional
@@ -118,8 +120,8 @@ def diagnose_many(
     Raises
     ------
     ValueError
-        If there is no log, if names, robots or times are not one for each, if a name is there twice, or if a parameter
-        is wrong.
+        If there is no log, if names, robots or times are not one for each, if a name is there twice, if a time is
+        missing or times have no order, or if a parameter is wrong.
     FileExistsError
         If `store` is a file.
     TypeError
@@ -149,7 +151,9 @@ def diagnose_many(
         twice = next(name for name in names if names.count(name) > 1)
         raise ValueError(f"two logs have the name {twice!r}: give each one of its own (names=).")
     owners = names if robots is None else _checked("robots", robots, len(logs))
-    moments = [None] * len(logs) if times is None else _checked("times", times, len(logs))
+    moments = None if times is None else _checked("times", times, len(logs))
+    if moments is not None:
+        _check_order(moments, names)
     if not 0 < false_discoveries < 1:
         raise ValueError(f"false_discoveries is a share between 0 and 1; it is {false_discoveries!r}.")
     parameters = {"random_state": 0, **parameters}
@@ -160,7 +164,7 @@ def diagnose_many(
     files = [None] * len(logs) if store is None else _files(Path(store), logs, simulator, parameters, reading)
     findings = _all_findings(logs, files, simulator, parameters, reading, n_jobs, progress)
     table = _table(names, owners, moments, findings, false_discoveries)
-    drifts = _drifts(simulator, table, owners, moments, findings, false_discoveries)
+    drifts = _drifts(simulator, table, names, owners, moments, findings, false_discoveries)
     told = tuple({name: one for name, one in found.items() if name != "gram"} for found in findings)
     return Fleet(table, drifts, told)
 
@@ -169,6 +173,18 @@ def _checked(what: str, given: Sequence[Any], n: int) -> list[Any]:
     if len(given) != n:
         raise ValueError(f"{what} must be one for each log: {n}; got {len(given)}.")
     return list(given)
+
+
+def _check_order(times: Sequence[Any], names: Sequence[str]) -> None:
+    missing = [name for name, one in zip(names, times) if one is None or one is pd.NA or one != one]
+    if missing:
+        raise ValueError(
+            f"{missing[0]} has no time: give one of each log, or none, for logs in the order given."
+        )
+    try:
+        sorted(times)
+    except TypeError as error:
+        raise ValueError(f"times must have an order: {error}.") from error
 
 
 def _name(log: Any, at: int) -> str:
@@ -342,13 +358,14 @@ def _named_columns(part: Any) -> tuple[list[str], Any]:
 def _table(
     names: Sequence[str],
     robots: Sequence[str],
-    times: Sequence[Any],
+    times: Sequence[Any] | None,
     findings: Sequence[Mapping[str, Any]],
     rate: float,
 ) -> pd.DataFrame:
     rows, likely = [], []
-    for name, robot, time, found in zip(names, robots, times, findings):
+    for name, robot, time, found in zip(names, robots, times or [None] * len(names), findings):
         shared = {"log": name, "robot": robot, "time": time, "error": found.get("error")}
+        shared["warnings"] = " ".join(found.get("warnings", ())) or None
         if "error" not in found:
             gain = found["gain"]
             shared |= {"verdict": found["verdict"], "explained": None if gain is None else gain["explained"]}
@@ -364,11 +381,13 @@ def _table(
             for cause in found.get("causes", ())
         ]
         rows += [{**shared, **cause} for cause in causes or [{}]]
-        likely += [_chance(cause) for cause in found.get("causes", ())]
+        # What is named beside something that no effect explains may stand for it.
+        if found.get("verdict") != UNEXPLAINED:
+            likely += [_chance(cause) for cause in found.get("causes", ())]
     table = pd.DataFrame(rows, columns=list(COLUMNS))
     for name in ("value", "low", "high", "probability", "evidence", "explained"):
         table[name] = table[name].astype(float)
-    named = table["cause"].notna().to_numpy()
+    named = (table["cause"].notna() & (table["verdict"] != UNEXPLAINED)).to_numpy()
     held = np.zeros(len(table), dtype=bool)
     held[named] = discoveries(np.array(likely), rate)
     table["held"] = held
@@ -383,8 +402,9 @@ def _chance(cause: Mapping[str, Any]) -> float:
 def _drifts(
     simulator: Simulator,
     table: pd.DataFrame,
+    names: Sequence[str],
     robots: Sequence[str],
-    times: Sequence[Any],
+    times: Sequence[Any] | None,
     findings: Sequence[Mapping[str, Any]],
     rate: float,
 ) -> pd.DataFrame:
@@ -393,17 +413,21 @@ def _drifts(
     held = table[table["held"]]
     estimates, moments, asked = {}, {}, {}
     for robot in dict.fromkeys(robots):
-        own = [at for at, one in enumerate(robots) if one == robot and "error" not in findings[at]]
+        own = [
+            at
+            for at, one in enumerate(robots)
+            if one == robot and findings[at].get("verdict", UNEXPLAINED) != UNEXPLAINED
+        ]
         if len(own) < 2:
             continue
-        if all(times[at] is not None for at in own):
-            own.sort(key=lambda at: times[at])
+        if times is not None:
+            own.sort(key=times.__getitem__)
         causes = held.loc[held["robot"] == robot, "cause"]
         asked[robot] = [name for name in dict.fromkeys(causes) if name in effects]
         # Beside the causes of all its logs: beside its own alone, each log would be read with another model.
         named = {cause["name"] for at in own for cause in findings[at]["causes"]}
         estimates[robot] = [_estimates(findings[at]["gram"], named) for at in own]
-        moments[robot] = [times[at] if times[at] is not None else number for number, at in enumerate(own)]
+        moments[robot] = [(times or names)[at] for at in own]
     return drifts_of(estimates, moments, effects, asked, rate=rate)
 
 

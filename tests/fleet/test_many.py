@@ -205,13 +205,25 @@ def findings_of(name, gram, values, verdict="named"):
 def test_what_one_log_names_and_the_next_does_not_is_no_change():
     gram = 1e4 * np.array([[1.0, 0.8], [0.8, 1.0]])
     found = [findings_of(name, gram, np.array([0.3, 0.2])) for name in ("rate", "push", "push")]
-    table = _table("abc", "rrr", range(3), found, 0.05)
+    table = _table("abc", "rrr", None, found, 0.05)
     assert table["held"].all()
-    assert _drifts(heater(), table, "rrr", range(3), found, 0.05).empty
+    assert _drifts(heater(), table, "abc", "rrr", None, found, 0.05).empty
     moved = [*found, findings_of("push", gram, np.array([0.3, 0.4]))]
-    table = _table("abcd", "rrrr", range(4), moved, 0.05)
-    (row,) = _drifts(heater(), table, "rrrr", range(4), moved, 0.05).to_dict("records")
-    assert (row["effect"], row["since"]) == ("push", 3)
+    table = _table("abcd", "rrrr", None, moved, 0.05)
+    (row,) = _drifts(heater(), table, "abcd", "rrrr", None, moved, 0.05).to_dict("records")
+    # Without times it is told by its name.
+    assert (row["effect"], row["since"]) == ("push", "d")
+
+
+def test_no_cause_of_an_unexplained_log_holds_or_makes_a_change():
+    values, gram = np.array([[0.3, 0.2], [0.3, 0.2], [0.3, 0.6]]), 1e4 * np.eye(2)
+    found = [
+        findings_of("push", gram, one, verdict)
+        for one, verdict in zip(values, ("named", "named", "unexplained"))
+    ]
+    table = _table("abc", "rrr", None, found, 0.05)
+    assert table["held"].tolist() == [True, True, False]
+    assert _drifts(heater(), table, "abc", "rrr", None, found, 0.05).empty
 
 
 @pytest.mark.parametrize(
@@ -260,6 +272,9 @@ def test_a_log_that_cannot_be_diagnosed_has_its_error_in_the_table(logs, tmp_pat
         ({"times": [1, 2, 3]}, "times must be one for each log"),
         ({"false_discoveries": 0.0}, "a share between 0 and 1"),
         ({"alfa": 0.1}, "alfa"),
+        ({"times": [1, None]}, "log 1 has no time"),
+        ({"times": pd.to_datetime(["2026-01-01", None])}, "log 1 has no time"),
+        ({"times": [1, "May"]}, "times must have an order"),
         ({"alpha": 2}, "alpha must lie between 0 and 1"),
         ({"effects": ["nope"]}, "unknown effect 'nope'"),
         ({"store": __file__}, "is a file; findings are kept in a folder"),
