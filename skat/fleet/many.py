@@ -56,7 +56,8 @@ class Fleet:
         effect, since (the time of the first log after it; its name where there are no times), before, after, change (a
         ratio of factors, a difference of others), low, high (95 % interval), unit, neutral (of the model as given), p.
     findings : tuple of dict
-        Of each log what `skat diagnose --json` writes, or its error.
+        Of each log what `skat diagnose --json` writes, but for what belongs to that command (``command``, ``model``,
+        ``model_digest``, ``log``, ``mistakes``, ``report`` and ``extended``), or ``error``; and ``warnings``, a list.
     """
 
     table: pd.DataFrame
