@@ -232,7 +232,7 @@ def simulator_digest(simulator: Simulator, log: Log | None) -> str:
     """Return a digest of what a simulator was made of; of one with Python code, also of what that does.
 
     Code itself says little, as what it calls may have changed: its outputs for the first rows of a log are known, and
-    those with a typical size of each effect that is code.
+    those with a typical size of each effect that is code. One without code needs no log.
     """
     made = simulator.get_params(deep=False)
     if log is None or not has_code(simulator):

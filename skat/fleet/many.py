@@ -142,7 +142,7 @@ def diagnose_many(
         if names is not None:
             raise TypeError("names are those of the mapping; pass a list of logs to give others.")
         names, logs = [str(name) for name in logs], list(logs.values())
-    logs = list(logs)
+    logs = [tuple(log) if isinstance(log, list) else log for log in logs]
     if not logs:
         raise ValueError("there is no log; expected a sequence of paths, logs, or tuples of (X, y, groups).")
     names = _checked(

@@ -139,9 +139,10 @@ def test_episodes_may_have_any_labels(logs, tmp_path):
     X, y, groups = logs[0]
     names = pd.Series(np.array(["x", "y", "z"])[groups])
     for store in (None, tmp_path):
-        found = diagnose_many([(X, y, names), None], heater(), effects=["rate"], store=store)
+        found = diagnose_many([[X, y, names], None], heater(), effects=["rate"], store=store)
         assert found.table["verdict"].tolist()[0] == "named"
         assert found.table["error"].tolist()[1].startswith("TypeError: expected a path, a log")
+    assert len(list(tmp_path.iterdir())) == 1
 
 
 def test_a_process_that_is_killed_costs_nothing_but_time(logs, fleet, tmp_path):
