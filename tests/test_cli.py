@@ -14,6 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 from skat.cli import app
+from skat.cli.many import _show, _time_of
 from skat.cli.terminal import clear_errors, heard
 from skat.simulators import MujocoSimulator
 from tests.diagnosis.forces.test_force_space import ARM, log_of
@@ -691,6 +692,46 @@ def test_diagnose_writes_a_table_of_many_logs_and_tells_what_changed(carts):
     assert [path.name for path in (carts / "fleet.parquet.part").iterdir()] == ["mine.txt"]
 
 
+def test_a_table_with_an_error_keeps_what_is_done_and_counts_what_was_found(carts):
+    (carts / "b_2026-03-09.csv").write_text("time\n")
+    pattern = r"(?P<robot>\w)_"
+    result = fleet_of(carts, "--table", carts / "fleet.csv", "--robots", pattern, "--test-size", "0")
+    assert result.exit_code == 0, result.output
+    text = " ".join(result.output.split())
+    assert "4 logs: 2 nothing detected, 1 named, 1 no diagnosis." in text
+    assert "the logs of a robot are taken in the order in which they are given" in text
+    assert f"first seen at {carts / 'a_2026-03-09.csv'}" in text
+    assert f"What is done is kept in {carts / 'fleet.csv.part'}" in text
+    assert len(list((carts / "fleet.csv.part").iterdir())) == 3
+
+
+def test_a_log_that_is_unexplained_is_told_by_name(capsys):
+    columns = ["log", "verdict", "cause", "value", "low", "high", "unit", "probability", "aliases", "held"]
+    table = pd.DataFrame(
+        [["a.csv", "unexplained", "gain[x]", 1.2, 1.1, 1.3, "1", 1.0, "", False]], columns=columns
+    )
+    table["warnings"] = "Beware."
+    _show(table, table)
+    text = capsys.readouterr().out
+    assert "1 logs: 1 unexplained." in text
+    assert "Unexplained, so that no cause of theirs holds: a.csv." in text
+    assert "1 of 1 logs have warnings" in text
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["2026-01-05", "20260105", "2026_01_05", "20260105_000000", "2026-01-05_00-00-00", "2026-01-05T00:00"],
+)
+def test_a_time_is_said_from_the_year_on(text):
+    assert _time_of(text) == pd.Timestamp("2026-01-05")
+
+
+@pytest.mark.parametrize("text", ["01-02-2026", "1.2.2026", "nat", "17"])
+def test_a_time_that_may_be_read_in_two_ways_is_refused(text):
+    with pytest.raises(ValueError, match="year, month and day in this order"):
+        _time_of(text)
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -700,6 +741,8 @@ def test_diagnose_writes_a_table_of_many_logs_and_tells_what_changed(carts):
         (["--table", "fleet.csv", "--robots", r"\w"], "has no group named robot"),
         (["--table", "fleet.csv", "--robots", "(?P<robot>x9)"], "finds nothing in"),
         (["--table", "fleet.csv", "--robots", r"(?P<robot>\w)_(?P<time>\w)"], "finds times that are none"),
+        (["--table", "fleet.csv", "--effect", "bogus"], "unknown effect 'bogus'"),
+        (["--table", "fleet.csv", "--map", "qpos.rail=none"], "none of 3 logs could be diagnosed"),
         (["--robots", "(?P<robot>a)"], "give --table as well"),
     ],
 )

@@ -1,6 +1,7 @@
 """What ``skat diagnose --table`` does: many logs, each by itself, in one table."""
 
 import re
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,7 +11,12 @@ from skat.files import whole
 from skat.progress import progress_bars
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from skat.simulators import MujocoSimulator
+
+# Year, month and day; of some hour, minute and second; whatever stands between them.
+STAMP = re.compile(r"(\d{4})\D?(\d\d)\D?(\d\d)(?:\D?(\d\d)\D?(\d\d)(?:\D?(\d\d))?)?")
 
 
 def diagnose_fleet(
@@ -47,28 +53,46 @@ def diagnose_fleet(
             progress=progress,
             **parameters,
         )
-    with whole(table) as draft:
-        getattr(fleet.table, forms[table.suffix.lower()])(draft, index=False)
-    clear_store(kept)
-    found = fleet.table[fleet.table["held"]]
-    if len(found):
-        shown = ["log", "cause", "value", "low", "high", "unit", "probability", "aliases"]
-        output_console().print(table_of(found[shown]))
-    failed = fleet.table[fleet.table["error"].notna()]
+    found, is_first = fleet.table, ~fleet.table["log"].duplicated()
+    each = found[is_first]
+    failed = each[each["error"].notna()]
     for name, error in zip(failed["log"], failed["error"]):
         print_line(f"{name}: {error}")
-    print_line(f"{found['log'].nunique()} of {len(logs)} logs have a cause that holds.")
+    if len(failed) == len(logs):
+        raise ValueError(f"none of {len(logs)} logs could be diagnosed.")
+    with whole(table) as draft:
+        getattr(found, forms[table.suffix.lower()])(draft, index=False)
+    _show(found, each)
     for sentence in fleet.sentences:
         print_line(f"  {sentence}")
     print_line(f"Table: {table}")
+    if len(failed):
+        print_line(f"What is done is kept in {kept}, for another try at the others (--force).")
+    else:
+        clear_store(kept)
+
+
+def _show(table: "pd.DataFrame", each: "pd.DataFrame") -> None:
+    """Show the causes that hold, and in how many logs what was found; `each` has one row for each log."""
+    held = table[table["held"]]
+    if len(held):
+        shown = ["log", "verdict", "cause", "value", "low", "high", "unit", "probability", "aliases"]
+        output_console().print(table_of(held[shown]))
+    counts = each["verdict"].fillna("no diagnosis").value_counts()
+    print_line(f"{len(each)} logs: {', '.join(f'{count} {verdict}' for verdict, count in counts.items())}.")
+    print_line(f"{held['log'].nunique()} of {len(each)} logs have a cause that holds.")
+    unexplained = each.loc[each["verdict"] == "unexplained", "log"]
+    if len(unexplained):
+        print_line(f"Unexplained, so that no cause of theirs holds: {', '.join(unexplained)}.")
+    warned = int(each["warnings"].notna().sum())
+    if warned:
+        print_line(f"{warned} of {len(each)} logs have warnings, in the column of that name.")
 
 
 def _owners(logs: Sequence[Path], robots: str | None) -> "tuple[list[str] | None, list[Any] | None]":
     """Return the robot of each log, and when it was measured, as a regular expression finds them in its path."""
     if robots is None:
         return None, None
-    import pandas as pd
-
     try:
         pattern = re.compile(robots)
     except re.error as error:
@@ -81,11 +105,28 @@ def _owners(logs: Sequence[Path], robots: str | None) -> "tuple[list[str] | None
             raise ValueError(f"--robots {robots!r} finds nothing in {path}.")
     owners = [match["robot"] for match in found if match is not None]
     if "time" not in pattern.groupindex:
+        if len(set(owners)) < len(owners):
+            warnings.warn(
+                "--robots has no group named time: the logs of a robot are taken in the order in which they are given.",
+                stacklevel=2,
+            )
         return owners, None
-    texts = [match["time"] for match in found if match is not None]
+    return owners, [_time_of(match["time"]) for match in found if match is not None]
+
+
+def _time_of(text: str) -> "pd.Timestamp":
+    """Return the time that a text says from the year on, as 2026-01-05, 20260105_123000 or 2026-01-05_12-30-00."""
+    import pandas as pd
+
+    stamp = STAMP.fullmatch(text)
+    said = text if stamp is None else "{}-{}-{}T{}:{}:{}".format(*stamp.groups(default="00"))
     try:
-        return owners, list(pd.to_datetime(pd.Series(texts)))
-    except ValueError as error:
+        time = pd.to_datetime(said, format="ISO8601")
+    except ValueError:
+        time = pd.NaT
+    if pd.isna(time):
         raise ValueError(
-            f"--robots {robots!r} finds times that are none, such as {texts[0]!r}: {error}."
-        ) from error
+            f"--robots finds times that are none, such as {text!r}: expected year, month and day in this order, as in "
+            "2026-01-05, 20260105_123000 or 2026-01-05_12-30-00."
+        )
+    return time

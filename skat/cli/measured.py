@@ -171,6 +171,7 @@ def diagnose(
     MODEL is MJCF, URDF or a robot's folder; LOG is CSV, Parquet, NPZ, HDF5, a ROS bag, MCAP, LeRobot or Minari.
     """
     with clear_errors(), heard() as warned:
+        from skat.diagnosis.archive import digest
         from skat.diagnosis.report.machine import findings_as_data
         from skat.experiments.studies import study_log
 
@@ -235,6 +236,7 @@ def diagnose(
             context = {
                 "command": ["skat", *sys.argv[1:]],
                 "model": str(model),
+                "model_digest": digest(simulator.model),
                 "log": {
                     "source": fit.source,
                     "rows": len(fit),

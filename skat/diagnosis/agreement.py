@@ -24,8 +24,15 @@ LEVEL = 0.01
 # Of a typical size: how far off values may be before anything was measured of them.
 FAR = 1e3
 NAMED, AT_BOUND, NO_INTERVAL, ALSO_SEEN, ABSENT = "named", "at a bound", "no interval", "also seen", "-"
+NOT_ASKED = "not asked"
 FIELDS = ("schema", "verdict", "causes", "also_seen")
 CAUSE_FIELDS = ("name", "unit", "value", "interval", "aliases")
+# What fields are, in the words of JSON.
+KINDS: Mapping[str, tuple[type, str]] = {
+    **dict.fromkeys(("verdict", "model", "model_digest"), (str, "a text")),
+    **dict.fromkeys(("also_seen", "log", "gain"), (Mapping, "an object")),
+    **dict.fromkeys(("causes", "effects"), (list, "a list")),
+}
 
 
 def compare_findings(
@@ -48,8 +55,9 @@ def compare_findings(
         A row for each cause that any log names: `cause`; `unit`; for each log, by its name such as "june",
         `value in june`, `low in june` and `high in june` (95 % interval; NaN where the log tells none), and
         `status in june`: "named"; "at a bound" or "no interval", which is named but not compared; "also seen";
-        "alias of ..."; or "-". Then `n_compared`, the number of logs compared; `chi_square`, `p_value` and
-        `p_corrected`, NaN where there are fewer than two; and `agreement`: "agree", "differ" or "not compared".
+        "alias of ..."; "not asked", of an effect that it was not asked about; or "-". Then `n_compared`, the number of
+        logs compared; `chi_square`, `p_value` and `p_corrected`, NaN where there are fewer than two; and `agreement`:
+        "agree", "differ" or "not compared".
 
     Raises
     ------
@@ -212,12 +220,25 @@ def check_findings(content: Any, name: str) -> None:
         raise ValueError(
             f"{name} is of schema {content['schema']!r}, and this skat reads schema {SCHEMA}: {remedy}."
         )
-    if not isinstance(content["also_seen"], Mapping) or not isinstance(content["causes"], list):
-        raise ValueError(f"{what}; causes is no list, or also_seen is no object.")
+    for field, (kind, word) in KINDS.items():
+        # What is not needed may be null.
+        if not isinstance(content.get(field), kind) and (field in FIELDS or content.get(field) is not None):
+            raise ValueError(f"{what}; {field} is {content[field]!r:.80}: expected {word}.")
     for cause in content["causes"]:
         lacking = [field for field in CAUSE_FIELDS if not isinstance(cause, Mapping) or field not in cause]
         if lacking:
             raise ValueError(f"{what}; {', '.join(lacking)} of a cause is not there.")
+        if not isinstance(cause["name"], str) or not isinstance(cause["unit"], str):
+            raise ValueError(
+                f"{what}; {cause['name']!r} in {cause['unit']!r} is no cause: expected two texts."
+            )
+        aliases = cause["aliases"]
+        if not isinstance(aliases, list | tuple) or not all(
+            isinstance(one, Mapping) and "name" in one for one in aliases
+        ):
+            raise ValueError(
+                f"{what}; {cause['name']} has aliases {aliases!r:.80}: expected a list of objects."
+            )
         interval = cause["interval"]
         numbers = [cause["value"], *(interval if isinstance(interval, list | tuple) else ())]
         if len(numbers) != 3 or not all(one is None or isinstance(one, int | float) for one in numbers):
@@ -274,12 +295,16 @@ def _by_name(
 
 
 def _warn_of_models(logs: Mapping[str, Mapping[str, Any]]) -> None:
-    models = {name: one["model"] for name, one in logs.items() if one.get("model")}
-    if len(set(models.values())) > 1:
-        listed = ", ".join(f"{name} of {model}" for name, model in models.items())
+    known = all(one.get("model_digest") for one in logs.values())
+    field, differ = (
+        ("model_digest", "different models") if known else ("model", "models with different paths")
+    )
+    told = {name: one[field] for name, one in logs.items() if one.get(field)}
+    if len(set(told.values())) > 1:
+        listed = ", ".join(f"{name} of {logs[name].get('model', 'one')}" for name in told)
         warnings.warn(
-            f"These findings are of models with different paths: {listed}. A value counts from its own model: unless "
-            "these are the same, logs of one robot differ.",
+            f"These findings are of {differ}: {listed}. A value counts from its own model: unless these are the same, "
+            "logs of one robot differ.",
             stacklevel=3,
         )
 
@@ -327,7 +352,7 @@ def _said(cause: str, findings: Mapping[str, Any]) -> _Said:
     if cause in findings["also_seen"]:
         value = findings["also_seen"][cause]
         return _Said(ALSO_SEEN, math.nan if value is None else float(value))
-    return _Said(ABSENT)
+    return _Said(ABSENT if cause in findings.get("effects", (cause,)) else NOT_ASKED)
 
 
 def _chi_square(said: Sequence[_Said], unit: str) -> float:

@@ -15,6 +15,7 @@ from skat.diagnosis.chains import Array, Places
 from skat.diagnosis.fitting import Fitted
 from skat.diagnosis.log import Log
 from skat.diagnosis.report.from_diagnosis import DiagnosisReport
+from skat.effects import Effect
 from skat.files import writable
 from skat.simulators import MujocoSimulator, Simulator
 from skat.simulators.puck import PuckSimulator
@@ -222,12 +223,37 @@ def _parameters(simulator: Simulator) -> dict[str, Any] | None:
     return parameters
 
 
-def _digest(simulator: Simulator) -> str:
-    """Return a digest of what a simulator was made of; nothing if that is Python code."""
+def has_code(simulator: Simulator) -> bool:
+    """Whether a simulator, or an effect of it, is Python code."""
+    return _parameters(simulator) is None
+
+
+def simulator_digest(simulator: Simulator, log: Log | None) -> str:
+    """Return a digest of what a simulator was made of; of one with Python code, also of what that does.
+
+    Code itself says little, as what it calls may have changed: its outputs for the first rows of a log are known, and
+    those with a typical size of each effect that is code. One without code needs no log.
+    """
+    made = simulator.get_params(deep=False)
+    if log is None or not has_code(simulator):
+        return digest(made)
+    known = vars(replace(SavedSimulator.of(simulator, log), parameters=None))
+    own = made.get("extra_effects") or simulator.effects(also="all")
+    sizes = [{one.name: _typical(one)} for one in own]
+    outputs = simulator.predict_many(known["rows"], sizes, groups=known["groups"])
     try:
-        return digest(simulator.get_params(deep=False))
-    except TypeError:
-        return ""
+        written = digest(made)
+    except TypeError:  # a function, of which the outputs tell
+        written = ""
+    return digest((written, known, outputs))
+
+
+def _typical(effect: Effect) -> float:
+    """Return a value of an effect that is a typical size from neutral, or less where its bounds are."""
+    low, high = effect.bounds
+    if high > effect.neutral:
+        return min(effect.neutral + effect.typical, high)
+    return max(effect.neutral - effect.typical, low)
 
 
 def _outputs(simulator: Simulator, rows: Array, groups: Places) -> Array:
@@ -284,7 +310,7 @@ class Checkpoint:
         self._about: dict[str, Any] = {
             "log": digest((_with_plain_labels(log), floor)),
             "simulator": vars(replace(SavedSimulator.of(self._simulator, log), parameters=None)),
-            "model": _digest(self._simulator),
+            "model": simulator_digest(self._simulator, log),
             "parameters": self._parameters,
         }
 

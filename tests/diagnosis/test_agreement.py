@@ -194,6 +194,27 @@ def test_models_with_different_paths_are_compared_with_a_warning():
         assert only(compare_findings(logs))["agreement"] == "agree"
 
 
+def test_another_model_at_the_same_path_is_warned_of_and_a_copy_is_not():
+    logs = [found(cause(DRY, 0.1, 0.02), model="arm.xml", model_digest=digest) for digest in ("1a", "2b")]
+    with pytest.warns(UserWarning, match="These findings are of different models"):
+        compare_findings(logs)
+    copied = [found(cause(DRY, 0.1, 0.02), model=path, model_digest="1a") for path in ("arm.xml", "copy.xml")]
+    compare_findings(copied)
+
+
+def test_an_effect_that_a_log_was_not_asked_about_is_told_from_one_that_it_does_not_name():
+    table = compare_findings(
+        {
+            "june": found(cause(DRY, 0.1, 0.02), effects=[DRY]),
+            "july": found(effects=["mass[lower]"]),
+            "may": found(effects=[DRY]),
+        }
+    )
+    row = only(table)
+    assert (row["status in july"], row["status in may"]) == ("not asked", "-")
+    assert agreement_sentences(table) == [f"{DRY}: named in june alone; not asked in july"]
+
+
 GOOD = found(cause(DRY, 0.1, 0.02))
 BAD = [
     ({"june": GOOD}, "two logs or more", "got 1"),
@@ -205,6 +226,17 @@ BAD = [
     ([GOOD, found({"name": DRY})], "log 2: expected findings", "unit, value, interval, aliases of a cause"),
     ([GOOD, found(cause(DRY, 0.1, 0.02) | {"interval": [1]})], DRY, "interval [1]"),
     ([GOOD, found(cause(DRY, 0.1, 0.02) | {"value": "much"})], DRY, "value 'much'"),
+    *(
+        ([GOOD, GOOD | {field: 5}], f"{field} is 5", f"expected {word}")
+        for field, word in (
+            ("log", "an object"),
+            ("gain", "an object"),
+            ("causes", "a list"),
+            ("effects", "a list"),
+        )
+    ),
+    ([GOOD, found(cause(DRY, 0.1, 0.02) | {"aliases": ["mass"]})], "aliases ['mass']", "a list of objects"),
+    ([GOOD, found(cause(5, 0.1, 0.02))], "5 in 'N m' is no cause", "expected two texts"),
     ([GOOD, found(cause(DRY, 0.1, 0.02, "N"))], "in N m in log 1 and in N in log 2", "Compare those of one"),
 ]
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from scipy.stats import norm
+from scipy.stats import t
 
 from skat.effects import Effect
-from skat.fleet.drifts import Estimate, discoveries, drifts_of
+from skat.fleet.drifts import WORD, Estimate, discoveries, drifts_of
 
 FRICTION = Effect("dry_friction[elbow]", unit="N m", neutral=0.0, bounds=(0.0, 5.0), typical=0.1)
 GAIN = Effect("gain[elbow]", unit="1", neutral=1.0, bounds=(0.1, 10.0), typical=0.2)
@@ -29,14 +29,26 @@ def test_as_many_of_the_likeliest_hold_as_are_false_no_more_often_than_allowed()
     assert discoveries(np.zeros(0), 0.05).tolist() == []
 
 
-def test_a_step_between_two_logs_is_that_of_a_normal_law():
+def test_a_step_between_two_logs_is_that_of_students_law():
     found = drifts({"17": series([0.10, 0.14], [0.005, 0.005])})
     (row,) = found.to_dict("records")
     error = 0.005 * np.sqrt(2)
     assert (row["robot"], row["effect"], row["since"], row["unit"]) == ("17", FRICTION.name, 1, "N m")
     assert (row["before"], row["after"], row["change"]) == pytest.approx((0.10, 0.14, 0.04))
-    assert row["p"] == pytest.approx(2 * norm.sf(0.04 / error))
-    assert (row["low"], row["high"]) == pytest.approx((0.04 - 1.96 * error, 0.04 + 1.96 * error), rel=1e-3)
+    assert row["p"] == pytest.approx(2 * t.sf(0.04 / error, WORD))
+    half = t.isf(0.025, WORD) * error
+    assert (row["low"], row["high"]) == pytest.approx((0.04 - half, 0.04 + half))
+
+
+@pytest.mark.parametrize("n", [2, 3, 4, 5, 6, 8])
+def test_a_step_of_ten_errors_is_told_of_one_robot_however_few_its_logs(n):
+    """100 robots, one at a time, and 400 that stayed the same."""
+    rng = np.random.default_rng(n)
+    step = 0.1 * (np.arange(n) >= n // 2)
+    told = [len(drifts({"1": series(rng.normal(step, 0.01), np.full(n, 0.01))})) for _ in range(100)]
+    false = [len(drifts({"1": series(rng.normal(0, 0.01, n), np.full(n, 0.01))})) for _ in range(400)]
+    assert np.mean(told) >= 0.98
+    assert np.mean(false) <= 0.05
 
 
 def test_a_change_of_a_factor_is_a_ratio():

@@ -53,6 +53,7 @@ def findings_as_data(
         "verdict": diagnosis.verdict_,
         "first_look": is_first_look(diagnosis),
         "rows_fitted": diagnosis.n_rows_fitted_,
+        "effects": list(diagnosis.identifiability_.index),
         "causes": diagnosis.causes_,
         "also_seen": diagnosis.also_seen_,
         "sets": [_set(one) for one in diagnosis.posterior_.sets],
