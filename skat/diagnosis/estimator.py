@@ -483,8 +483,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             prediction = self._predicted(log, random_state, horizon)
             if prediction.n_diverged:
                 warnings.warn(
-                    f"The simulation diverges in {prediction.n_diverged} of {prediction.n_starts} rows; there it "
-                    "counts as wholly wrong.",
+                    f"The simulation, as given or with its causes, diverges in {prediction.n_diverged} of "
+                    f"{prediction.n_starts} predictions; there it counts as wholly wrong.",
                     stacklevel=2,
                 )
             return prediction.gain

@@ -81,7 +81,7 @@ class Overlay:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Errors at a horizon, the episodes that the nominal model predicts worst, and how many starts diverge."""
+    """Errors at a horizon, the episodes that the nominal model predicts worst, and from how many starts a run diverges."""
 
     gain: Gain
     overlays: tuple[Overlay, ...]
@@ -175,7 +175,7 @@ def predicted(
     counted = mask[rows[:, -1]]
     if not counted.any():
         raise RuntimeError("Nothing was measured at the horizon of any row.")
-    lost = np.asarray(~np.isfinite(errors[:, :, 0]).all(axis=(0, 2)))
+    lost = np.asarray(~np.isfinite(errors).all(axis=(0, 2, 3)))
     right = ahead(space, seen, values, starts, h)
     with np.errstate(over="ignore"):
         squares = np.nan_to_num(errors[:, :, -1] ** 2 / right.variances[:, -1], nan=np.inf)
