@@ -38,7 +38,8 @@ TURNS = 3
 LARGEST_SQUARE = 9.0
 # Of a square of a standard normal number, the median.
 MEDIAN_OF_SQUARES = 0.4549
-# In an output's own unit, no error counts for more than so many standard deviations of what was measured.
+# In an output's own unit, no error counts for more than so many standard deviations of what was measured, in this log
+# or in the one that was fitted, whichever is more.
 FARTHEST = 10.0
 # Draws of pieces of time that count as independent. Fewer pieces, drawn with replacement, are too often all the same,
 # and do not say how much a gain varies from one to the next; few episodes are cut, into about so many.
@@ -81,7 +82,7 @@ class Overlay:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Errors at a horizon, the episodes that the nominal model predicts worst, and from how many starts a run diverges."""
+    """Errors at a horizon, episodes that the nominal model predicts worst, and how many starts diverge in some row."""
 
     gain: Gain
     overlays: tuple[Overlay, ...]
@@ -186,7 +187,7 @@ def predicted(
         _pieces(space.groups[starts])[there],
         random_state,
         horizon=float(h * simulator.dt) if simulator.dt else float(h),
-        channels=_channel_errors(space, errors, mask[rows]),
+        channels=_channel_errors(space, fitted, errors, mask[rows]),
     )
     chosen = _worst_episodes(space.groups[starts], nominal, n_overlays) if simulator.state_names else []
     overlays = tuple(_overlay(space, paths, starts, h, episode) for episode in chosen)
@@ -334,7 +335,7 @@ def open_loop_gain(
         space.groups[there],
         random_state,
         horizon="episode",
-        channels=_channel_errors(space, errors, counted),
+        channels=_channel_errors(space, fitted, errors, counted),
         root=True,
     )
 
@@ -453,10 +454,13 @@ def _explained(means: Array, root: bool) -> Array:
     return np.where(excess > 0, (nominal - extended) / np.where(excess > 0, excess, 1.0), np.nan)
 
 
-def _channel_errors(space: StateSpace, errors: Array, mask: Mask) -> dict[str, tuple[float, float]]:
+def _channel_errors(
+    space: StateSpace, fitted: Fitted, errors: Array, mask: Mask
+) -> dict[str, tuple[float, float]]:
     """Return root mean squares (nominal, extended) of errors (2, ..., d) of each channel that was measured."""
     names = space.simulator.residual_names
-    most = FARTHEST * space.spread / 3
+    # Where the machine rests, errors of a model that moves are far beyond the spread of this log.
+    most = FARTHEST * np.maximum(space.spread, np.sqrt(fitted.linear.chains.prior)) / 3
     sizes = np.minimum(np.nan_to_num(np.abs(errors), nan=np.inf), most)
     found = {}
     for channel, name in enumerate(names):

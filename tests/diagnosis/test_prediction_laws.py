@@ -526,15 +526,24 @@ def test_the_interval_of_a_gain_holds_the_true_one_in_nineteen_logs_of_twenty():
 
 def test_errors_of_a_channel_are_root_mean_squares_over_what_was_measured():
     space = read([6, 6])
+    fitted = known(space, 0.1)
     errors = np.array([[3.0, 100.0, 4.0], [1.0, 100.0, 1.0]])[..., None] * 0.1
-    found = _channel_errors(space, errors, np.array([[True], [False], [True]]))
+    found = _channel_errors(space, fitted, errors, np.array([[True], [False], [True]]))
     assert found["x"] == pytest.approx((0.1 * np.sqrt(12.5), 0.1))
-    assert _channel_errors(space, errors, np.zeros((3, 1), bool)) == {}
+    assert _channel_errors(space, fitted, errors, np.zeros((3, 1), bool)) == {}
     diverged = np.array([[np.nan, np.inf, -np.inf], [0.1, 0.1, 0.1]])[..., None]
-    nominal, extended = _channel_errors(space, diverged, np.ones((3, 1), bool))["x"]
+    nominal, extended = _channel_errors(space, fitted, diverged, np.ones((3, 1), bool))["x"]
     assert extended == pytest.approx(0.1)
     assert np.isfinite(nominal)
     assert nominal > 5 * space.measured.std()
+
+
+def test_errors_of_a_log_that_rests_are_what_they_are_by_the_spread_of_the_one_that_was_fitted():
+    fitted = known(read([6, 6], centres=[-1.0, 1.0]), 1e-5, force=1e6)
+    resting_log = read([20], error=1e-5, centres=[0.0])
+    options = {"horizon": 1, "random_state": random_state()}
+    gain = predicted(resting_log, fitted, {"push": 0.1}, **options).gain
+    assert gain.channels["x"][1] == pytest.approx(0.1, rel=1e-3)
 
 
 def test_the_worst_episode_has_the_largest_mean_not_the_largest_sum():
