@@ -321,11 +321,12 @@ def _of_parts(chains: Chains, noise: Noise, parts: Sequence[Estimate]) -> Estima
         for (_, forces), one in zip(chains.parts, parts):
             own = forces[forces < k]
             mixing[:, own[:, None], own] = one.noise.mixing
+    whole = Noise(force, error, force_nu, error_nu, noise.law, *weights, mixing)
     return Estimate(
-        Noise(force, error, force_nu, error_nu, noise.law, *weights, mixing),
+        whole,
         sum(one.bound for one in parts),
         filtered_together(chains, [one.filtered for one in parts]),
-        smoothed_together(chains, [one.smoothed for one in parts]),
+        smoothed_together(chains, [one.smoothed for one in parts], whole.force_variances),
     )
 
 
