@@ -353,7 +353,7 @@ def _estimated(
     # Behind a start below the floor no step would be a gain.
     begun = np.maximum(noise.error, floor)
     noise = replace(noise, error=begun if held is None else np.where(held, noise.error, begun))
-    best = passed(chains, noise, real)
+    best = _begun(chains, noise, real, held)
     look, damping = _look(chains, best, real, floor, held), LEAST_DAMPING
     for _ in range(n_passes):
         try:
@@ -375,6 +375,18 @@ def _estimated(
     force, error = best.noise.force_variances, best.noise.error_variances
     mixed = chains.mixed(best.noise.mixings)
     return replace(best, smoothed=smooth(mixed, best.filtered, force, error))
+
+
+def _begun(chains: Chains, noise: Noise, real: Mask, held: Mask | None) -> Estimate:
+    """Return the pass at a start, or at one with so much more noise of the sensors that rounding lets a filter run."""
+    free = (noise.error < chains.prior) & ~np.asarray(False if held is None else held)
+    try:
+        return passed(chains, noise, real)
+    except np.linalg.LinAlgError:
+        if not free.any():
+            raise
+        more = np.minimum(noise.error * np.exp(FURTHEST), chains.prior)
+        return _begun(chains, replace(noise, error=np.where(free, more, noise.error)), real, held)
 
 
 @dataclass(frozen=True)
@@ -457,8 +469,7 @@ def _moved(
 ) -> Noise:
     """Return the noise whose variances are moved by steps on their logarithm, with the best scales of samples there."""
     noise, smoothed = last.noise, last.smoothed
-    force_squares = smoothed.forces**2 + smoothed.force_variances
-    error_squares = smoothed.errors**2 + smoothed.error_variances
+    force_squares, error_squares = expected_squares(smoothed)
     k, n = noise.force.shape[1], noise.force.shape[1] + noise.error.shape[1]
     force = np.maximum(noise.force * np.exp(steps[:k]), 1e-30)
     error = np.maximum(noise.error * np.exp(steps[k:n]), floor)
@@ -478,6 +489,13 @@ def _moved(
         error_nu, error_weights = np.where(held, np.inf, error_nu), np.where(held, 1.0, error_weights)
     weights = force_weights, error_weights
     return Noise(force, error, force_nu[None], error_nu[None], noise.law, *weights, noise.mixing)
+
+
+def expected_squares(smoothed: Smoothed) -> tuple[Array, Array]:
+    """Return the expected squares of forces and of errors, none of which rounding puts below zero."""
+    force: Array = np.maximum(smoothed.forces**2 + smoothed.force_variances, 0.0)
+    error: Array = np.maximum(smoothed.errors**2 + smoothed.error_variances, 0.0)
+    return force, error
 
 
 def _scales(squares: Array, variance: Array, present: Mask) -> tuple[Array, Array]:

@@ -24,7 +24,7 @@ from skat.diagnosis.chains import Array, Mask, Places
 from skat.diagnosis.filtering import kalman_filter, smooth, updated
 from skat.diagnosis.findings import Gain
 from skat.diagnosis.fitting import Fitted, known_forces
-from skat.diagnosis.noise import Estimate, Noise, normal_noise, passed, precisions
+from skat.diagnosis.noise import Estimate, Noise, expected_squares, normal_noise, passed, precisions
 from skat.diagnosis.statespace import StateSpace, linearise, moved_path, steps_of
 from skat.simulators import Simulator
 
@@ -355,9 +355,8 @@ def _with_even_weights(noise: Noise, space: StateSpace) -> Noise:
 
 def _weighted(last: Estimate, real: Mask, mask: Mask) -> Noise:
     """Return a noise with the expected precision of each sample, its law held."""
-    noise, smoothed = last.noise, last.smoothed
-    force_squares = smoothed.forces**2 + smoothed.force_variances
-    error_squares = smoothed.errors**2 + smoothed.error_variances
+    noise = last.noise
+    force_squares, error_squares = expected_squares(last.smoothed)
     force, force_nu, error, error_nu = (
         one[noise.law][:, None] for one in (noise.force, noise.force_nu, noise.error, noise.error_nu)
     )

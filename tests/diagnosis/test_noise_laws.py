@@ -17,6 +17,7 @@ from skat.diagnosis.noise import (
     _of_variances,
     _scales,
     estimate_noise,
+    expected_squares,
     normal_noise,
     passed,
     precisions,
@@ -106,6 +107,37 @@ def test_no_noise_is_finer_than_any_sensor_or_below_its_floor():
     # What was given stays below the floor.
     held = estimate_noise(chains, start, real, floor=np.array([1e-4]), held=np.array([True]), **options)
     assert held.noise.error[0] == 1e-20
+
+
+def test_a_noise_so_fine_that_no_filter_runs_with_it_is_a_start_all_the_same():
+    """The first place moves by a million times the second, and both are read as well as anything is."""
+    rng, n, steps, prior = np.random.default_rng(0), 2, 10, np.array([1e-6, 1.0])
+    eye = np.tile(np.eye(2), (n, steps, 1, 1))
+    chains = Chains(
+        eye + 1e6 * np.eye(2, k=1), np.zeros((n, steps, 2)), 0 * eye, eye,
+        np.sqrt(prior) * rng.normal(size=(n, steps + 1, 2)), np.ones((n, steps + 1, 2), dtype=bool), prior,
+    )  # fmt: skip
+    noise, real = normal_noise(chains, [1e-30, 1e-30], FINEST * prior), np.ones((n, steps), dtype=bool)
+    with pytest.raises(np.linalg.LinAlgError):
+        passed(chains, noise, real)
+    assert np.isfinite(estimate_noise(chains, noise, real, floor=np.zeros(2)).bound)
+    with pytest.raises(np.linalg.LinAlgError):  # what was given stays
+        estimate_noise(chains, noise, real, floor=np.zeros(2), held=np.ones(2, dtype=bool))
+
+
+def test_expected_squares_are_not_below_zero_by_rounding():
+    """As a rounded variance can be, where next to nothing is left; otherwise they are of what was found."""
+    chains, real = walks(steps=5), np.ones((3, 5), dtype=bool)
+    smoothed = passed(chains, normal_noise(chains, [0.3], [0.7]), real).smoothed
+    whole = expected_squares(smoothed)
+    np.testing.assert_array_equal(whole[0], smoothed.forces**2 + smoothed.force_variances)
+    np.testing.assert_array_equal(whole[1], smoothed.errors**2 + smoothed.error_variances)
+    none = np.zeros_like
+    rounded = replace(
+        smoothed, forces=none(smoothed.forces), force_variances=-1e-17 * smoothed.force_variances,
+        errors=none(smoothed.errors), error_variances=-1e-17 * smoothed.error_variances,
+    )  # fmt: skip
+    assert all((one == 0).all() for one in expected_squares(rounded))
 
 
 @pytest.mark.parametrize("nu", [3.0, 5.0])
