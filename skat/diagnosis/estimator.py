@@ -17,7 +17,6 @@ from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted
 
 from skat.diagnosis.agreement import differing, shared_causes
-from skat.diagnosis.ahead import variances_of
 from skat.diagnosis.causes import QUICK_TURNS, TURNS, find_causes
 from skat.diagnosis.chains import Array
 from skat.diagnosis.changes import find_changes
@@ -30,6 +29,7 @@ from skat.diagnosis.forces.start import start_in_forces
 from skat.diagnosis.found import Found, is_held
 from skat.diagnosis.identifiability import identifiability, preflight
 from skat.diagnosis.log import Log, check_log, check_matrix, without_channels
+from skat.diagnosis.noise import variances_of
 from skat.diagnosis.posterior import Posterior
 from skat.diagnosis.prediction import Prediction, horizon_rows, open_loop_gain, predicted
 from skat.diagnosis.reading import read_logs

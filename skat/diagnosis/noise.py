@@ -153,11 +153,15 @@ class Noise:
         return replace(self, law=self.law[:0], force_weights=force, error_weights=error)
 
     def pooled(self) -> "Noise":
-        """Return one law for all chains: mean variances, of forces on joints, the heaviest tails."""
-        force, mixing = self.force.mean(axis=0, keepdims=True), self.mixing
+        """Return one law for all chains: mean variances, of forces on joints, with the heaviest tails."""
+        if len(self.error) == 1:
+            return self
+        force_nu, error_nu = (one.min(axis=0, keepdims=True) for one in (self.force_nu, self.error_nu))
+        variances, mixing = variances_of(self.force, self.force_nu), self.mixing
+        force = variances.mean(axis=0, keepdims=True)
         if mixing is not None:
             n, k = mixing.shape[:2]
-            pushes = self.force.reshape(n, -1, k)
+            pushes = variances.reshape(n, -1, k)
             whole = np.mean((mixing * pushes.sum(axis=1)[:, None]) @ mixing.swapaxes(1, 2), axis=0)
             root = np.linalg.cholesky(whole + np.diag(FINEST * np.diag(whole) + SMALLEST))
             pooled = root / np.diag(root)
@@ -166,14 +170,34 @@ class Noise:
                 1, -1
             )
             mixing = pooled[None]
+        error = variances_of(self.error, self.error_nu).mean(axis=0, keepdims=True)
         return replace(
             self,
-            force=force,
-            error=self.error.mean(axis=0, keepdims=True),
-            force_nu=self.force_nu.min(axis=0, keepdims=True),
-            error_nu=self.error_nu.min(axis=0, keepdims=True),
+            force=scales_of(force, force_nu),
+            error=scales_of(error, error_nu),
+            force_nu=force_nu,
+            error_nu=error_nu,
             mixing=mixing,
             law=np.zeros_like(self.law),
+        )
+
+    def with_unread(self, read: Mask) -> "Noise":
+        """Return this noise where a law of a channel that its log did not read is that of the logs that did, together.
+
+        Parameters
+        ----------
+        read : ndarray of bool of shape (n_laws, d)
+        """
+        unread = ~read & read.any(axis=0)
+        if not unread.any():
+            return self
+        nu = np.where(read, self.error_nu, np.inf).min(axis=0)
+        variances = variances_of(self.error, self.error_nu)
+        means = np.sum(variances, axis=0, where=read) / np.maximum(read.sum(axis=0), 1)
+        return replace(
+            self,
+            error=np.where(unread, scales_of(means, nu), self.error),
+            error_nu=np.where(unread, nu, self.error_nu),
         )
 
 
@@ -296,8 +320,10 @@ def estimate_noise(
     weights = force_weights[order], error_weights[order]
     mixings = [one.mixing for one in laws if one.mixing is not None]
     mixing = np.concatenate(mixings) if mixings else None
+    whole = Noise(force, error, force_nu, error_nu, noise.law, *weights, mixing)
+    read = np.stack([chains.mask[own].any(axis=(0, 1)) for own in members])
     return Estimate(
-        Noise(force, error, force_nu, error_nu, noise.law, *weights, mixing),
+        whole.with_unread(read),
         sum(part.bound for part in parts.values()),
         _joined([part.filtered for part in parts.values()], order),
         _joined([part.smoothed for part in parts.values()], order),
@@ -489,6 +515,22 @@ def _moved(
         error_nu, error_weights = np.where(held, np.inf, error_nu), np.where(held, 1.0, error_weights)
     weights = force_weights, error_weights
     return Noise(force, error, force_nu[None], error_nu[None], noise.law, *weights, noise.mixing)
+
+
+def variances_of(scale: Array, nu: Array) -> Array:
+    """Return the variances of Student's laws of squared scales."""
+    return scale * _spread_by(nu)
+
+
+def scales_of(variances: Array, nu: Array) -> Array:
+    """Return the squared scales of Student's laws of variances."""
+    return variances / _spread_by(nu)
+
+
+def _spread_by(nu: Array) -> Array:
+    """Return the variances of Student's laws of scale one."""
+    heavy = np.isfinite(nu)
+    return np.where(heavy, nu / np.where(heavy, nu - 2, 1.0), 1.0)
 
 
 def expected_squares(smoothed: Smoothed) -> tuple[Array, Array]:

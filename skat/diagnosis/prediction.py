@@ -19,12 +19,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from skat.diagnosis.ahead import SETTLED_ROWS, Seen, ahead, before, filtered, variances_of
+from skat.diagnosis.ahead import SETTLED_ROWS, Seen, ahead, before, filtered
 from skat.diagnosis.chains import Array, Mask, Places
 from skat.diagnosis.filtering import kalman_filter, smooth, updated
 from skat.diagnosis.findings import Gain
 from skat.diagnosis.fitting import Fitted, known_forces
-from skat.diagnosis.noise import Estimate, Noise, expected_squares, normal_noise, passed, precisions
+from skat.diagnosis.noise import (
+    Estimate,
+    Noise,
+    expected_squares,
+    normal_noise,
+    passed,
+    precisions,
+    variances_of,
+)
 from skat.diagnosis.statespace import StateSpace, linearise, moved_path, steps_of
 from skat.simulators import Simulator
 

@@ -21,6 +21,8 @@ from skat.diagnosis.noise import (
     normal_noise,
     passed,
     precisions,
+    scales_of,
+    variances_of,
 )
 
 
@@ -337,6 +339,43 @@ def test_laws_of_several_logs_are_pooled_by_what_acts_on_joints():
     assert (gone.force >= 0).all()
     # Without a joint that pushes act on there is nothing to mix.
     assert chains.mixed(np.zeros((2, 0, 0))) is chains
+
+
+@pytest.mark.parametrize("mixed", [False, True])
+def test_pooled_laws_have_the_mean_variance_whatever_their_tails(mixed):
+    noise = replace(
+        normal_noise(two_walks(np.random.default_rng(0), n=2, steps=3), np.ones((2, 2)), np.ones((2, 2)), np.arange(2)),
+        force=np.array([[1.0, 2.0], [0.01, 0.5]]), force_nu=np.array([[np.inf, 5.0], [3.0, 10.0]]),
+        error=np.array([[1.0, 0.1], [0.01, 0.2]]), error_nu=np.array([[np.inf, np.inf], [3.0, np.inf]]),
+    )  # fmt: skip
+    if mixed:
+        noise = noise.together(2)
+    pooled = noise.pooled()
+    for name in ("force", "error"):
+        scales, nus = (getattr(noise, one) for one in (name, f"{name}_nu"))
+        variances = stats.t.var(nus, scale=np.sqrt(scales))
+        scale, nu = (getattr(pooled, one) for one in (name, f"{name}_nu"))
+        np.testing.assert_array_equal(nu[0], nus.min(axis=0))
+        np.testing.assert_allclose(variances_of(scale, nu)[0], variances.mean(axis=0))
+        np.testing.assert_allclose(scales_of(variances_of(scales, nus), nus), scales)
+    alone = noise.alone(1)
+    assert alone.pooled() is alone
+
+
+def test_a_channel_that_a_log_did_not_read_has_there_the_law_of_the_logs_that_did():
+    chains, real = two_walks(np.random.default_rng(1), n=6, steps=40), np.ones((6, 40), dtype=bool)
+    law = np.array([0, 0, 1, 1, 2, 2])
+    chains.mask[law == 2, :, 1] = False
+    read = chains.of(law < 2), real[law < 2]
+    found, pair = (
+        estimate_noise(
+            one, normal_noise(one, *(np.full((n, 2), 0.1),) * 2, laws), own, floor=np.zeros(2)
+        ).noise
+        for one, own, laws, n in ((chains, real, law, 3), (*read, law[law < 2], 2))
+    )
+    np.testing.assert_allclose(found.pooled().error[:, 1], pair.pooled().error[:, 1], rtol=1e-12)
+    np.testing.assert_allclose(found.error[2, 1], found.pooled().error[0, 1], rtol=1e-12)
+    np.testing.assert_array_equal(found.error[:2], pair.error)
 
 
 def test_what_is_not_known_of_forces_on_joints_is_so_in_whatever_order_the_joints_are():

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from skat.diagnosis.ahead import Seen, _mean_beside, ahead, filtered, variances_of
+from skat.diagnosis.ahead import Seen, _mean_beside, ahead, filtered
 from skat.diagnosis.chains import NO_MEMORY, Memory
 from skat.diagnosis.filtering import updated
 from skat.diagnosis.fitting import Fitted
-from skat.diagnosis.noise import Noise, normal_noise, passed
+from skat.diagnosis.noise import Noise, normal_noise, passed, variances_of
 from skat.diagnosis.prediction import (
     _channel_errors,
     _cut,
