@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.utils import check_array
 
 from skat.diagnosis.chains import Array, Mask, Places
-from skat.diagnosis.statespace import filled_in, in_chains, steps_of, tangent_mask, tangents
+from skat.diagnosis.statespace import QUATERNION, filled_in, in_chains, steps_of, tangent_mask, tangents
 from skat.episodes import LEAST_TESTED, drawn_episodes
 from skat.simulators import Simulator
 from skat.simulators.tables import refuse_text
@@ -31,7 +31,6 @@ ROUNDING, SMALLEST = 1e-4, 1e-9
 # A first look takes so many stretches of a log, each so long (s), with at least and at most so many rows: in shorter
 # ones a force that has a memory looks like one that does not change, as causes do.
 STRETCHES, STRETCH_S, STRETCH_ROWS = 2, 0.8, (80, 320)
-QUATERNION = ("qw", "qx", "qy", "qz")
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,7 @@ PAIRS = 32
 FAR = 1e3
 # Slopes are kept where a row ends off from where they say by no more than this share of what is not known of its state.
 UNSEEN = 1e-3
+QUATERNION = ("qw", "qx", "qy", "qz")
 
 
 @dataclass(frozen=True)
@@ -711,7 +712,7 @@ def tangent_mask(simulator: Simulator, seen: Mask) -> Mask:
             mask[..., column] = seen[..., outputs.index(name)]
         else:
             joint = name[: -len(".rx")]
-            parts = [outputs.index(f"{joint}.{part}") for part in ("qw", "qx", "qy", "qz")]
+            parts = [outputs.index(f"{joint}.{part}") for part in QUATERNION]
             mask[..., column] = seen[..., parts].all(axis=-1)
     return mask
 
@@ -772,6 +773,10 @@ def guessed(simulator: Simulator, states: Array) -> Array:
     names = simulator.output_names
     rest = simulator.reference_state if simulator.state_names else np.zeros(len(names))
     times = np.arange(states.shape[1])
+    for name in names:
+        if name.endswith(".qw"):
+            columns = [names.index(f"{name[: -len('qw')]}{part}") for part in QUATERNION]
+            filled[..., columns] = _turns_between(states[..., columns])
     for column in range(states.shape[2]):
         for chain in range(states.shape[0]):
             series = filled[chain, :, column]
@@ -790,6 +795,30 @@ def guessed(simulator: Simulator, states: Array) -> Array:
         missing = ~np.isfinite(filled[..., column])
         own = np.nanmean(states[..., column]) if np.isfinite(states[..., column]).any() else None
         filled[..., column] = np.where(missing, guess if own is None else own, filled[..., column])
+    return filled
+
+
+def _turns_between(turns: Array) -> Array:
+    """Return quaternions (n_chains, n_times, 4) with those that were not measured between the ones before and after.
+
+    A chain without any has the one that is nearest in the chains beside it.
+    """
+    known = np.isfinite(turns).all(axis=-1)
+    told = np.flatnonzero(known.any(axis=1))
+    if known.all() or not len(told):
+        return turns
+    filled, times = turns.copy(), np.arange(turns.shape[1])
+    for chain in told:
+        there = known[chain]
+        measured = turns[chain, there]
+        # Of the two quaternions that are each turn the one that is nearer to the one before: no mean of two is short.
+        apart = np.sum(measured[1:] * measured[:-1], axis=1) < 0
+        aligned = measured * np.cumprod(np.r_[1.0, np.where(apart, -1.0, 1.0)])[:, None]
+        between = np.stack([np.interp(times[~there], times[there], part) for part in aligned.T], axis=-1)
+        filled[chain, ~there] = between / np.linalg.norm(between, axis=1, keepdims=True)
+    for chain in np.setdiff1d(np.arange(len(turns)), told):
+        nearest = told[np.argmin(np.abs(told - chain))]
+        filled[chain] = filled[nearest, -1 if nearest < chain else 0]
     return filled
 
 

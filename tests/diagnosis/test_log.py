@@ -214,6 +214,32 @@ def test_a_quaternion_was_measured_as_a_whole_or_not(ball):
     assert np.isfinite(ball.predict(less.filled.X)).all()
 
 
+@pytest.mark.parametrize("flipped", [False, True])
+def test_turns_in_a_gap_are_between_those_before_and_after_whatever_the_signs_of_quaternions(ball, flipped):
+    angles = np.linspace(0, 3, 41)
+    states = np.zeros((41, 13))
+    states[:, 3], states[:, 4] = np.cos(angles / 2), np.sin(angles / 2)
+    true = states[:, 3:7].copy()
+    if flipped:
+        states[::2, 3:7] *= -1
+    read = states.copy()
+    read[10:25, 3:7] = np.nan
+    filled = check_log(ball, read[:-1], read[1:], np.zeros(40)).filled.X[:, 3:7]
+    np.testing.assert_allclose(np.linalg.norm(filled, axis=1), 1, rtol=1e-12)
+    # Not at an even rate, but about the same axis.
+    assert np.abs(np.sum(filled * true[:-1], axis=1)).min() > np.cos(0.01)
+    known = np.isfinite(read[:-1, 3])
+    np.testing.assert_array_equal(filled[known], read[:-1, 3:7][known])
+
+
+def test_a_chain_of_which_no_turn_was_read_has_that_of_the_chain_beside_it(ball):
+    states = np.zeros((131, 13))
+    states[:, 3:5] = np.sqrt(0.5)
+    states[50:, 3:7] = np.nan
+    filled = check_log(ball, states[:-1], states[1:], np.zeros(130)).filled.X[:, 3:5]
+    np.testing.assert_allclose(filled, np.sqrt(0.5), rtol=1e-12)
+
+
 def test_outputs_of_a_one_shot_simulation_may_lack_its_inputs_may_not():
     thrown = FunctionSimulator(lambda X: np.c_[X, X**2], input_names=("a",), output_names=("b", "c"))
     X = np.linspace(0, 1, 40)[:, None]
