@@ -219,8 +219,9 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         ------
         ValueError
             If the rows do not fit the simulator, are fewer than 4, hold text or an infinite value, or are not in time
-            order; if an effect is unknown; if `floor` holds no variances; if `resume` is a file of another log,
-            simulator, setting or version of skat, or damaged.
+            order; if an effect is unknown; if ``velocities="computed"`` and none is known as a velocity, or rows are
+            independent; if `floor` holds no variances; if `resume` is a file of another log, simulator, setting or
+            version of skat, or damaged.
         RuntimeError
             If the simulation diverges in every row.
         """
@@ -642,6 +643,17 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         rates = [name for name in names if name.startswith("qvel.")]
         rates = rates or [rate for _, rate in motions(self.simulator)]
         self.computed_velocities_: tuple[str, ...] = ()
+        if self.velocities == "computed" and not rates:
+            raise ValueError(
+                f"velocities='computed' finds no velocity among {', '.join(names) or 'no state'}: it knows them by "
+                "MuJoCo's names (qvel.), or by their unit, where one channel has that of another per second (units= of "
+                "a FunctionSimulator). Name those that were computed in hidden=."
+            )
+        if self.velocities == "computed" and not log.consecutive:
+            raise ValueError(
+                "velocities='computed' leaves velocities to be told by positions in time order: pass groups=, the "
+                "episode of each row."
+            )
         if self.velocities == "measured" or not rates or not log.consecutive:
             return log
         if self.velocities == "computed":
