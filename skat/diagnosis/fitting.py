@@ -133,7 +133,8 @@ def priors_of(
     """
     typical = typical or {}
     odds = np.array([effect.odds for effect in effects])
-    chances = odds / (odds.sum() + 1)
+    # Beside all others and none: their sum less its own would be rounded away.
+    others = 1 + np.where(np.eye(len(odds), dtype=bool), 0.0, odds).sum(axis=1)
     low, high = (
         np.array(
             [
@@ -146,7 +147,7 @@ def priors_of(
     return Priors(
         tuple(effect.name for effect in effects),
         np.array([typical.get(effect.name, effect.typical) for effect in effects]),
-        np.log(chances / (1 - chances)),
+        np.log(odds) - np.log(others),
         low,
         high,
     )
