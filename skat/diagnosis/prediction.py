@@ -537,6 +537,7 @@ def _whole_episodes(space: StateSpace) -> StateSpace:
         space.carrier,
         space.spread,
         space.origins[first],
+        earlier=space.earlier,
     )
 
 
