@@ -157,8 +157,6 @@ def first_fit(
     space: StateSpace,
     values: Mapping[str, float],
     known: Known = NOTHING_KNOWN,
-    *,
-    turns: int = TURNS,
 ) -> Fitted:
     """Return the fit at given values, begun at what was measured: path filtered, slopes taken, noise estimated.
 
@@ -171,8 +169,6 @@ def first_fit(
     space : StateSpace
     values : mapping from name to value
     known : Known, optional
-    turns : int, default=16
-        How often path and slopes are taken anew at most.
     """
     linear = linearise(space, space.measured, values)
     if not linear.valid.any():
@@ -184,7 +180,7 @@ def first_fit(
     noise = normal_noise(linear.chains, force, typical, space.origin)
     estimate = known.estimated(linear.chains, noise, space.real)
     fitted = Fitted(dict(values), linear, linear.chains, estimate, NO_MEMORY)
-    for turn in range(turns):
+    for turn in range(TURNS):
         before = fitted.bound
         # A memory is looked for once more about a path that has come nearer.
         fitted = next_fit(space, values, fitted, known, afresh=turn == 0, memories=turn < 2)

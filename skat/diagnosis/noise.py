@@ -36,6 +36,8 @@ from skat.diagnosis.filtering import (
 FINEST = 1e-13
 # A fit that gains less than so many nats gains nothing.
 TOLERANCE = 0.1
+# Passes of an estimate at most.
+PASSES = 40
 # In a pass no variance is moved by more on its logarithm.
 FURTHEST = float(np.log(1e3))
 # A step that lowers the bound is damped by so many times as much.
@@ -257,7 +259,6 @@ def estimate_noise(
     *,
     floor: Array,
     heavy: bool = True,
-    n_passes: int = 40,
     tolerance: float = TOLERANCE,
     held: Mask | None = None,
 ) -> Estimate:
@@ -273,7 +274,6 @@ def estimate_noise(
         Least variance of each channel's noise, such as that of rounding.
     heavy : bool, default=True
         Whether degrees of freedom are chosen.
-    n_passes : int, default=40
     tolerance : float, default=0.1
         In nats.
     held : ndarray of bool of shape (d,), optional
@@ -295,7 +295,6 @@ def estimate_noise(
                 real,
                 floor[channels],
                 heavy,
-                n_passes,
                 tolerance,
                 None if held is None else held[channels],
             )
@@ -370,7 +369,6 @@ def _estimated(
     real: Mask,
     floor: Array,
     heavy: bool,
-    n_passes: int,
     tolerance: float,
     held: Mask | None,
 ) -> Estimate:
@@ -381,7 +379,7 @@ def _estimated(
     noise = replace(noise, error=begun if held is None else np.where(held, noise.error, begun))
     best = _begun(chains, noise, real, held)
     look, damping = _look(chains, best, real, floor, held), LEAST_DAMPING
-    for _ in range(n_passes):
+    for _ in range(PASSES):
         try:
             proposed = _moved(chains, best, real, look.step(damping), floor, heavy, held)
             tried = passed(chains, proposed, real)

@@ -130,7 +130,6 @@ def predicted(
     *,
     horizon: int | None = None,
     random_state: np.random.RandomState,
-    n_overlays: int = N_OVERLAYS,
 ) -> Prediction:
     """Return how well the nominal and the extended simulation predict a log at a horizon.
 
@@ -146,7 +145,6 @@ def predicted(
         In rows; as `horizon_rows` by default. At most as long as the longest episode.
     random_state : numpy.random.RandomState
         Draws the bootstrap.
-    n_overlays : int, default=3
 
     Returns
     -------
@@ -197,7 +195,7 @@ def predicted(
         horizon=float(h * simulator.dt) if simulator.dt else float(h),
         channels=_channel_errors(space, fitted, errors, mask[rows]),
     )
-    chosen = _worst_episodes(space.groups[starts], nominal, n_overlays) if simulator.state_names else []
+    chosen = _worst_episodes(space.groups[starts], nominal, N_OVERLAYS) if simulator.state_names else []
     overlays = tuple(_overlay(space, paths, starts, h, episode) for episode in chosen)
     return Prediction(gain, overlays, len(lost), int(lost.sum()))
 

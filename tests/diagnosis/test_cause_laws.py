@@ -160,7 +160,7 @@ def pushed(gain=1.0, error=0.1, n=40, seed=0):
 
 def test_slopes_count_by_the_coordinate_of_the_search():
     space = pushed()
-    fitted = first_fit(space, {}, turns=2)
+    fitted = first_fit(space, {})
     effects = (GAIN, SHIFT)
     slopes = slopes_of(space, fitted, effects, priors_of(effects).scales)
     chord = (np.exp(0.01) - 1) / 0.01
@@ -178,7 +178,7 @@ def test_slopes_count_by_the_coordinate_of_the_search():
 
 def test_a_fit_at_given_noise_keeps_it():
     space = pushed()
-    given = first_fit(space, {}, Known(given=np.array([0.3])), turns=2)
+    given = first_fit(space, {}, Known(given=np.array([0.3])))
     assert given.estimate.noise.error[0] == pytest.approx(0.09)
     free = first_fit(space, {})
     assert free.estimate.noise.error[0] == pytest.approx(0.01, rel=0.35)

@@ -76,7 +76,6 @@ def test_variances_are_those_of_the_largest_likelihood_wherever_they_begin(start
         real,
         floor=np.zeros(1),
         heavy=False,
-        n_passes=200,
         tolerance=1e-4,
     )
     best = optimize.minimize(
@@ -92,17 +91,15 @@ def test_a_search_that_may_end_sooner_ends_lower_but_never_below_its_start():
     start = normal_noise(chains, [1e-3], [4.0])
     bounds = [
         estimate_noise(chains, start, real, floor=np.zeros(1), heavy=False, **options).bound
-        for options in ({"n_passes": 0}, {"n_passes": 2}, {"tolerance": 5.0}, {"tolerance": 1e-4})
+        for options in ({"tolerance": np.inf}, {"tolerance": 5.0}, {"tolerance": 1e-4})
     ]
-    assert bounds[0] == pytest.approx(likelihood(chains, 1e-3, 4.0))
-    assert bounds[0] < bounds[1] < bounds[3] + 1e-9
-    assert bounds[0] < bounds[2] <= bounds[3] + 1e-9
+    assert likelihood(chains, 1e-3, 4.0) < bounds[0] <= bounds[1] < bounds[2] + 1e-9
 
 
 def test_no_noise_is_finer_than_any_sensor_or_below_its_floor():
     chains = walks(force=0.0, error=0.0)
     real = np.ones((3, 40), dtype=bool)
-    options = {"heavy": False, "tolerance": 1e-9, "n_passes": 200}
+    options = {"heavy": False, "tolerance": 1e-9}
     start = normal_noise(chains, [1e-20], [1e-20])
     assert estimate_noise(chains, start, real, floor=np.zeros(1), **options).noise.error[0] >= FINEST * 4.0
     assert estimate_noise(chains, start, real, floor=np.array([1e-4]), **options).noise.error[0] == 1e-4

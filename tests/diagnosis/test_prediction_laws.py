@@ -557,9 +557,7 @@ def test_the_worst_episode_has_the_largest_mean_not_the_largest_sum():
 def test_an_overlay_has_its_own_episode_s_time_readings_and_predictions():
     space = read([20, 25], centres=[0.0, 4.0])
     space.mask[1, 8] = False
-    found = predicted(
-        space, known(space, 0.1), {"push": 0.5}, horizon=5, random_state=random_state(), n_overlays=2
-    )
+    found = predicted(space, known(space, 0.1), {"push": 0.5}, horizon=5, random_state=random_state())
     assert found.n_starts == 4 + 5
     assert found.n_diverged == 0
     one = next(one for one in found.overlays if one.episode == 1)
