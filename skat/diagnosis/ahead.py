@@ -13,7 +13,7 @@ from scipy import stats
 
 from skat.diagnosis.chains import Array, Chains, Memory, Places
 from skat.diagnosis.filtering import updated
-from skat.diagnosis.noise import Estimate, Noise
+from skat.diagnosis.noise import Estimate, Noise, variances_of
 from skat.diagnosis.statespace import PAIRS, Linear, StateSpace, moved_path, normal_points
 from skat.simulators.tables import episode_starts
 
@@ -135,12 +135,6 @@ def ahead(
         last[:, part] += drawn[:, :, -1]
     with np.errstate(over="ignore"):
         return Ahead(variances, last**2 / variances[:, -1])
-
-
-def variances_of(scale: Array, nu: Array) -> Array:
-    """Return the variances of Student's laws of squared scales."""
-    heavy = np.isfinite(nu)
-    return scale * np.where(heavy, nu / np.where(heavy, nu - 2, 1.0), 1.0)
 
 
 def steady(noise: Noise, memory: Memory) -> Array:

@@ -13,7 +13,7 @@ from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted
 
 from skat.diagnosis.chains import Array, Mask, Places
-from skat.diagnosis.log import Log, check_log, without_channels
+from skat.diagnosis.log import Log, without_channels
 from skat.diagnosis.prediction import FEWEST_PIECES, N_BOOTSTRAP, PIECES
 from skat.diagnosis.statespace import tangent_mask, tangents
 from skat.simulators import Simulator
@@ -74,7 +74,7 @@ def compare_transports(
     X_fit, X_test : array-like of shape (n_rows, n_inputs)
         Inputs to fit the maps on, and others to test on.
     y_fit, y_test : array-like of shape (n_rows, n_outputs)
-        What was measured.
+        What was measured; what the diagnosis took for computed or hidden is left out here, too.
     groups_fit, groups_test : array-like of shape (n_rows,), optional
         Episode of each row, as in `SimulationDiagnosis.fit`. Needed where some channels were not measured.
     methods : sequence of str or mapping from str to transport, optional
@@ -265,8 +265,8 @@ def _log(diagnosis: Any, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None, w
             f"An action was found to be delayed, so that earlier rows count: pass groups_{what}=, the episode of each "
             "row; its rows are consecutive and in time order."
         )
-    log = check_log(diagnosis.simulator, X, y, groups, fewest_rows=1)
-    return without_channels(diagnosis.simulator, log, tuple(diagnosis.hidden))
+    log: Log = diagnosis._other_log(X, y, groups, undone=False)
+    return log
 
 
 def _one_step_rows(diagnosis: Any, log: Log, what: str) -> _Rows:

@@ -14,9 +14,9 @@ import mujoco
 import numpy as np
 
 from skat.diagnosis.chains import Array
-from skat.diagnosis.log import QUATERNION, Log
+from skat.diagnosis.log import Log
 from skat.diagnosis.smoothing import SMOOTHED, smoothed_positions
-from skat.diagnosis.statespace import tangent_mask, tangents
+from skat.diagnosis.statespace import QUATERNION, tangent_mask, tangents
 from skat.diagnosis.velocities import motions, noise_variance
 from skat.simulators import MujocoSimulator, Simulator
 from skat.simulators.base import HALF_TURNS

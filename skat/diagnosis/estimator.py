@@ -17,7 +17,6 @@ from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted
 
 from skat.diagnosis.agreement import differing, shared_causes
-from skat.diagnosis.ahead import variances_of
 from skat.diagnosis.causes import QUICK_TURNS, TURNS, find_causes
 from skat.diagnosis.chains import Array
 from skat.diagnosis.changes import find_changes
@@ -30,6 +29,7 @@ from skat.diagnosis.forces.start import start_in_forces
 from skat.diagnosis.found import Found, is_held
 from skat.diagnosis.identifiability import identifiability, preflight
 from skat.diagnosis.log import Log, check_log, check_matrix, without_channels
+from skat.diagnosis.noise import variances_of
 from skat.diagnosis.posterior import Posterior
 from skat.diagnosis.prediction import Prediction, horizon_rows, open_loop_gain, predicted
 from skat.diagnosis.reading import read_logs
@@ -47,6 +47,8 @@ VELOCITIES = ("auto", "measured", "computed")
 ACTIONS = ("auto", "commanded", "measured")
 # A log in which the simulation diverges in a larger share of the rows is not explained by it.
 MOST_DIVERGED = 0.1
+# A typical size of which squares, and what they are multiplied with, stay numbers.
+SIZES = 1e-30, 1e30
 # Readings are multiples of a step if none misses one by more than this share of it.
 ROUNDED = 0.01
 
@@ -219,8 +221,9 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         ------
         ValueError
             If the rows do not fit the simulator, are fewer than 4, hold text or an infinite value, or are not in time
-            order; if an effect is unknown; if `floor` holds no variances; if `resume` is a file of another log,
-            simulator, setting or version of skat, or damaged.
+            order; if an effect is unknown; if ``velocities="computed"`` and none is known as a velocity, or rows are
+            independent; if `floor` holds no variances; if `resume` is a file of another log, simulator, setting or
+            version of skat, or damaged.
         RuntimeError
             If the simulation diverges in every row.
         """
@@ -483,8 +486,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             prediction = self._predicted(log, random_state, horizon)
             if prediction.n_diverged:
                 warnings.warn(
-                    f"The simulation diverges in {prediction.n_diverged} of {prediction.n_starts} rows; there it "
-                    "counts as wholly wrong.",
+                    f"The simulation, as given or with its causes, diverges in {prediction.n_diverged} of "
+                    f"{prediction.n_starts} predictions; there it counts as wholly wrong.",
                     stacklevel=2,
                 )
             return prediction.gain
@@ -619,8 +622,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
                 raise ValueError(
                     unknown_name_message(name, {one.name: one for one in self.simulator.effects(also="all")})
                 )
-            if not 0 < size < np.inf:
-                raise ValueError(f"the typical size of {name} must be positive and finite; it is {size!r}.")
+            _check_size(name, size)
 
     def _chosen_effects(self) -> list[Effect]:
         known = {effect.name: effect for effect in self.simulator.effects(also="all")}
@@ -642,6 +644,17 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         rates = [name for name in names if name.startswith("qvel.")]
         rates = rates or [rate for _, rate in motions(self.simulator)]
         self.computed_velocities_: tuple[str, ...] = ()
+        if self.velocities == "computed" and not rates:
+            raise ValueError(
+                f"velocities='computed' finds no velocity among {', '.join(names) or 'no state'}: it knows them by "
+                "MuJoCo's names (qvel.), or by their unit, where one channel has that of another per second (units= of "
+                "a FunctionSimulator). Name those that were computed in hidden=."
+            )
+        if self.velocities == "computed" and not log.consecutive:
+            raise ValueError(
+                "velocities='computed' leaves velocities to be told by positions in time order: pass groups=, the "
+                "episode of each row."
+            )
         if self.velocities == "measured" or not rates or not log.consecutive:
             return log
         if self.velocities == "computed":
@@ -744,6 +757,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             chain_length=chain_length,
             origins=log.source,
             n_jobs=self.n_jobs,
+            earlier=log.earlier,
         )
 
     def _start(self, log: Log, effects: Sequence[Effect]) -> dict[str, float]:
@@ -809,7 +823,16 @@ def _checked_effect(given: Effect, known: Effect) -> Effect:
             f"{given.name} must be in {known.unit}, neutral at {known.neutral:g}, with bounds within {known.bounds}; "
             f"it is in {given.unit}, neutral at {given.neutral:g}, with bounds {given.bounds}."
         )
+    _check_size(given.name, given.typical)
     return given
+
+
+def _check_size(name: str, size: Any) -> None:
+    """Raise if the typical size of an effect is none."""
+    if not SIZES[0] <= size <= SIZES[1]:
+        raise ValueError(
+            f"the typical size of {name} must lie between {SIZES[0]:g} and {SIZES[1]:g}, in its unit; it is {size!r}."
+        )
 
 
 def _rows_of(log: Log) -> tuple[Array, Array, NDArray[np.intp]]:

@@ -95,7 +95,7 @@ def updated(chains: Chains, filtered: Filtered, error_variances: Array) -> tuple
         kept = np.eye(len(channels)) - gains
         read = (gains * own[:, :, None, channels]) @ gains.swapaxes(2, 3)
         covariances.append(kept @ P @ kept.swapaxes(2, 3) + read)
-    return means, together([channels for channels, _ in chains.parts], covariances)
+    return means, together([channels for channels, _ in chains.parts], covariances, chains.drive.shape[-1])
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,8 @@ def filtered_together(chains: Chains, parts: Sequence[Filtered]) -> Filtered:
     log_likelihoods: Array = np.sum([one.log_likelihoods for one in parts], axis=0)
     others = [one.name for one in fields(Filtered)[1:]]
     return Filtered(
-        log_likelihoods, *(together(places, [getattr(one, name) for one in parts]) for name in others)
+        log_likelihoods,
+        *(together(places, [getattr(one, name) for one in parts], chains.drive.shape[-1]) for name in others),
     )
 
 
@@ -219,17 +220,19 @@ def _filtered(chains: Chains, force_variances: Array, error_variances: Array) ->
     return Filtered(log_likelihoods, means, covariances, innovations, precisions, gains, factors)
 
 
-def together(places: Sequence[Places], parts: Sequence[Array]) -> Array:
+def together(places: Sequence[Places], parts: Sequence[Array], size: int) -> Array:
     """Return vectors, or square matrices, of parts as those of all: zero between parts.
 
     Parameters
     ----------
     places : sequence of ndarray of int
-        Of each part's channels among all.
+        Of each part's channels, or forces, among all.
     parts : sequence of ndarray of shape (n, n_steps, n_channels) or (n, n_steps, n_channels, n_channels)
+    size : int
+        How many there are in all.
     """
     n, steps, *own = parts[0].shape
-    out = np.zeros((n, steps, *(sum(map(len, places)),) * len(own)))
+    out = np.zeros((n, steps, *(size,) * len(own)))
     for where, values in zip(places, parts):
         out[(..., where) if len(own) == 1 else (..., where[:, None], where)] = values
     return out
@@ -319,19 +322,23 @@ def smooth(
             )
             for channels, forces in chains.parts
         ],
+        force_variances,
     )
 
 
-def smoothed_together(chains: Chains, parts: Sequence[Smoothed]) -> Smoothed:
-    """Return what is known of the parts of chains as one."""
+def smoothed_together(chains: Chains, parts: Sequence[Smoothed], force_variances: Array) -> Smoothed:
+    """Return what is known of the parts of chains as one, and of a force that moves nothing its variance."""
     channels, forces = zip(*chains.parts)
-    names = [one.name for one in fields(Smoothed)]
-    return Smoothed(
-        *(
-            together(forces if name.startswith("force") else channels, [getattr(one, name) for one in parts])
-            for name in names
-        )
-    )
+    d, k = chains.carrier.shape[-2:]
+
+    def whole(name: str) -> Array:
+        places, size = (forces, k) if name.startswith("force") else (channels, d)
+        return together(places, [getattr(one, name) for one in parts], size)
+
+    smoothed = Smoothed(*(whole(one.name) for one in fields(Smoothed)))
+    idle = np.setdiff1d(np.arange(k), np.concatenate(forces))
+    smoothed.force_variances[..., idle] = force_variances[..., idle]
+    return smoothed
 
 
 def _smoothed(

@@ -78,7 +78,8 @@ class Gain:
     horizon : float or str
         In s (rows where the simulation has no time), or "episode".
     channels : dict of str to tuple of two floats
-        (nominal, extended) root mean squared error of each output, in its unit.
+        (nominal, extended) root mean squared error of each output, in its unit, none of which counts for more than ten
+        standard deviations of what was measured, in this log or in the one that was fitted.
     """
 
     nominal: float

@@ -91,7 +91,6 @@ class Fits:
             Whether path and slopes by the state are its own; see `next_fit` and `compared`.
         """
         members = tuple(members)
-        chosen = [self.effects[one] for one in members]
         origin = np.array([self._place(one, near.values) for one in members])
         if not own_slopes:
             places = self._with_whole_rows(members, places, near)
@@ -101,7 +100,7 @@ class Fits:
         # Values are known to about what they were moved by last.
         widths = np.abs(places - origin)
         for turn in range(FIT_TURNS):
-            values = {effect.name: value_at(effect, at) for effect, at in zip(chosen, places)}
+            values = self._values(members, places)
             # A comparison looks for a memory once, and again where values were still too far off to show one.
             looks = turn == 0 or (bool(near.fitted.memory) and not start.memory)
             fitted = (
@@ -149,15 +148,11 @@ class Fits:
 
     def _bound(self, members: tuple[int, ...], places: Array, near: Fit) -> float:
         """Return the bound of a set at given coordinates, about the path of another fit and with its slopes."""
-        effects = [self.effects[one] for one in members]
-        values = {effect.name: value_at(effect, at) for effect, at in zip(effects, places)}
-        return self._compared(values, near.fitted).bound
+        return self._compared(self._values(members, places), near.fitted).bound
 
     def about(self, members: Sequence[int], places: Array, near: Fit) -> Fit:
         """Return a set as it is at given places, about the path of another fit but with slopes of its own."""
-        effects = [self.effects[one] for one in members]
-        values = {effect.name: value_at(effect, at) for effect, at in zip(effects, places)}
-        fitted = self._next(values, near.fitted)
+        fitted = self._next(self._values(members, places), near.fitted)
         return self._weighed(tuple(members), fitted, np.zeros(len(members)))[0]
 
     def bends(self, fit: Fit) -> bool:
@@ -179,6 +174,10 @@ class Fits:
 
     def _compared(self, values: Mapping[str, float], start: Fitted, *, memories: bool = True) -> Fitted:
         return compared(self.space, values, start, self.known, memories=memories)
+
+    def _values(self, members: Sequence[int], places: Array) -> dict[str, float]:
+        chosen = [self.effects[one] for one in members]
+        return {effect.name: value_at(effect, at) for effect, at in zip(chosen, places)}
 
     def _place(self, member: int, values: Mapping[str, float]) -> float:
         effect = self.effects[member]

@@ -133,7 +133,8 @@ def priors_of(
     """
     typical = typical or {}
     odds = np.array([effect.odds for effect in effects])
-    chances = odds / (odds.sum() + 1)
+    # Beside all others and none: their sum less its own would be rounded away.
+    others = 1 + np.where(np.eye(len(odds), dtype=bool), 0.0, odds).sum(axis=1)
     low, high = (
         np.array(
             [
@@ -146,7 +147,7 @@ def priors_of(
     return Priors(
         tuple(effect.name for effect in effects),
         np.array([typical.get(effect.name, effect.typical) for effect in effects]),
-        np.log(chances / (1 - chances)),
+        np.log(odds) - np.log(others),
         low,
         high,
     )
@@ -156,8 +157,6 @@ def first_fit(
     space: StateSpace,
     values: Mapping[str, float],
     known: Known = NOTHING_KNOWN,
-    *,
-    turns: int = TURNS,
 ) -> Fitted:
     """Return the fit at given values, begun at what was measured: path filtered, slopes taken, noise estimated.
 
@@ -170,8 +169,6 @@ def first_fit(
     space : StateSpace
     values : mapping from name to value
     known : Known, optional
-    turns : int, default=16
-        How often path and slopes are taken anew at most.
     """
     linear = linearise(space, space.measured, values)
     if not linear.valid.any():
@@ -183,7 +180,7 @@ def first_fit(
     noise = normal_noise(linear.chains, force, typical, space.origin)
     estimate = known.estimated(linear.chains, noise, space.real)
     fitted = Fitted(dict(values), linear, linear.chains, estimate, NO_MEMORY)
-    for turn in range(turns):
+    for turn in range(TURNS):
         before = fitted.bound
         # A memory is looked for once more about a path that has come nearer.
         fitted = next_fit(space, values, fitted, known, afresh=turn == 0, memories=turn < 2)

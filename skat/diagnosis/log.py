@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.utils import check_array
 
 from skat.diagnosis.chains import Array, Mask, Places
-from skat.diagnosis.statespace import filled_in, in_chains, steps_of, tangent_mask, tangents
+from skat.diagnosis.statespace import QUATERNION, filled_in, in_chains, steps_of, tangent_mask, tangents
 from skat.episodes import LEAST_TESTED, drawn_episodes
 from skat.simulators import Simulator
 from skat.simulators.tables import refuse_text
@@ -28,10 +28,11 @@ ROWS_OF_PIECE, FEWEST_PIECES, MOST_PIECES = 20, 4, 20
 FOLLOWING = 0.9
 # Of a channel's spread, and in its unit: what rounding may put between the end of a row and the begin of the next.
 ROUNDING, SMALLEST = 1e-4, 1e-9
+# Rows before a piece of an episode whose commands are kept: as many as delays and lags of commands reach back.
+EARLIER = 40
 # A first look takes so many stretches of a log, each so long (s), with at least and at most so many rows: in shorter
 # ones a force that has a memory looks like one that does not change, as causes do.
 STRETCHES, STRETCH_S, STRETCH_ROWS = 2, 0.8, (80, 320)
-QUATERNION = ("qw", "qx", "qy", "qz")
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,8 @@ class Log:
         Names of the logs that were put together; empty of one.
     source : ndarray of int of shape (n_rows,) or None
         Which of them each row is of.
+    earlier : ndarray of shape (n_episodes, EARLIER, n_actions) or None
+        Commands before the first row of each episode, where it is a piece of a longer one: they may act in it still.
     """
 
     X: Array
@@ -66,6 +69,7 @@ class Log:
     simulator: Simulator | None = None
     sources: tuple[str, ...] = ()
     source: Places | None = None
+    earlier: Array | None = None
 
     def __len__(self) -> int:
         return len(self.X)
@@ -141,8 +145,35 @@ class Log:
             labels = tuple(self.labels[episode] for episode in self.episodes[chosen][first])
         source = None if self.source is None else self.source[chosen]
         return replace(
-            self, X=self.X[chosen], y=self.y[chosen], episodes=episodes, labels=labels, source=source
+            self,
+            X=self.X[chosen],
+            y=self.y[chosen],
+            episodes=episodes,
+            labels=labels,
+            source=source,
+            earlier=self._commands_before(chosen[np.unique(episodes, return_index=True)[1]]),
         )
+
+    def _commands_before(self, first: Places) -> Array | None:
+        """Return the commands before some rows of their episodes; None where none is known."""
+        step = self.steps[first]
+        if not self.consecutive or self.simulator is None or (self.earlier is None and not step.any()):
+            return None
+        back = np.arange(-EARLIER, 0)
+        known = self._held if self.earlier is None else self.earlier
+        outside = known[self.episodes[first][:, None], np.minimum(step[:, None] + back, -1)]
+        inside = self._commands[np.maximum(first[:, None] + back, 0)]
+        before: Array = np.where((step[:, None] + back < 0)[..., None], outside, inside)
+        return before
+
+    @property
+    def _commands(self) -> Array:
+        return self.X[:, 0 if self.simulator is None else len(self.simulator.state_names) :]
+
+    @property
+    def _held(self) -> Array:
+        """The first command of each episode, as if it had held before."""
+        return np.repeat(self._commands[self.steps == 0][:, None], EARLIER, axis=1)
 
     @property
     def parts(self) -> list["Log"]:
@@ -229,6 +260,9 @@ class Log:
             episodes=np.concatenate([one.episodes + offset for one, offset in zip(parts, offsets)]),
             labels=labels,
             source=np.repeat(np.arange(len(parts)), [len(one) for one in parts]),
+            earlier=None
+            if all(one.earlier is None for one in parts)
+            else np.concatenate([one._held if one.earlier is None else one.earlier for one in parts]),
         )
 
     def _is_one_episode(self, test_size: float) -> bool:

@@ -36,6 +36,8 @@ from skat.diagnosis.filtering import (
 FINEST = 1e-13
 # A fit that gains less than so many nats gains nothing.
 TOLERANCE = 0.1
+# Passes of an estimate at most.
+PASSES = 40
 # In a pass no variance is moved by more on its logarithm.
 FURTHEST = float(np.log(1e3))
 # A step that lowers the bound is damped by so many times as much.
@@ -153,11 +155,15 @@ class Noise:
         return replace(self, law=self.law[:0], force_weights=force, error_weights=error)
 
     def pooled(self) -> "Noise":
-        """Return one law for all chains: mean variances, of forces on joints, the heaviest tails."""
-        force, mixing = self.force.mean(axis=0, keepdims=True), self.mixing
+        """Return one law for all chains: mean variances, of forces on joints, with the heaviest tails."""
+        if len(self.error) == 1:
+            return self
+        force_nu, error_nu = (one.min(axis=0, keepdims=True) for one in (self.force_nu, self.error_nu))
+        variances, mixing = variances_of(self.force, self.force_nu), self.mixing
+        force = variances.mean(axis=0, keepdims=True)
         if mixing is not None:
             n, k = mixing.shape[:2]
-            pushes = self.force.reshape(n, -1, k)
+            pushes = variances.reshape(n, -1, k)
             whole = np.mean((mixing * pushes.sum(axis=1)[:, None]) @ mixing.swapaxes(1, 2), axis=0)
             root = np.linalg.cholesky(whole + np.diag(FINEST * np.diag(whole) + SMALLEST))
             pooled = root / np.diag(root)
@@ -166,14 +172,34 @@ class Noise:
                 1, -1
             )
             mixing = pooled[None]
+        error = variances_of(self.error, self.error_nu).mean(axis=0, keepdims=True)
         return replace(
             self,
-            force=force,
-            error=self.error.mean(axis=0, keepdims=True),
-            force_nu=self.force_nu.min(axis=0, keepdims=True),
-            error_nu=self.error_nu.min(axis=0, keepdims=True),
+            force=scales_of(force, force_nu),
+            error=scales_of(error, error_nu),
+            force_nu=force_nu,
+            error_nu=error_nu,
             mixing=mixing,
             law=np.zeros_like(self.law),
+        )
+
+    def with_unread(self, read: Mask) -> "Noise":
+        """Return this noise where a law of a channel that its log did not read is that of the logs that did, together.
+
+        Parameters
+        ----------
+        read : ndarray of bool of shape (n_laws, d)
+        """
+        unread = ~read & read.any(axis=0)
+        if not unread.any():
+            return self
+        nu = np.where(read, self.error_nu, np.inf).min(axis=0)
+        variances = variances_of(self.error, self.error_nu)
+        means = np.sum(variances, axis=0, where=read) / np.maximum(read.sum(axis=0), 1)
+        return replace(
+            self,
+            error=np.where(unread, scales_of(means, nu), self.error),
+            error_nu=np.where(unread, nu, self.error_nu),
         )
 
 
@@ -233,7 +259,6 @@ def estimate_noise(
     *,
     floor: Array,
     heavy: bool = True,
-    n_passes: int = 40,
     tolerance: float = TOLERANCE,
     held: Mask | None = None,
 ) -> Estimate:
@@ -249,7 +274,6 @@ def estimate_noise(
         Least variance of each channel's noise, such as that of rounding.
     heavy : bool, default=True
         Whether degrees of freedom are chosen.
-    n_passes : int, default=40
     tolerance : float, default=0.1
         In nats.
     held : ndarray of bool of shape (d,), optional
@@ -271,7 +295,6 @@ def estimate_noise(
                 real,
                 floor[channels],
                 heavy,
-                n_passes,
                 tolerance,
                 None if held is None else held[channels],
             )
@@ -296,8 +319,10 @@ def estimate_noise(
     weights = force_weights[order], error_weights[order]
     mixings = [one.mixing for one in laws if one.mixing is not None]
     mixing = np.concatenate(mixings) if mixings else None
+    whole = Noise(force, error, force_nu, error_nu, noise.law, *weights, mixing)
+    read = np.stack([chains.mask[own].any(axis=(0, 1)) for own in members])
     return Estimate(
-        Noise(force, error, force_nu, error_nu, noise.law, *weights, mixing),
+        whole.with_unread(read),
         sum(part.bound for part in parts.values()),
         _joined([part.filtered for part in parts.values()], order),
         _joined([part.smoothed for part in parts.values()], order),
@@ -321,11 +346,12 @@ def _of_parts(chains: Chains, noise: Noise, parts: Sequence[Estimate]) -> Estima
         for (_, forces), one in zip(chains.parts, parts):
             own = forces[forces < k]
             mixing[:, own[:, None], own] = one.noise.mixing
+    whole = Noise(force, error, force_nu, error_nu, noise.law, *weights, mixing)
     return Estimate(
-        Noise(force, error, force_nu, error_nu, noise.law, *weights, mixing),
+        whole,
         sum(one.bound for one in parts),
         filtered_together(chains, [one.filtered for one in parts]),
-        smoothed_together(chains, [one.smoothed for one in parts]),
+        smoothed_together(chains, [one.smoothed for one in parts], whole.force_variances),
     )
 
 
@@ -343,7 +369,6 @@ def _estimated(
     real: Mask,
     floor: Array,
     heavy: bool,
-    n_passes: int,
     tolerance: float,
     held: Mask | None,
 ) -> Estimate:
@@ -352,9 +377,9 @@ def _estimated(
     # Behind a start below the floor no step would be a gain.
     begun = np.maximum(noise.error, floor)
     noise = replace(noise, error=begun if held is None else np.where(held, noise.error, begun))
-    best = passed(chains, noise, real)
+    best = _begun(chains, noise, real, held)
     look, damping = _look(chains, best, real, floor, held), LEAST_DAMPING
-    for _ in range(n_passes):
+    for _ in range(PASSES):
         try:
             proposed = _moved(chains, best, real, look.step(damping), floor, heavy, held)
             tried = passed(chains, proposed, real)
@@ -374,6 +399,18 @@ def _estimated(
     force, error = best.noise.force_variances, best.noise.error_variances
     mixed = chains.mixed(best.noise.mixings)
     return replace(best, smoothed=smooth(mixed, best.filtered, force, error))
+
+
+def _begun(chains: Chains, noise: Noise, real: Mask, held: Mask | None) -> Estimate:
+    """Return the pass at a start, or at one with so much more noise of the sensors that rounding lets a filter run."""
+    free = (noise.error < chains.prior) & ~np.asarray(False if held is None else held)
+    try:
+        return passed(chains, noise, real)
+    except np.linalg.LinAlgError:
+        if not free.any():
+            raise
+        more = np.minimum(noise.error * np.exp(FURTHEST), chains.prior)
+        return _begun(chains, replace(noise, error=np.where(free, more, noise.error)), real, held)
 
 
 @dataclass(frozen=True)
@@ -456,8 +493,7 @@ def _moved(
 ) -> Noise:
     """Return the noise whose variances are moved by steps on their logarithm, with the best scales of samples there."""
     noise, smoothed = last.noise, last.smoothed
-    force_squares = smoothed.forces**2 + smoothed.force_variances
-    error_squares = smoothed.errors**2 + smoothed.error_variances
+    force_squares, error_squares = expected_squares(smoothed)
     k, n = noise.force.shape[1], noise.force.shape[1] + noise.error.shape[1]
     force = np.maximum(noise.force * np.exp(steps[:k]), 1e-30)
     error = np.maximum(noise.error * np.exp(steps[k:n]), floor)
@@ -477,6 +513,29 @@ def _moved(
         error_nu, error_weights = np.where(held, np.inf, error_nu), np.where(held, 1.0, error_weights)
     weights = force_weights, error_weights
     return Noise(force, error, force_nu[None], error_nu[None], noise.law, *weights, noise.mixing)
+
+
+def variances_of(scale: Array, nu: Array) -> Array:
+    """Return the variances of Student's laws of squared scales."""
+    return scale * _spread_by(nu)
+
+
+def scales_of(variances: Array, nu: Array) -> Array:
+    """Return the squared scales of Student's laws of variances."""
+    return variances / _spread_by(nu)
+
+
+def _spread_by(nu: Array) -> Array:
+    """Return the variances of Student's laws of scale one."""
+    heavy = np.isfinite(nu)
+    return np.where(heavy, nu / np.where(heavy, nu - 2, 1.0), 1.0)
+
+
+def expected_squares(smoothed: Smoothed) -> tuple[Array, Array]:
+    """Return the expected squares of forces and of errors, none of which rounding puts below zero."""
+    force: Array = np.maximum(smoothed.forces**2 + smoothed.force_variances, 0.0)
+    error: Array = np.maximum(smoothed.errors**2 + smoothed.error_variances, 0.0)
+    return force, error
 
 
 def _scales(squares: Array, variance: Array, present: Mask) -> tuple[Array, Array]:

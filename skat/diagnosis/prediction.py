@@ -19,12 +19,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from skat.diagnosis.ahead import SETTLED_ROWS, Seen, ahead, before, filtered, variances_of
+from skat.diagnosis.ahead import SETTLED_ROWS, Seen, ahead, before, filtered
 from skat.diagnosis.chains import Array, Mask, Places
 from skat.diagnosis.filtering import kalman_filter, smooth, updated
 from skat.diagnosis.findings import Gain
 from skat.diagnosis.fitting import Fitted, known_forces
-from skat.diagnosis.noise import Estimate, Noise, normal_noise, passed, precisions
+from skat.diagnosis.noise import (
+    Estimate,
+    Noise,
+    expected_squares,
+    normal_noise,
+    passed,
+    precisions,
+    variances_of,
+)
 from skat.diagnosis.statespace import StateSpace, linearise, moved_path, steps_of
 from skat.simulators import Simulator
 
@@ -38,7 +46,8 @@ TURNS = 3
 LARGEST_SQUARE = 9.0
 # Of a square of a standard normal number, the median.
 MEDIAN_OF_SQUARES = 0.4549
-# In an output's own unit, no error counts for more than so many standard deviations of what was measured.
+# In an output's own unit, no error counts for more than so many standard deviations of what was measured, in this log
+# or in the one that was fitted, whichever is more.
 FARTHEST = 10.0
 # Draws of pieces of time that count as independent. Fewer pieces, drawn with replacement, are too often all the same,
 # and do not say how much a gain varies from one to the next; few episodes are cut, into about so many.
@@ -81,7 +90,7 @@ class Overlay:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Errors at a horizon, the episodes that the nominal model predicts worst, and how many starts diverge."""
+    """Errors at a horizon, episodes that the nominal model predicts worst, and how many starts diverge in some row."""
 
     gain: Gain
     overlays: tuple[Overlay, ...]
@@ -121,7 +130,6 @@ def predicted(
     *,
     horizon: int | None = None,
     random_state: np.random.RandomState,
-    n_overlays: int = N_OVERLAYS,
 ) -> Prediction:
     """Return how well the nominal and the extended simulation predict a log at a horizon.
 
@@ -137,7 +145,6 @@ def predicted(
         In rows; as `horizon_rows` by default. At most as long as the longest episode.
     random_state : numpy.random.RandomState
         Draws the bootstrap.
-    n_overlays : int, default=3
 
     Returns
     -------
@@ -175,7 +182,7 @@ def predicted(
     counted = mask[rows[:, -1]]
     if not counted.any():
         raise RuntimeError("Nothing was measured at the horizon of any row.")
-    lost = np.asarray(~np.isfinite(errors[:, :, 0]).all(axis=(0, 2)))
+    lost = np.asarray(~np.isfinite(errors).all(axis=(0, 2, 3)))
     right = ahead(space, seen, values, starts, h)
     with np.errstate(over="ignore"):
         squares = np.nan_to_num(errors[:, :, -1] ** 2 / right.variances[:, -1], nan=np.inf)
@@ -186,9 +193,9 @@ def predicted(
         _pieces(space.groups[starts])[there],
         random_state,
         horizon=float(h * simulator.dt) if simulator.dt else float(h),
-        channels=_channel_errors(space, errors, mask[rows]),
+        channels=_channel_errors(space, fitted, errors, mask[rows]),
     )
-    chosen = _worst_episodes(space.groups[starts], nominal, n_overlays) if simulator.state_names else []
+    chosen = _worst_episodes(space.groups[starts], nominal, N_OVERLAYS) if simulator.state_names else []
     overlays = tuple(_overlay(space, paths, starts, h, episode) for episode in chosen)
     return Prediction(gain, overlays, len(lost), int(lost.sum()))
 
@@ -334,7 +341,7 @@ def open_loop_gain(
         space.groups[there],
         random_state,
         horizon="episode",
-        channels=_channel_errors(space, errors, counted),
+        channels=_channel_errors(space, fitted, errors, counted),
         root=True,
     )
 
@@ -354,9 +361,8 @@ def _with_even_weights(noise: Noise, space: StateSpace) -> Noise:
 
 def _weighted(last: Estimate, real: Mask, mask: Mask) -> Noise:
     """Return a noise with the expected precision of each sample, its law held."""
-    noise, smoothed = last.noise, last.smoothed
-    force_squares = smoothed.forces**2 + smoothed.force_variances
-    error_squares = smoothed.errors**2 + smoothed.error_variances
+    noise = last.noise
+    force_squares, error_squares = expected_squares(last.smoothed)
     force, force_nu, error, error_nu = (
         one[noise.law][:, None] for one in (noise.force, noise.force_nu, noise.error, noise.error_nu)
     )
@@ -453,10 +459,13 @@ def _explained(means: Array, root: bool) -> Array:
     return np.where(excess > 0, (nominal - extended) / np.where(excess > 0, excess, 1.0), np.nan)
 
 
-def _channel_errors(space: StateSpace, errors: Array, mask: Mask) -> dict[str, tuple[float, float]]:
+def _channel_errors(
+    space: StateSpace, fitted: Fitted, errors: Array, mask: Mask
+) -> dict[str, tuple[float, float]]:
     """Return root mean squares (nominal, extended) of errors (2, ..., d) of each channel that was measured."""
     names = space.simulator.residual_names
-    most = FARTHEST * space.spread / 3
+    # Where the machine rests, errors of a model that moves are far beyond the spread of this log.
+    most = FARTHEST * np.maximum(space.spread, np.sqrt(fitted.linear.chains.prior)) / 3
     sizes = np.minimum(np.nan_to_num(np.abs(errors), nan=np.inf), most)
     found = {}
     for channel, name in enumerate(names):
@@ -526,6 +535,7 @@ def _whole_episodes(space: StateSpace) -> StateSpace:
         space.carrier,
         space.spread,
         space.origins[first],
+        earlier=space.earlier,
     )
 
 

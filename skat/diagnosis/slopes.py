@@ -144,7 +144,7 @@ def _mean_derivatives(
     """
     simulator, units = space.simulator, space.spread
     candidates = [{**values, name: end} for name, both in ends.items() for end in both]
-    past = simulator.past(rows, candidates, groups=space.groups, forces=forces).of(np.flatnonzero(bent))
+    past = space.past(rows, candidates, forces).of(np.flatnonzero(bent))
     roots, rows = roots_of(known[bent], units, space.parts), rows[bent]
     # Of one turn of the axes so many points are as good as any.
     points = normal_points(space.d, SLOPE_PAIRS)[:, :SLOPE_PAIRS].T

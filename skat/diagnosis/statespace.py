@@ -33,6 +33,7 @@ PAIRS = 32
 FAR = 1e3
 # Slopes are kept where a row ends off from where they say by no more than this share of what is not known of its state.
 UNSEEN = 1e-3
+QUATERNION = ("qw", "qx", "qy", "qz")
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,8 @@ class StateSpace:
         Of several logs, which one each chain is of.
     n_jobs : int or None
         Processes of joblib that share the simulations of candidates.
+    earlier : ndarray of shape (n_episodes, n_earlier, n_actions) or None
+        Commands before the first row of each episode, where they are known.
     """
 
     simulator: Simulator
@@ -74,6 +77,7 @@ class StateSpace:
     spread: Array
     origin: Places
     n_jobs: int | None = None
+    earlier: Array | None = None
 
     @property
     def n_logs(self) -> int:
@@ -112,7 +116,9 @@ class StateSpace:
         self, rows: Array, candidates: Sequence[Mapping[str, float]], forces: Array | None = None
     ) -> Array:
         """Return the outputs of rows under each candidate, (n_candidates, n_rows, n_outputs); see `Linear.forces`."""
-        run = partial(self.simulator.predict_many, rows, groups=self.groups, forces=forces)
+        run = partial(
+            self.simulator.predict_many, rows, groups=self.groups, forces=forces, earlier=self.earlier
+        )
         jobs = effective_n_jobs(self.n_jobs)
         if jobs == 1 or len(candidates) < 2:
             return run(candidates)
@@ -121,6 +127,10 @@ class StateSpace:
             delayed(run)([candidates[one] for one in part]) for part in parts
         )
         return np.concatenate(outputs)
+
+    def past(self, rows: Array, candidates: Sequence[Mapping[str, float]], forces: Array | None) -> Past:
+        """Return what rows have of those before them under each candidate; see `Simulator.past`."""
+        return self.simulator.past(rows, candidates, groups=self.groups, forces=forces, earlier=self.earlier)
 
     def path_ends(self, path: Array) -> Array:
         """Return the states in which the rows end on a path, (n_rows, n_states)."""
@@ -199,6 +209,7 @@ def state_space(
     chain_length: int = CHAIN_LENGTH,
     origins: Places | None = None,
     n_jobs: int | None = None,
+    earlier: Array | None = None,
 ) -> StateSpace:
     """Lay out a checked log.
 
@@ -216,6 +227,8 @@ def state_space(
         Which log each row is of, where there are several.
     n_jobs : int, optional
         Processes of joblib that share the simulations of candidates.
+    earlier : ndarray of shape (n_episodes, n_earlier, n_actions), optional
+        Commands before the first row of each episode; by default the first one has held.
     """
     n_states = len(simulator.state_names)
     (chain, step), states = in_chains(
@@ -246,7 +259,18 @@ def state_space(
     carrier = _carrier(simulator, spread) if n_states else np.zeros((d, 0))
     origin = np.zeros(shape[0], dtype=int) if origins is None else origins[starts_rows]
     return StateSpace(
-        simulator, rows, episodes, (chain, step), guesses, mask, real, carrier, 3 * spread, origin, n_jobs
+        simulator,
+        rows,
+        episodes,
+        (chain, step),
+        guesses,
+        mask,
+        real,
+        carrier,
+        3 * spread,
+        origin,
+        n_jobs,
+        earlier,
     )
 
 
@@ -333,7 +357,7 @@ def linearise(
         nothing = np.zeros((len(rows), len(simulator.joint_forces())))
         forces = Forces(nothing, nothing) if slopes is None else slopes.forces
     acting, unsure = forces.means, forces.deviations
-    past = simulator.past(rows, [values], groups=space.groups, forces=acting)
+    past = space.past(rows, [values], acting)
     if simulator.state_names and slopes is None:
         return _assembled(space, path, forces, _sloped(space, rows, after, values, known, unsure, past))
     (outputs,) = simulator.predict_many(rows, [values], past=past)
@@ -357,7 +381,7 @@ def about_forces(space: StateSpace, linear: Linear, values: Mapping[str, float],
     Slopes by the state, and what is beyond them, stay: see `linearise`.
     """
     rows, after = space.rows(linear.path), space.path_ends(linear.path)
-    past = space.simulator.past(rows, [values], groups=space.groups, forces=forces.means)
+    past = space.past(rows, [values], forces.means)
     (outputs,) = space.simulator.predict_many(rows, [values], past=past)
     outputs = np.where(linear.valid[:, None], outputs, np.nan)
     carrier, kinks = _joint_carrier(space, rows, values, outputs, after, forces.deviations, past)
@@ -711,7 +735,7 @@ def tangent_mask(simulator: Simulator, seen: Mask) -> Mask:
             mask[..., column] = seen[..., outputs.index(name)]
         else:
             joint = name[: -len(".rx")]
-            parts = [outputs.index(f"{joint}.{part}") for part in ("qw", "qx", "qy", "qz")]
+            parts = [outputs.index(f"{joint}.{part}") for part in QUATERNION]
             mask[..., column] = seen[..., parts].all(axis=-1)
     return mask
 
@@ -772,6 +796,10 @@ def guessed(simulator: Simulator, states: Array) -> Array:
     names = simulator.output_names
     rest = simulator.reference_state if simulator.state_names else np.zeros(len(names))
     times = np.arange(states.shape[1])
+    for name in names:
+        if name.endswith(".qw"):
+            columns = [names.index(f"{name[: -len('qw')]}{part}") for part in QUATERNION]
+            filled[..., columns] = _turns_between(states[..., columns])
     for column in range(states.shape[2]):
         for chain in range(states.shape[0]):
             series = filled[chain, :, column]
@@ -790,6 +818,30 @@ def guessed(simulator: Simulator, states: Array) -> Array:
         missing = ~np.isfinite(filled[..., column])
         own = np.nanmean(states[..., column]) if np.isfinite(states[..., column]).any() else None
         filled[..., column] = np.where(missing, guess if own is None else own, filled[..., column])
+    return filled
+
+
+def _turns_between(turns: Array) -> Array:
+    """Return quaternions (n_chains, n_times, 4) with those that were not measured between the ones before and after.
+
+    A chain without any has the one that is nearest in the chains beside it.
+    """
+    known: Mask = np.asarray(np.isfinite(turns).all(axis=-1))
+    told = np.flatnonzero(known.any(axis=1))
+    if known.all() or not len(told):
+        return turns
+    filled, times = turns.copy(), np.arange(turns.shape[1])
+    for chain in told:
+        there = known[chain]
+        measured = turns[chain, there]
+        # Of the two quaternions that are each turn the one that is nearer to the one before: no mean of two is short.
+        apart = np.sum(measured[1:] * measured[:-1], axis=1) < 0
+        aligned = measured * np.cumprod(np.r_[1.0, np.where(apart, -1.0, 1.0)])[:, None]
+        between = np.stack([np.interp(times[~there], times[there], part) for part in aligned.T], axis=-1)
+        filled[chain, ~there] = between / np.linalg.norm(between, axis=1, keepdims=True)
+    for chain in np.setdiff1d(np.arange(len(turns)), told):
+        nearest = told[np.argmin(np.abs(told - chain))]
+        filled[chain] = filled[nearest, -1 if nearest < chain else 0]
     return filled
 
 

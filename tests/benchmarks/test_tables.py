@@ -166,6 +166,6 @@ def test_a_constant_is_replaced_wherever_a_module_takes_it_and_put_back():
     from skat.diagnosis import doubts, log
 
     assert log.QUATERNION is doubts.QUATERNION
-    with ablation.replaced("log", "QUATERNION", ("w",)):
+    with ablation.replaced("statespace", "QUATERNION", ("w",)):
         assert doubts.QUATERNION == log.QUATERNION == ("w",)
     assert doubts.QUATERNION == log.QUATERNION != ("w",)

@@ -1,6 +1,7 @@
 """What a search for causes counts in, and what it makes of its sets: coordinates, steps, blocks, aliases, draws."""
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -67,6 +68,18 @@ def test_chances_of_effects_and_of_none_sum_to_one_and_bounds_are_those_of_the_c
     np.testing.assert_allclose(priors.high, [np.log(4), 2.0, 1.0])
     plain = priors_of(effects, logarithmic=False)
     np.testing.assert_allclose([plain.low[0], plain.high[0]], [-0.75, 3.0])
+
+
+def test_odds_that_leave_next_to_nothing_to_others_are_counted_to_the_last_digit():
+    effects = [
+        replace(GAIN, odds=1e20),
+        DRAG,
+        Effect("rare", unit="1", neutral=0.0, bounds=(-1.0, 1.0), odds=0.1),
+    ]
+    sure, likely, rare = priors_of(effects).log_odds
+    assert sure == pytest.approx(np.log(1e20 / 2.1))
+    assert likely == pytest.approx(np.log(1 / 1e20))
+    assert likely - rare == pytest.approx(np.log(10))
 
 
 def test_slopes_are_taken_to_both_sides_of_a_cause_and_to_one_of_neutral():
@@ -147,7 +160,7 @@ def pushed(gain=1.0, error=0.1, n=40, seed=0):
 
 def test_slopes_count_by_the_coordinate_of_the_search():
     space = pushed()
-    fitted = first_fit(space, {}, turns=2)
+    fitted = first_fit(space, {})
     effects = (GAIN, SHIFT)
     slopes = slopes_of(space, fitted, effects, priors_of(effects).scales)
     chord = (np.exp(0.01) - 1) / 0.01
@@ -165,7 +178,7 @@ def test_slopes_count_by_the_coordinate_of_the_search():
 
 def test_a_fit_at_given_noise_keeps_it():
     space = pushed()
-    given = first_fit(space, {}, Known(given=np.array([0.3])), turns=2)
+    given = first_fit(space, {}, Known(given=np.array([0.3])))
     assert given.estimate.noise.error[0] == pytest.approx(0.09)
     free = first_fit(space, {})
     assert free.estimate.noise.error[0] == pytest.approx(0.01, rel=0.35)

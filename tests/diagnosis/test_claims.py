@@ -359,7 +359,7 @@ def test_rows_in_which_the_simulation_diverges_are_counted_when_it_is_evaluated(
     u = rng.uniform(-1, 1, size=(100, 1))
     diagnosis = SimulationDiagnosis(simulator, random_state=0).fit(u, u + 0.1 * rng.normal(size=u.shape))
     new = rng.uniform(0, 2, size=(100, 1))
-    with pytest.warns(UserWarning, match=rf"diverges in {np.sum(new > 1)} of 100 rows"):
+    with pytest.warns(UserWarning, match=rf"diverges in {np.sum(new > 1)} of 100 predictions"):
         diagnosis.evaluate(new, new)
     with pytest.raises(RuntimeError, match="diverges in every row"):
         diagnosis.evaluate(new + 1, new)

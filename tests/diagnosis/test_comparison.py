@@ -61,7 +61,7 @@ def thrower(function=throw):
 def diagnosed(simulator, causes=(), hidden=(), noise=0.01):
     """Return a diagnosis as fit would leave it, of given causes."""
     diagnosis = SimulationDiagnosis(simulator, hidden=hidden)
-    diagnosis.verdict_ = "named"
+    diagnosis.verdict_, diagnosis.computed_velocities_ = "named", ()
     diagnosis.noise_ = np.full(len(simulator.residual_names) - len(hidden), noise)
     diagnosis.extended_simulator_ = simulator.extended(dict(causes))
     return diagnosis
@@ -276,11 +276,14 @@ def test_where_channels_are_hidden_whole_trajectories_are_compared():
     assert "(95 %" not in ceiling_sentence(frame)
 
 
-def test_what_was_not_measured_may_be_nan_as_well_as_hidden():
+def test_what_was_not_measured_may_be_nan_as_well_as_hidden_or_computed():
     by_name = diagnosed(pendulum(), {"damping": 0.6}, hidden=("rate",))
+    computed = diagnosed(pendulum(), {"damping": 0.6})
+    computed.computed_velocities_ = ("rate",)
     fit, test = pendulum_log(5, 0), pendulum_log(5, 1)
     options = {"groups_fit": fit[2], "groups_test": test[2], "methods": ["CORAL"], "random_state": 0}
-    first = compare_transports(by_name, *fit[:2], *test[:2], **options)
+    first, same = (compare_transports(one, *fit[:2], *test[:2], **options) for one in (by_name, computed))
+    pd.testing.assert_frame_equal(first, same)
     for X, y, _ in (fit, test):
         X[:, 1], y[:, 1] = np.nan, np.nan
     second = compare_transports(diagnosed(pendulum(), {"damping": 0.6}), *fit[:2], *test[:2], **options)

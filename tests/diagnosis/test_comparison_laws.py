@@ -39,7 +39,7 @@ def bent(lost=np.inf):
 def diagnosed(simulator, causes=(), hidden=()):
     """Return a diagnosis as fit would leave it, of given causes."""
     diagnosis = SimulationDiagnosis(simulator, hidden=hidden)
-    diagnosis.verdict_ = "named"
+    diagnosis.verdict_, diagnosis.computed_velocities_ = "named", ()
     diagnosis.extended_simulator_ = simulator.extended(dict(causes))
     return diagnosis
 

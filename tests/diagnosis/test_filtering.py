@@ -116,7 +116,7 @@ def test_the_bound_never_falls_and_noise_and_force_are_found():
     noise = normal_noise(chains, [4.0], [0.01])
     bounds = []
     for _ in range(6):
-        estimate = estimate_noise(chains, noise, real, floor=np.zeros(1), n_passes=10)
+        estimate = estimate_noise(chains, noise, real, floor=np.zeros(1))
         noise = estimate.noise
         bounds.append(estimate.bound)
     assert np.all(np.diff(bounds) >= -1e-9)

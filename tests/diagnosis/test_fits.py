@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from skat.diagnosis import fitting
 from skat.diagnosis.causes import Comparison, _as_one, _first_guess, _likeliest
 from skat.diagnosis.evidence import Weighed, Weigher
 from skat.diagnosis.fits import Fit, Fits
@@ -238,9 +239,10 @@ def test_a_search_goes_on_from_a_first_guess_that_is_likelier_as_it_is_than_noth
     assert _first_guess({"damping[hinge]": neutral + 0.13}, fits, nothing, 4.6, 0) is None
 
 
-def test_forces_are_given_no_memory_where_none_is_looked_for(space, nothing):
+def test_forces_are_given_no_memory_where_none_is_looked_for(space, nothing, monkeypatch):
     assert len(nothing.fitted.memory)
-    bare = first_fit(space, {}, turns=0)
+    monkeypatch.setattr(fitting, "TURNS", 0)
+    bare = first_fit(space, {})
     assert not len(bare.memory)
     assert not len(compared(space, {}, bare, memories=False).memory)
     assert len(compared(space, {}, bare).memory)

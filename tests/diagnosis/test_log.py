@@ -5,10 +5,12 @@ import pandas as pd
 import pytest
 
 from skat.diagnosis.log import (
+    EARLIER,
     Log,
     check_log,
     check_matrix,
     measured_channels,
+    put_together,
     tangent_variances,
     without_channels,
 )
@@ -68,6 +70,43 @@ def test_a_first_look_takes_stretches_of_time_from_either_half_of_a_log(dt, leng
     assert abs(np.mean(places[length:]) - 750) <= 1
     short = check_log(simulator, *rows([2 * length]))
     assert short.few() is short
+
+
+@pytest.mark.parametrize("effects", [{"delay[action]": 0.25}, {"lag[force]": 0.2, "delay[force]": 0.1}])
+def test_commands_from_before_a_piece_of_an_episode_act_in_it_as_in_the_whole(effects):
+    names = {"input_names": ("x", "v", "force"), "output_names": ("x", "v"), "state_names": ("x", "v")}
+    simulator = FunctionSimulator(push, **names, effects=(), dt=DT)
+    X, y, groups = rows([70, 1, 130])
+    whole = check_log(simulator, X, y, groups)
+    expected = simulator.predict(X, effects=effects, groups=groups)
+    # Pieces of pieces, one of them with the begin of an episode.
+    chosen = np.r_[10:40, 60:120, 150:200]
+    once = whole.rows(chosen)
+    for log, own in ((once, chosen), (once.rows(np.arange(5, 130)), chosen[5:130])):
+        space = state_space(
+            simulator, log.X, log.y, log.episodes, consecutive=True, earlier=log.earlier, chain_length=7
+        )
+        np.testing.assert_allclose(space.simulated(log.X, [effects])[0], expected[own], atol=1e-12)
+        past = space.past(log.X, [effects], None)
+        found = simulator.predict_many(log.X, [effects], past=past)[0]
+        np.testing.assert_allclose(found, expected[own], atol=1e-12)
+    assert whole.rows(groups > 0).earlier is None
+
+
+def test_pieces_of_several_logs_keep_their_own_earlier_commands(simulator):
+    long, short = (
+        check_log(simulator, *rows(lengths, seed)) for seed, lengths in ((1, [200]), (2, [30, 30]))
+    )
+    with pytest.warns(UserWarning, match="single episode"):
+        fitted, test = put_together([long, short], ["long", "short"]).split(0.3, np.random.RandomState(0))
+    for log in (fitted, test):
+        firsts = np.flatnonzero(log.steps == 0)
+        for row, before in zip(firsts, log.earlier[..., 0]):
+            origin = (long, short)[log.source[row]]
+            place = int(np.flatnonzero((log.X[row] == origin.X).all(axis=1)).item())
+            begin = place - origin.steps[place]
+            expected = origin.X[np.maximum(np.arange(place - EARLIER, place), begin), 2]
+            np.testing.assert_array_equal(before, expected)
 
 
 def test_a_first_look_takes_rows_without_an_order_from_all_over(simulator):
@@ -212,6 +251,32 @@ def test_a_quaternion_was_measured_as_a_whole_or_not(ball):
         less.measured, measured_channels(ball, [f"qpos.ball.q{part}" for part in "wxyz"])
     )
     assert np.isfinite(ball.predict(less.filled.X)).all()
+
+
+@pytest.mark.parametrize("flipped", [False, True])
+def test_turns_in_a_gap_are_between_those_before_and_after_whatever_the_signs_of_quaternions(ball, flipped):
+    angles = np.linspace(0, 3, 41)
+    states = np.zeros((41, 13))
+    states[:, 3], states[:, 4] = np.cos(angles / 2), np.sin(angles / 2)
+    true = states[:, 3:7].copy()
+    if flipped:
+        states[::2, 3:7] *= -1
+    read = states.copy()
+    read[10:25, 3:7] = np.nan
+    filled = check_log(ball, read[:-1], read[1:], np.zeros(40)).filled.X[:, 3:7]
+    np.testing.assert_allclose(np.linalg.norm(filled, axis=1), 1, rtol=1e-12)
+    # Not at an even rate, but about the same axis.
+    assert np.abs(np.sum(filled * true[:-1], axis=1)).min() > np.cos(0.01)
+    known = np.isfinite(read[:-1, 3])
+    np.testing.assert_array_equal(filled[known], read[:-1, 3:7][known])
+
+
+def test_a_chain_of_which_no_turn_was_read_has_that_of_the_chain_beside_it(ball):
+    states = np.zeros((131, 13))
+    states[:, 3:5] = np.sqrt(0.5)
+    states[50:, 3:7] = np.nan
+    filled = check_log(ball, states[:-1], states[1:], np.zeros(130)).filled.X[:, 3:5]
+    np.testing.assert_allclose(filled, np.sqrt(0.5), rtol=1e-12)
 
 
 def test_outputs_of_a_one_shot_simulation_may_lack_its_inputs_may_not():

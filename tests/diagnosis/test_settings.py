@@ -50,7 +50,11 @@ def log_of(simulator, n=40, step=None):
         ("velocities", ["measured", "computed", "auto"], ["guessed"]),
         ("horizon", [None, 0.1], [0.0, -1.0, np.inf, np.nan]),
         ("hidden", [(), ["v"]], ["v"]),
-        ("priors", [None, {}, {"drag": 1e-9}], [{"drag": 0.0}, {"drag": np.inf}, {"drag": -1.0}]),
+        (
+            "priors",
+            [None, {}, {"drag": 1e-30}],
+            [*({"drag": size} for size in (0.0, np.inf, -1.0, 1e-200, 1e200))],
+        ),
     ],
 )
 def test_a_setting_is_checked_on_both_sides_of_its_bounds(name, good, bad):

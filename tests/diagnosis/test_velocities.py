@@ -197,3 +197,17 @@ def test_velocities_of_any_name_are_left_out_where_they_were_computed():
     np.testing.assert_array_equal(less.measured, [True, True, False, True])
     less = SimulationDiagnosis(simulator, velocities="computed")._without_computed(log)
     np.testing.assert_array_equal(less.measured, [True, True, False, False])
+    independent = check_log(simulator, states[:-1:2], states[1::2], None)
+    with pytest.raises(ValueError, match=r"positions in time order: pass groups="):
+        SimulationDiagnosis(simulator, velocities="computed")._without_computed(independent)
+    assert SimulationDiagnosis(simulator)._without_computed(independent) is independent
+
+
+def test_velocities_that_are_not_known_as_such_cannot_be_left_out():
+    states = np.random.default_rng(0).normal(size=(11, 4))
+    simulator = of_units({})
+    log = check_log(simulator, states[:-1], states[1:], np.zeros(10))
+    with pytest.raises(ValueError, match=r"no velocity among x, y, v, w: .* in hidden="):
+        SimulationDiagnosis(simulator, velocities="computed")._without_computed(log)
+    for velocities in ("auto", "measured"):
+        assert SimulationDiagnosis(simulator, velocities=velocities)._without_computed(log) is log

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from skat.diagnosis.ahead import variances_of
 from skat.diagnosis.comparison import EXTENDED, NOMINAL, ceiling_sentence, compare_transports
 from skat.diagnosis.evidence import weigh
 from skat.diagnosis.fitting import around
 from skat.diagnosis.log import Log
+from skat.diagnosis.noise import variances_of
 from skat.diagnosis.remainder import PAST
 from skat.diagnosis.report.changes import model_changes
 from skat.diagnosis.report.content import (
