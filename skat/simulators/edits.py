@@ -330,6 +330,10 @@ def finish_plays(joints: Collection[str], spec: mujoco.MjSpec, shares: Mapping[i
     with them one that they know. That needs a D of joints alone (dampers, speed feedback of actuators on hinges and
     slides); otherwise it stays as it is. Returned is whether it does not. `shares` says of actuators, by index, how
     much of the force acts within a time step, where it is late.
+
+    A servo at the limit of its force feeds nothing back, and of its h D the integrator then knows nothing, while an
+    armature stays. So where limits cut servos off it stays as it is, too, unless a rotor with play is lighter than
+    its h D: then the flanks would not hold it, which is wrong at each blow and not at the limit alone.
     """
     step, plays = spec.option.timestep, {name + PLAY for name in joints}
     for joint in spec.joints:
@@ -340,6 +344,8 @@ def finish_plays(joints: Collection[str], spec: mujoco.MjSpec, shares: Mapping[i
         return False
     feedback: dict[str, float] = {}  # a joint that is driven has a name, others may share none
     hinges = {joint.name for joint in spec.joints if joint.type in ONE_AXIS}
+    weak = {one.name for one in spec.joints if is_limited(one.actfrclimited, one.actfrcrange)}
+    cut_off = False
     among = spec.option.viscosity or spec.option.density or any(np.any(one.damping) for one in spec.tendons)
     for index, actuator in enumerate(() if euler else spec.actuators):
         affine = actuator.gaintype in PLAIN_GAINS and actuator.biastype in PLAIN_BIASES
@@ -350,10 +356,13 @@ def finish_plays(joints: Collection[str], spec: mujoco.MjSpec, shares: Mapping[i
         elif rate:
             own = float(actuator.gear[0]) ** 2 * rate * shares.get(index, 1.0)
             feedback[actuator.target] = feedback.get(actuator.target, 0.0) + own
-    if among:
+            cut_off |= is_limited(actuator.forcelimited, actuator.forcerange) or actuator.target in weak
+    hidden = [step * (float(joint.damping[0]) + feedback.get(joint.name, 0.0)) for joint in spec.joints]
+    rotors = [(joint.armature, own) for joint, own in zip(spec.joints, hidden) if joint.name in joints]
+    if among or (cut_off and all(armature >= own for armature, own in rotors)):
         return False
-    for joint in spec.joints:
-        joint.armature += step * (float(joint.damping[0]) + feedback.get(joint.name, 0.0))
+    for joint, own in zip(spec.joints, hidden):
+        joint.armature += own
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     spec.option.disableflags |= EULERDAMP
     return True
@@ -377,6 +386,12 @@ def _follow(first: mujoco.MjsJoint, last: mujoco.MjsJoint) -> None:
         place.set_frame(frame)
         for name, value in values.items():
             setattr(place, name, value)
+
+
+def is_limited(flag: int, limits: Sequence[float]) -> bool:
+    """Return whether a range is in force, as the compiler decides it of a flag that may be left to the range."""
+    automatic = flag == mujoco.mjtLimited.mjLIMITED_AUTO and limits[0] < limits[1]
+    return bool(flag == mujoco.mjtLimited.mjLIMITED_TRUE or automatic)
 
 
 def _in_units(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, values: Sequence[float]) -> np.ndarray:

@@ -339,6 +339,27 @@ def test_a_small_rotor_with_a_strong_damper_is_stopped_by_the_flanks(integrator,
     assert np.std(loose - truth) < 0.1 * np.std(rigid - truth)
 
 
+@pytest.mark.parametrize(
+    "limits", ['forcerange="-1 1"/>', '/><motor joint="hinge" ctrllimited="true" ctrlrange="0 1"/>']
+)
+def test_play_of_nothing_is_no_play_where_a_servo_is_at_its_limit(limits):
+    """An integrator that is implicit drops the damping of a servo that is at a limit of its force, or its joint's."""
+    joint = "" if "forcerange" in limits else 'actuatorfrcrange="-1 1"'
+    text = f"""
+    <mujoco><compiler angle="radian"/><option timestep="0.005" gravity="0 0 0" integrator="implicitfast"/><worldbody>
+    <body><joint name="hinge" axis="0 1 0" armature="0.03" {joint}/><geom size="0.02" pos="0.2 0 0" mass="0.2"/></body>
+    </worldbody><actuator><position name="m" joint="hinge" kp="20" kv="4" {limits}</actuator></mujoco>
+    """
+    simulator = MujocoSimulator(text, frame_skip=4)
+    places = 0.8 * np.sign(np.sin(0.06 * np.pi * np.arange(100)))[:, None]
+    controls = np.pad(places, ((0, 0), (0, simulator._nominal.nu - 1)))
+    rigid, loose = (
+        simulator.rollout(np.zeros((1, 2)), controls[None], n_steps=100, effects=effects)[0, :, 0]
+        for effects in ({}, {"backlash[hinge]": 1e-7})
+    )
+    np.testing.assert_allclose(loose, rigid, atol=0.01 * np.ptp(rigid))  # flanks are soft
+
+
 def test_a_function_gets_delays_and_lags_of_its_inputs():
     def integrator(X, **_):
         return X[:, :1] + 0.1 * X[:, 1:]
