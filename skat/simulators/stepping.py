@@ -419,12 +419,20 @@ class _Pool:
         self.ctrl[:count] = controls
         self.time[:count], self.warm[:count] = 0, 0
         if na:
-            steady = steady_activations(self._models[0], controls, self.qpos[:count])
+            steady = self._steady(controls)
             self.act[:count] = np.where(np.isnan(hidden[:, :na]), steady, hidden[:, :na])
         lagging = hidden.shape[1] - na - 2 * len(plays)
         self.torques = hidden[:, na : na + lagging].copy()
         if plays:
             self._load_plays(hidden[:, na + lagging :].reshape(count, len(plays), 2), widths)
+
+    def _steady(self, controls: Array) -> Array:
+        """Return the steady activations (n_rows, na) of each row under its own model."""
+        steady = np.empty((self.count, self.model.na))
+        for index, model in enumerate(self._models):
+            mine = self._which == index
+            steady[mine] = steady_activations(model, controls[mine], self.qpos[: self.count][mine])
+        return steady
 
     def _load_plays(self, hidden: Array, widths: Array) -> None:
         """Set the motors: where they were, or, as without play, at the flank that they press on."""

@@ -251,6 +251,19 @@ def test_a_sensors_filter_follows_what_moves_within_a_row(channel, timestep):
     np.testing.assert_allclose(rolled[:, column], read[:, column], atol=2e-3 * np.ptp(true[:, column]))
 
 
+@pytest.mark.parametrize("also", [{}, {"stribeck[hinge]": 0.1}])
+def test_a_candidate_begins_steady_whatever_other_candidates_run_beside_it(also):
+    """Where an integrating servo begins follows from its own model: without gain it is at no place."""
+    other = also | {"gain[m]": 0.0}
+    simulator = MujocoSimulator(
+        LINK.format('<intvelocity name="m" joint="hinge" kp="4" kv=".3" actrange="-2 2"/>')
+    )
+    rows = np.array([[0.8, 0.0, 0.1], [-0.5, 0.2, 0.0]])
+    alone = simulator.predict_many(rows, [also])[0]
+    np.testing.assert_array_equal(simulator.predict_many(rows, [other, also])[1], alone)
+    np.testing.assert_array_equal(simulator.predict_many(rows, [also, other])[0], alone)
+
+
 def test_a_link_with_play_is_left_to_itself_until_its_motor_has_crossed_the_gap():
     width, push = 0.03, 0.2
     simulator = MujocoSimulator(LINK.format(MOTOR), frame_skip=4)
