@@ -632,7 +632,9 @@ def _late_effects(anatomy: Anatomy, dt: float) -> Found:
             yield bias, integrates or not servo
             bounds = (-LARGEST_SCALE, LARGEST_SCALE)
             yield _effect("scale", target, bounds, scale, typical=0.2), servo
-        yield _effect("dead_zone", name(index), (0.0, 0.9 * limit), unit=unit, typical=0.01 * limit), True
+        # A servo with a filter follows what this holds, and not its control.
+        if not model.actuator_biasprm[index, 1] or integrates or model.actuator_dyntype[index] == NO_DYNAMICS:
+            yield _effect("dead_zone", name(index), (0.0, 0.9 * limit), unit=unit, typical=0.01 * limit), True
 
 
 def _servo_effects(anatomy: Anatomy) -> Found:

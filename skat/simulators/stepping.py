@@ -32,6 +32,7 @@ INTEGRATOR, MUSCLE = int(mujoco.mjtDyn.mjDYN_INTEGRATOR), int(mujoco.mjtDyn.mjDY
 FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT), MUSCLE)
 JOINT_TRANSMISSION = int(mujoco.mjtTrn.mjTRN_JOINT)
 LIMITS = ("actuator_ctrlrange", "actuator_ctrllimited", "actuator_forcerange", "actuator_forcelimited")
+SERVOS = ("actuator_gainprm", "actuator_biasprm")
 
 _left_to_other_processes: list[object] = []
 
@@ -55,7 +56,7 @@ class Forces:
     friction : tuple of (dof, column of qpos, coefficients)
         What `friction.budget` adds to the friction of a joint.
     dead_zones : tuple of (actuator, half of the width)
-        Of servos: of the difference of control and place.
+        Of servos without dynamics: of the difference of control and that at which there is no force.
     speed_slopes : tuple of (actuator, slope)
         Both ends of the model's range of force are less by slope * speed, but within this range.
     torque_lags : tuple of (actuator, time constant)
@@ -575,6 +576,7 @@ class _ForcedPool(_Pool):
         super().__init__(model, size)
         self._fields: dict[str, Array] = {}
         self._limits: dict[str, Array] = {}
+        self._servos: dict[str, Array] = {}
 
     def _set_models(self, models: list[mujoco.MjModel], which: np.ndarray) -> None:
         for name in sorted({name for model in models for name in _different(self.model, model)}):
@@ -634,12 +636,13 @@ class _ForcedPool(_Pool):
         changed = {
             "friction": ("dof_frictionloss",),
             "speed_slopes": ("actuator_forcerange",),
-            "torque_lags": ("actuator_gainprm", "actuator_biasprm"),
+            "torque_lags": SERVOS,
         }
         own = {name: self._own(name) for kind in changed if kind in kinds for name in changed[kind]}
         for name in own:
             self._field(name)[:count] = own[name]
         self._limits = {name: self._own(name) for name in LIMITS} if "torque_lags" in kinds else {}
+        self._servos = {name: self._own(name) for name in SERVOS} if "dead_zones" in kinds else {}
         bound = {
             "drag": ("cvel", "xipos", "subtree_com"),
             "load": ("qfrc_bias", "qfrc_spring", "qfrc_actuator"),
@@ -657,7 +660,7 @@ class _ForcedPool(_Pool):
         """Apply the laws at the state that is loaded."""
         count, kinds = self.count, laws.kinds
         if "dead_zones" in kinds:
-            missing = controls - seen["actuator_length"][:count]
+            missing = controls - _idle_controls(self._servos, seen["actuator_length"][:count], controls)
             controls = controls - np.clip(missing, -laws.dead_zones, laws.dead_zones)
         self.ctrl[:count] = controls
         if "friction" in kinds:
@@ -741,6 +744,14 @@ def _dense(model: mujoco.MjModel, entries: Array) -> Array:
     found = np.zeros((len(entries), model.nv, model.nv))
     found[:, rows, columns] = found[:, columns, rows] = entries
     return found
+
+
+def _idle_controls(parameters: dict[str, Array], length: Array, controls: Array) -> Array:
+    """Return the controls (n_rows, nu) at which actuators at rest exert nothing; those given where none is so."""
+    gain, bias = (parameters[name] for name in SERVOS)
+    slope = gain[..., 0] + gain[..., 1] * length
+    force = bias[..., 0] + bias[..., 1] * length
+    return np.where(slope, -force / np.where(slope, slope, 1.0), controls)
 
 
 def _forces_of(

@@ -264,6 +264,36 @@ def test_a_dead_zone_of_a_servo_is_one_of_its_error_and_of_a_motor_one_of_its_co
     )
 
 
+def test_a_dead_zone_is_about_the_control_of_no_force():
+    """With an offset, a servo acts as without one at a larger control; a factor on its force moves nothing."""
+    simulator = MujocoSimulator(SERVO_ARM, frame_skip=3)
+    rows = np.random.default_rng(0).normal(size=(20, 6)) * 0.1
+    further = rows + [0, 0, 0, 0, 0.2, 0]
+    for also in ({}, {"gain[lift]": 1.3, "kp[lift]": 0.7, "lag_torque[lift]": 0.01}):
+        values = {"dead_zone[lift]": 0.15} | also
+        groups = np.arange(20)
+        found = simulator.predict(rows, effects=values | {"offset[lift]": 0.2}, groups=groups)
+        np.testing.assert_allclose(
+            found, simulator.predict(further, effects=values, groups=groups), atol=1e-9
+        )
+
+
+@pytest.mark.parametrize(
+    ("servo", "has_zone"),
+    [
+        ('<position name="m" joint="hinge" kp="10"/>', True),
+        ('<position name="m" joint="hinge" kp="10" timeconst=".05"/>', False),
+        ('<general name="m" joint="hinge" dyntype="filter" dynprm=".05"/>', True),
+        ('<intvelocity name="m" joint="hinge" kp="10" actrange="-1 1"/>', True),
+    ],
+)
+def test_a_servo_that_follows_what_a_filter_holds_has_no_dead_zone(servo, has_zone):
+    motor = '<motor name="m" joint="hinge"/>'
+    text = changed(PENDULUM.format(step=0.001, armature=0.01, damping=0, friction=0), (motor, servo))
+    names = [effect.name for effect in MujocoSimulator(text).all_effects()]
+    assert ("dead_zone[m]" in names) == has_zone
+
+
 def test_what_comes_before_a_control_that_is_integrated_is_no_force(tmp_path):
     drive = '<intvelocity name="lift" joint="hinge" kp="30" actrange="-3 3" ctrlrange="-2 2"/>'
     simulator = MujocoSimulator(
