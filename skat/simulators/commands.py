@@ -1,4 +1,4 @@
-"""What acts of the commands: scaled, shifted, late, filtered, with a dead zone.
+"""What acts of the commands: scaled, shifted, late, within their range, filtered, with a dead zone.
 
 All of it follows from the commands alone. Commands hold from row to row; before an episode's first row its own first
 command is taken to have held for ever.
@@ -24,6 +24,8 @@ class CommandPath:
         What acts is scale * command + bias.
     delay : ndarray of shape (nu,)
         s.
+    low, high : ndarray of shape (nu,)
+        Ends of the range that late commands are put into, as MuJoCo does, before anything filters them.
     lag : ndarray of shape (nu,)
         Time constant of a filter of first order, s.
     dead_zone : ndarray of shape (nu,)
@@ -35,6 +37,8 @@ class CommandPath:
     scale: Array
     bias: Array
     delay: Array
+    low: Array
+    high: Array
     lag: Array
     dead_zone: Array
     holds: NDArray[np.bool_]
@@ -79,6 +83,7 @@ class CommandPath:
                     steps = delay * n_substeps / dt
                     past = history[:, :, late] if history is not None else None
                     acts[:, :, late] = delayed_controls(commands[:, late], past, steps, n_substeps, hold=hold)
+        acts = np.clip(acts, self.low, self.high)
         if self.lag.any():
             acts = filtered(acts, starts, self.lag * n_substeps / dt)
         return acts - np.clip(acts, -self.dead_zone, self.dead_zone)

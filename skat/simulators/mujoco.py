@@ -631,11 +631,16 @@ class MujocoSimulator(Simulator):
             )
         )
         own_delay, holds = self._native_delays
+        model = self._model(values, self._substeps(values)[0][1])
+        limited = model.actuator_ctrllimited & (not self._anatomy.is_off("clampctrl"))
+        low, high = np.where(limited, model.actuator_ctrlrange.T, [[-np.inf], [np.inf]])
         late = self._anatomy.model.actuator_dyntype == NO_DYNAMICS
         return CommandPath(
             scale=scale,
             bias=bias,
             delay=delay + own_delay + values.get("delay[action]", 0.0),
+            low=low,
+            high=high,
             lag=lag + np.where(late, values.get("lag[all]", 0.0), 0.0),
             dead_zone=np.where(self._follows_places, 0.0, dead_zone) if nu else dead_zone,
             holds=holds,

@@ -9,7 +9,16 @@ DT, N_SUBSTEPS = 0.02, 4
 
 
 def path(n=1, **changes):
-    parts = {"scale": 1.0, "bias": 0.0, "delay": 0.0, "lag": 0.0, "dead_zone": 0.0, "holds": False} | changes
+    parts = {
+        "scale": 1.0,
+        "bias": 0.0,
+        "delay": 0.0,
+        "low": -np.inf,
+        "high": np.inf,
+        "lag": 0.0,
+        "dead_zone": 0.0,
+    }
+    parts |= {"holds": False} | changes
     return CommandPath(**{name: np.broadcast_to(value, n).copy() for name, value in parts.items()})
 
 

@@ -264,6 +264,36 @@ def test_a_candidate_begins_steady_whatever_other_candidates_run_beside_it(also)
     np.testing.assert_array_equal(simulator.predict_many(rows, [also, other])[0], alone)
 
 
+def test_a_filter_sees_commands_within_their_range():
+    limited = MOTOR.replace("/>", ' ctrllimited="true" ctrlrange="-1 1"/>')
+    simulator = MujocoSimulator(LINK.format(limited), frame_skip=4)
+    controls = 3 * commands(n_controls=1)[None]
+    values = {"scale[ctrl.m]": 2.0, "bias[ctrl.m]": 0.1, "lag[m]": 0.02}
+    beyond = simulator.rollout(np.zeros((1, 2)), controls, n_steps=N_STEPS, effects=values)
+    within = np.clip(2 * controls + 0.1, -1, 1)
+    expected = simulator.rollout(np.zeros((1, 2)), within, n_steps=N_STEPS, effects={"lag[m]": 0.02})
+    np.testing.assert_allclose(beyond, expected, atol=1e-12)
+
+
+def test_late_commands_beyond_their_range_are_plain_mujocos(tmp_path):
+    limited = MOTOR.replace("/>", ' ctrllimited="true" ctrlrange="-1 1"/>')
+    simulator = MujocoSimulator(LINK.format(limited), frame_skip=SKIP).extended({"delay[m]": 0.00333})
+    controls = 3 * commands(n_controls=1)
+    controls[:4] = 0  # which plain MuJoCo takes to have been before
+    found = simulator.rollout(np.zeros((1, 2)), controls[None], n_steps=N_STEPS)[0]
+    (path,) = simulator.to_mjcf(tmp_path / "late.xml")
+    np.testing.assert_allclose(stepped(path.read_text(), controls), found, atol=1e-9)
+
+
+def test_a_dead_zone_takes_from_a_command_within_its_range():
+    limited = MOTOR.replace("/>", ' ctrllimited="true" ctrlrange="-1 1"/>')
+    simulator = MujocoSimulator(LINK.format(limited))
+    rows = np.array([[0.0, 0.0, 4.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.5]])
+    far, end, plain = simulator.predict(rows, effects={"dead_zone[m]": 0.5})[:, 1]
+    assert far == end == pytest.approx(simulator.predict(rows)[2, 1], rel=1e-12)
+    assert plain == 0
+
+
 def test_a_link_with_play_is_left_to_itself_until_its_motor_has_crossed_the_gap():
     width, push = 0.03, 0.2
     simulator = MujocoSimulator(LINK.format(MOTOR), frame_skip=4)

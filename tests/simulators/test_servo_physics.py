@@ -307,7 +307,7 @@ def test_what_comes_before_a_control_that_is_integrated_is_no_force(tmp_path):
     rows = np.array([[0.4, 0.0, command] for command in (0.0, 0.2, 1.0, -0.8)])
     values = {"dead_zone[lift]": 0.3, "scale[ctrl.lift]": 2.0, "bias[ctrl.lift]": 0.1}
     as_if = rows.copy()
-    as_if[:, 2] = [0.0, 0.2, 1.8, -1.2]
+    as_if[:, 2] = [0.0, 0.2, 1.7, -1.2]  # 2.1 is beyond the range
     found, groups = simulator.predict(rows, effects=values, groups=range(4)), range(4)
     np.testing.assert_allclose(found, simulator.predict(as_if, groups=groups), atol=1e-12)
     np.testing.assert_allclose(found[0], [0.4, 0.0], atol=1e-12)
