@@ -329,15 +329,18 @@ class Anatomy:
         of_each: Array = mobility[model.actuator_outadr]
         return of_each
 
+    def largest_control(self, actuator: int) -> float:
+        """Return the size of the largest control of an actuator; 1 if nothing limits it."""
+        limited = bool(self.model.actuator_ctrllimited[actuator])
+        return float(np.abs(self.model.actuator_ctrlrange[actuator]).max()) if limited else 1.0
+
     def capacity(self, actuator: int) -> float:
         """Return the largest force of an actuator on its joint or tendon.
 
         Its limit, if it has one; else that at the largest control, or at a control of 1.
         """
         model = self.model
-        limited = bool(model.actuator_ctrllimited[actuator])
-        control = float(np.abs(model.actuator_ctrlrange[actuator]).max()) if limited else 1.0
-        force = abs(float(model.actuator_gainprm[actuator, 0])) * control
+        force = abs(float(model.actuator_gainprm[actuator, 0])) * self.largest_control(actuator)
         if model.actuator_forcelimited[actuator]:
             force = float(np.abs(model.actuator_forcerange[actuator]).max())
         return abs(float(model.actuator_gear[actuator, 0])) * force

@@ -656,7 +656,7 @@ def _servo_effects(anatomy: Anatomy) -> Found:
         if not capacity > 0:
             continue
         known = bool(model.actuator_ctrllimited[index] or model.actuator_forcelimited[index])
-        edit = partial(edits.prepare_tiring, index, capacity)
+        edit = partial(edits.prepare_tiring, index, anatomy.largest_control(index))
         bounds = (0.0, capacity / LEAST_SPEED)
         unit = FAMILIES["torque_speed"].unit[angular]
         tiring = _effect("torque_speed", name(index), bounds, edit, unit=unit, force=capacity / 10)

@@ -6,7 +6,7 @@ changes the spec in place; a list of indices means the edit of each.
 
 import copy
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import mujoco
@@ -257,7 +257,7 @@ def scale_command(actuator: int, spec: mujoco.MjSpec, factor: float) -> None:
     element = spec.actuators[actuator]
     element.gainprm = np.asarray(element.gainprm) * factor
     if factor:
-        element.ctrlrange = np.sort(np.asarray(element.ctrlrange) / factor)
+        _move_ranges_of_commands(element, lambda limits: np.sort(limits / factor))
 
 
 def shift_command(actuator: int, spec: mujoco.MjSpec, bias: float) -> None:
@@ -265,7 +265,15 @@ def shift_command(actuator: int, spec: mujoco.MjSpec, bias: float) -> None:
     element = spec.actuators[actuator]
     element.biastype = mujoco.mjtBias.mjBIAS_AFFINE
     element.biasprm[0] = element.biasprm[0] + element.gainprm[0] * bias
-    element.ctrlrange = np.asarray(element.ctrlrange) - bias
+    _move_ranges_of_commands(element, lambda limits: limits - bias)
+
+
+def _move_ranges_of_commands(actuator: mujoco.MjsActuator, moved: Callable[[np.ndarray], np.ndarray]) -> None:
+    """Change the ranges of a control, and of what a filter holds of it, where they are in force."""
+    if is_limited(actuator.ctrllimited, actuator.ctrlrange):
+        actuator.ctrlrange = moved(np.asarray(actuator.ctrlrange))
+    if is_limited(actuator.actlimited, actuator.actrange):
+        actuator.actrange = moved(np.asarray(actuator.actrange))
 
 
 def limit_force(actuator: int, spec: mujoco.MjSpec, force: float) -> None:
@@ -275,11 +283,12 @@ def limit_force(actuator: int, spec: mujoco.MjSpec, force: float) -> None:
     element.forcerange = [-force, force]
 
 
-def prepare_tiring(actuator: int, capacity: float, spec: mujoco.MjSpec, slope: float) -> None:
-    """Give an actuator a limit of its force for its speed to lower."""
+def prepare_tiring(actuator: int, control: float, spec: mujoco.MjSpec, slope: float) -> None:
+    """Give an actuator without a limit of its force one for its speed to lower: what it has at a control."""
     element = spec.actuators[actuator]
-    if not np.any(element.forcerange):
-        limit_force(actuator, spec, capacity)
+    force = abs(float(element.gainprm[0])) * control
+    if force and not is_limited(element.forcelimited, element.forcerange):
+        limit_force(actuator, spec, force)
 
 
 def prepare_lag(actuator: int, spec: mujoco.MjSpec, lag: float) -> None:

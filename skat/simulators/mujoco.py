@@ -45,6 +45,8 @@ CACHED_MODELS = 256
 PREPARED = ("torque_speed", "lag_torque")
 # Families that need the stepping; with those of `friction.budget`.
 STEPPED = ("wind", "air_drag", "force", "dead_zone", *PREPARED)
+# Families that a written model has beside it, and with them what comes before them: what is done to commands.
+BEHIND_COMMANDS = ("dead_zone", *PREPARED)
 # Families that act by their names, whatever an edit says.
 RESERVED = ("bias", "scale", "lag", "delay", "timestep", "backlash", "payload", *PREPARED)
 
@@ -278,6 +280,7 @@ class MujocoSimulator(Simulator):
         beside: dict[str, float] = {}
         rounded: dict[str, float] = {}
         edits = {effect.name: edit for effect, edit in self._edited(values)}
+        kept = self._kept_commands(values)
         for effect in self._edit_order(values):
             value = values[effect.name]
             of_payload = effect.family == "payload" and effect.unit == "m"
@@ -289,10 +292,11 @@ class MujocoSimulator(Simulator):
                 edits[effect.name](spec, written)
                 continue
             fits = effect.family != "delay" or self._reads_delayed(spec, value, values)
-            if effect.name not in edits or not fits or effect.family in PREPARED:
-                beside |= {} if of_payload else {effect.name: value}
-            else:
+            is_written = effect.name in edits and fits and effect.name not in kept
+            if is_written:
                 edits[effect.name](spec, value)
+            if (not is_written and not of_payload) or effect.family in PREPARED:
+                beside[effect.name] = value
         through_armatures = self._finish_plays(spec, values)
         beside |= {name: value for name, value in values.items() if name not in self._own_by_name}
         said = [f"One transition is {substeps} time steps."]
@@ -307,6 +311,14 @@ class MujocoSimulator(Simulator):
         files = {target: write_xml(spec).encode()}
         files |= {target.parent / name: content for name, content in self.model.assets.items()}
         return self._write(files, target, beside, rounded, force=force)
+
+    def _kept_commands(self, values: Mapping[str, float]) -> set[str]:
+        """Return effects on commands that MJCF could express if nothing that it cannot came after them."""
+        behind = {name.partition("[")[2][:-1] for name in values if name.startswith(BEHIND_COMMANDS)}
+        kept = {name for one in behind for name in (f"scale[ctrl.{one}]", f"bias[ctrl.{one}]", f"lag[{one}]")}
+        # What is common to all lags can only be where each one is.
+        lags = {name for name in values if name.startswith("lag[")}
+        return kept | (lags if behind and "lag[all]" in values else set())
 
     def to_urdf(self, path: str | PathLike[str], *, force: bool = False) -> tuple[Path, ...]:
         """Write the URDF that the model was read from, with the effects that are built in.

@@ -187,11 +187,12 @@ def test_a_filter_of_commands_comes_as_late_in_the_mean_and_adds_to_one_that_is_
 
 
 def test_a_limit_of_the_force_is_that_of_both_ends_and_only_missing_ones_are_prepared():
-    for limits, expected in (("", [-7, 7]), ('forcerange="-1 2"', [-1, 2])):
-        rest = DRIVE.format(limits)
+    off = 'forcelimited="false" forcerange="-1 2"'
+    for limits, expected in (("", [-7, 7]), (off, [-7, 7]), ('forcerange="-1 2"', [-1, 2])):
+        rest = DRIVE.format(limits + ' gainprm="-3.5"')
         limited = edited(partial(edits.limit_force, 0), 3.0, rest=rest)
         np.testing.assert_array_equal(limited.actuator_forcerange[0], [-3, 3])
-        tiring = edited(partial(edits.prepare_tiring, 0, 7.0), 0.1, rest=rest)
+        tiring = edited(partial(edits.prepare_tiring, 0, 2.0), 0.1, rest=rest)
         np.testing.assert_array_equal(tiring.actuator_forcerange[0], expected)
         assert limited.actuator_forcelimited[0]
         assert tiring.actuator_forcelimited[0]

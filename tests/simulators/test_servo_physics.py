@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import warnings
 from pathlib import Path
 
 import mujoco
@@ -12,7 +13,7 @@ from scipy.integrate import solve_ivp
 
 from skat.simulators import MujocoSimulator, make_simulator
 from skat.simulators.friction import NEUTRAL, budget
-from tests.machines import SERVO_ARM, changed
+from tests.machines import SERVO_ARM, changed, without_limits
 
 DATA = Path(os.environ.get("SKAT_DATA_HOME", "")) / "bam"
 LAWS = sorted(path.name for path in DATA.glob("*.json")) if os.environ.get("SKAT_DATA_HOME") else []
@@ -268,7 +269,7 @@ def test_a_dead_zone_is_about_the_control_of_no_force():
     """With an offset, a servo acts as without one at a larger control; a factor on its force moves nothing."""
     simulator = MujocoSimulator(SERVO_ARM, frame_skip=3)
     rows = np.random.default_rng(0).normal(size=(20, 6)) * 0.1
-    further = rows + [0, 0, 0, 0, 0.2, 0]
+    further = rows + np.array([0, 0, 0, 0, 0.2, 0])
     for also in ({}, {"gain[lift]": 1.3, "kp[lift]": 0.7, "lag_torque[lift]": 0.01}):
         values = {"dead_zone[lift]": 0.15} | also
         groups = np.arange(20)
@@ -337,6 +338,7 @@ def test_a_current_limit_is_a_limit_of_the_force():
     simulator = MujocoSimulator(text)
     effect = {one.name: one for one in simulator.effects(also="all")}["current_limit[lift]"]
     assert effect.neutral == effect.bounds[1] == 240.0
+    assert effect.describe(40.0) == "the largest force of lift is 40 N m (the model has no limit)"
     limited = MujocoSimulator(SERVO_ARM)
     rows = np.random.default_rng(0).normal(size=(10, 6))
     found = simulator.predict(rows, effects={"current_limit[lift]": 40.0})
@@ -354,6 +356,64 @@ def test_what_mjcf_cannot_hold_is_written_beside_it(tmp_path):
         again = MujocoSimulator(tmp_path / "servo.xml").extended(written)
     rows = np.random.default_rng(0).normal(size=(10, 6))
     np.testing.assert_allclose(again.predict(rows), simulator.predict(rows), atol=1e-9)
+
+
+def read_again(simulator, path):
+    """Return the simulator of what one wrote: the model, and beside it what MJCF cannot express."""
+    simulator.to_mjcf(path, force=True)
+    notes = path.with_suffix(".effects.json")
+    effects = json.loads(notes.read_text())["effects"] if notes.exists() else []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        again = MujocoSimulator(path, frame_skip=simulator.frame_skip)
+    return again.extended({one["name"]: one["value"] for one in effects})
+
+
+SIZES = {
+    "dead_zone[lift]": 0.1, "lag_torque[lift]": 0.01, "torque_speed[lift]": 2.0, "scale[ctrl.lift]": 1.4,
+    "bias[ctrl.lift]": 0.2, "lag[lift]": 0.02, "lag[all]": 0.01, "delay[lift]": 0.009,
+    "delay[action]": 0.003, "gain[lift]": 1.6, "kp[lift]": 0.7, "kv[lift]": 0.6, "offset[lift]": 0.1,
+    "current_limit[lift]": 30.0, "dry_friction[elbow]": 0.2,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "name", ["dead_zone[lift]", "lag_torque[lift]", "torque_speed[lift]", "scale[ctrl.bend]"]
+)
+def test_a_model_that_is_written_with_a_pair_of_effects_is_the_simulator_when_it_is_read(tmp_path, name):
+    filtered = (
+        '<general name="bend" joint="elbow" gainprm="8" dyntype="filter" dynprm=".02" actrange="-.5 .5" '
+    )
+    filtered += 'ctrlrange="-1 1"/>'
+    servo = '<position name="bend" joint="elbow" kp="80" kv="4" ctrlrange="-2 2"/>'
+    pairs = [{name: SIZES.get(name, 2.0), other: size} for other, size in SIZES.items() if other != name]
+    pairs += [
+        pairs[0] | {"lag[all]": 0.01, "lag[bend]": 0.015}
+    ]  # a lag alone is written, and is nearly the same
+    text = without_limits(SERVO_ARM)
+    if name == "scale[ctrl.bend]":
+        text = changed(text, (servo, filtered))
+        pairs = [{name: factor, "bias[ctrl.bend]": 0.2} for factor in (2.0, -0.4)]
+    simulator = MujocoSimulator(text, frame_skip=2)
+    rows = np.random.default_rng(0).normal(size=(10, 6))
+    for values in pairs:
+        again = read_again(simulator.extended(values), tmp_path / "pair.xml")
+        expected = simulator.predict(rows, effects=values)
+        np.testing.assert_allclose(again.predict(rows), expected, atol=1e-8, err_msg=str(values))
+
+
+def test_a_limit_that_comes_from_the_largest_control_grows_with_the_gain():
+    simulator = MujocoSimulator(without_limits(SERVO_ARM), frame_skip=2)
+    rows = np.random.default_rng(0).normal(size=(10, 6)) * 3
+    found = simulator.predict(rows, effects={"gain[lift]": 2.0, "torque_speed[lift]": 3.0})
+    limited = changed(
+        SERVO_ARM,
+        ('kp="120" kv="8"', 'kp="240" kv="16"'),
+        ("-40 40", "-480 480"),
+        (' forcerange="-30 30"', ""),
+    )
+    expected = MujocoSimulator(limited, frame_skip=2).predict(rows, effects={"torque_speed[lift]": 3.0})
+    np.testing.assert_allclose(found, expected, atol=1e-10)
 
 
 def test_a_payload_is_a_point_mass_at_its_place():
