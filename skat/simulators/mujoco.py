@@ -469,7 +469,7 @@ class MujocoSimulator(Simulator):
         """Return the force that a motion needs beyond what the model exerts, under each set of effect values.
 
         By inverse dynamics: M a less gravity, inertial forces, springs, dampers, actuators and applied forces.
-        Contacts, limits and other constraints but dry friction exert nothing here. Dry friction is as soft as
+        Contacts, limits, play and other constraints but dry friction exert nothing here. Dry friction is as soft as
         MuJoCo's: below a speed it grows with it. Motors have no largest force: a servo that is much too stiff in the
         model would be at it where that of the machine never is.
 
@@ -497,7 +497,7 @@ class MujocoSimulator(Simulator):
         inputs = np.concatenate([self._true_inputs(seen, totals), commands], axis=2)
         jobs = []
         for index, total in enumerate(totals):
-            values = self._physical(total)
+            values = _without_plays(self._physical(total))
             model = self._unconstrained(values)
             jobs.append(Job(index, model, 1, self._forces(values)))
         stepper = self._cached("stepper", Stepper)
@@ -519,7 +519,7 @@ class MujocoSimulator(Simulator):
         return forces
 
     def constrained(self, states: ArrayLike) -> NDArray[np.bool_]:
-        """Return in which rows a contact, a limit or another constraint pushes, under the model as it is.
+        """Return in which rows a contact, a limit or another constraint but play pushes, under the model as it is.
 
         Parameters
         ----------
@@ -531,7 +531,7 @@ class MujocoSimulator(Simulator):
         """
         states = self._layout.normalised(np.asarray(states, float), "states")
         inputs = np.concatenate([states, np.zeros((len(states), self._nominal.nu))], axis=1)[None]
-        values = self._physical(self._built_in())
+        values = _without_plays(self._physical(self._built_in()))
         model = self._flagged(values, mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
         return self._cached("stepper", Stepper).constrained(Job(0, model, 1), inputs)
 
@@ -1019,6 +1019,11 @@ class MujocoSimulator(Simulator):
 
 def _holds(file: Path, content: bytes) -> bool:
     return file.is_file() and file.read_bytes() == content
+
+
+def _without_plays(values: Mapping[str, float]) -> dict[str, float]:
+    """Return values for inverse dynamics: the forces that a motion needs go through the gear on either flank."""
+    return {name: value for name, value in values.items() if not name.startswith("backlash[")}
 
 
 def _sensor_effects(layout: StateLayout, dt: float) -> list[Effect]:
