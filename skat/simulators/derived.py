@@ -5,7 +5,7 @@ import warnings
 import mujoco
 import numpy as np
 
-from skat.simulators.edits import heed_inertials, scale_mass
+from skat.simulators.edits import heed_inertials, multiply_mass
 from skat.simulators.tables import Array
 
 BODY, SITE = mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_SITE
@@ -145,7 +145,7 @@ def _masses(spec: mujoco.MjSpec) -> None:
                 body.mass, body.inertia = bounded.body_mass[index], bounded.body_inertia[index]
                 body.ipos, body.iquat = bounded.body_ipos[index], bounded.body_iquat[index]
     if total > 0:
-        scale_mass(range(len(spec.bodies)), spec, total / float(np.sum(_compiled(spec).body_mass)))
+        multiply_mass(range(len(spec.bodies)), spec, total / float(np.sum(_compiled(spec).body_mass)))
 
 
 def _controllers(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:

@@ -32,7 +32,14 @@ JOINT_PARTS = (
 
 
 def scale_mass(bodies: Sequence[int], spec: mujoco.MjSpec, factor: float) -> None:
-    """Multiply the mass of bodies, and their inertia with it."""
+    """Multiply the mass of bodies, and their inertia with it; what compensates their gravity stays what it was."""
+    multiply_mass(bodies, spec, factor)
+    for body in _bodies(spec, bodies):
+        body.gravcomp = body.gravcomp / factor
+
+
+def multiply_mass(bodies: Sequence[int], spec: mujoco.MjSpec, factor: float) -> None:
+    """Multiply the mass of bodies, and their inertia with it, as the compiler does for a total mass."""
     for body in _bodies(spec, bodies):
         body.mass = body.mass * factor
         body.inertia = body.inertia * factor
@@ -410,7 +417,7 @@ def _in_units(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, values: Sequence[floa
 
 
 def add_payload(body: int, place: Sequence[float], spec: mujoco.MjSpec, mass: float) -> None:
-    """Fix a point mass to a body, at a place in the body's frame."""
+    """Fix a point mass to a body, at a place in the body's frame; nothing compensates its gravity."""
     element = _with_inertial(spec.bodies[body], spec)
     turn, diagonal = np.zeros(9), np.array(element.inertia, dtype=float)
     if np.isnan(element.fullinertia[0]):
@@ -425,7 +432,7 @@ def add_payload(body: int, place: Sequence[float], spec: mujoco.MjSpec, mass: fl
     reduced = own * mass / total
     inertia = inertia + reduced * (offset @ offset * np.eye(3) - np.outer(offset, offset))
     element.ipos = element.ipos + mass / total * offset
-    element.mass = total
+    element.mass, element.gravcomp = total, element.gravcomp * own / total
     element.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
     element.iquat = [1.0, 0.0, 0.0, 0.0]
     element.inertia = np.zeros(3)

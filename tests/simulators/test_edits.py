@@ -320,3 +320,27 @@ def test_an_inverted_servo_pushes_instead_of_braking():
 def test_time_step_and_gravity_are_multiplied():
     assert edited(edits.scale_timestep, 0.5).opt.timestep == pytest.approx(0.002)
     np.testing.assert_allclose(edited(edits.scale_gravity, 0.5).opt.gravity, [0.5, 1.0, -4.5])
+
+
+HELD = """<mujoco><worldbody><body name="arm" gravcomp="{}"><joint axis="0 1 0"/>
+<geom pos=".2 0 0" size=".05" mass="1"/>{}</body></worldbody></mujoco>"""
+WEIGHT = '<body pos=".2 0 0"><inertial pos="0 0 0" mass=".6" diaginertia="1e-9 1e-9 1e-9"/></body>'
+
+
+@pytest.mark.parametrize("held", [0.0, 0.7, 1.0])
+def test_what_compensates_gravity_knows_the_mass_that_the_model_had(held):
+    """Of a body of four times the mass three quarters weigh as if they hung on it, of a payload all of it."""
+    heavier = '<body pos=".2 0 0"><geom size=".05" mass="3"/></body>'
+    for edit, value, child in (
+        (partial(edits.scale_mass, [1]), 4.0, heavier),
+        (partial(edits.add_payload, 1, [0.2, 0, 0]), 0.6, WEIGHT),
+    ):
+        spec = mujoco.MjSpec.from_string(HELD.format(held, ""))
+        edit(spec, value)
+        found, plain = spec.compile(), mujoco.MjModel.from_xml_string(HELD.format(held, child))
+        accelerations = []
+        for model in (found, plain):
+            data = mujoco.MjData(model)
+            mujoco.mj_forward(model, data)
+            accelerations.append(data.qacc[0])
+        assert accelerations[0] == pytest.approx(accelerations[1], rel=1e-7)
