@@ -416,8 +416,11 @@ def _in_units(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, values: Sequence[floa
     return np.rad2deg(values) if turns else np.asarray(values)
 
 
-def add_payload(body: int, place: Sequence[float], spec: mujoco.MjSpec, mass: float) -> None:
-    """Fix a point mass to a body, at a place in the body's frame; nothing compensates its gravity."""
+def add_payload(body: int, place: Sequence[float | None], spec: mujoco.MjSpec, mass: float) -> None:
+    """Fix a point mass to a body, at a place in the body's frame; nothing compensates its gravity.
+
+    None along an axis: where the body's centre of mass is.
+    """
     element = _with_inertial(spec.bodies[body], spec)
     turn, diagonal = np.zeros(9), np.array(element.inertia, dtype=float)
     if np.isnan(element.fullinertia[0]):
@@ -428,7 +431,7 @@ def add_payload(body: int, place: Sequence[float], spec: mujoco.MjSpec, mass: fl
         xx, yy, zz, xy, xz, yz = element.fullinertia
         inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     own, total = float(element.mass), float(element.mass) + mass
-    offset = np.asarray(place, dtype=float) - element.ipos
+    offset = np.array([0.0 if at is None else at - centre for at, centre in zip(place, element.ipos)])
     reduced = own * mass / total
     inertia = inertia + reduced * (offset @ offset * np.eye(3) - np.outer(offset, offset))
     element.ipos = element.ipos + mass / total * offset

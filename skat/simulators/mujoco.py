@@ -867,8 +867,7 @@ class MujocoSimulator(Simulator):
         return found
 
     def _payload_edit(self, body: str, values: Mapping[str, float]) -> Callable[[Any, float], None]:
-        names = [f"payload[{body}.{axis}]" for axis in "xyz"]
-        place = tuple(values.get(name, self._own_by_name[name].neutral) for name in names)
+        place = tuple(values.get(f"payload[{body}.{axis}]") for axis in "xyz")
         numbers = {self._anatomy.body_name(one): one for one in range(self._nominal.nbody)}
         return partial(add_payload, numbers[body], place)
 

@@ -433,6 +433,16 @@ def test_a_payload_is_a_point_mass_at_its_place():
     )
 
 
+@pytest.mark.parametrize("moved", [{"length[lower]": 1.5}, {"centre_of_mass[lower.x]": 0.05}])
+def test_a_payload_without_a_place_is_at_the_centre_of_mass_that_the_body_has(moved):
+    simulator = MujocoSimulator(SERVO_ARM)
+    centre = simulator.compiled(moved).body("lower").ipos
+    found = simulator.compiled(moved | {"payload[lower]": 0.6})
+    np.testing.assert_allclose(found.body("lower").ipos, centre, atol=1e-12)
+    along = simulator.compiled(moved | {"payload[lower]": 0.7, "payload[lower.x]": 0.2})
+    np.testing.assert_allclose(along.body("lower").ipos, [(centre[0] + 0.2) / 2, *centre[1:]], atol=1e-12)
+
+
 def test_places_of_a_payload_are_within_the_bodys_geoms():
     simulator = MujocoSimulator(SERVO_ARM)
     places = simulator.payload_places("lower")
