@@ -30,8 +30,6 @@ class CommandPath:
         Time constant of a filter of first order, s.
     dead_zone : ndarray of shape (nu,)
         Half of the width within which a command does nothing; beyond, it acts as much less.
-    holds : ndarray of shape (nu,) of bool
-        Whether a late command is held from time step to time step; otherwise it is linear between them.
     """
 
     scale: Array
@@ -41,7 +39,6 @@ class CommandPath:
     high: Array
     lag: Array
     dead_zone: Array
-    holds: NDArray[np.bool_]
 
     @property
     def changes(self) -> bool:
@@ -77,21 +74,16 @@ class CommandPath:
         history = earlier_rows(commands, starts, n_lags) if n_lags else None
         acts = np.repeat(commands[:, None], n_substeps, axis=1)
         for delay in np.unique(self.delay[self.delay > 0]):
-            for hold in (False, True):
-                late = np.flatnonzero((self.delay == delay) & (self.holds == hold))
-                if late.size:
-                    steps = delay * n_substeps / dt
-                    past = history[:, :, late] if history is not None else None
-                    acts[:, :, late] = delayed_controls(commands[:, late], past, steps, n_substeps, hold=hold)
+            late = np.flatnonzero(self.delay == delay)
+            past = history[:, :, late] if history is not None else None
+            acts[:, :, late] = delayed_controls(commands[:, late], past, delay * n_substeps / dt, n_substeps)
         acts = np.clip(acts, self.low, self.high)
         if self.lag.any():
             acts = filtered(acts, starts, self.lag * n_substeps / dt)
         return acts - np.clip(acts, -self.dead_zone, self.dead_zone)
 
 
-def delayed_controls(
-    controls: Array, history: Array | None, lag: float, n_substeps: int, *, hold: bool = False
-) -> Array:
+def delayed_controls(controls: Array, history: Array | None, lag: float, n_substeps: int) -> Array:
     """Return the controls of each substep that come ``lag`` substeps late, linear between substeps.
 
     Parameters
@@ -101,8 +93,6 @@ def delayed_controls(
         Controls of the transitions before: one back, two back, ...
     lag : float
     n_substeps : int
-    hold : bool
-        Whether the earlier of two substeps holds, in place of what is between them.
 
     Returns
     -------
@@ -113,7 +103,7 @@ def delayed_controls(
     for substep in range(n_substeps):
         moment = substep - lag
         before = math.floor(moment + 1e-9)
-        weight = 0.0 if hold else moment - before
+        weight = moment - before
         earlier, later = (
             known[:, -math.floor(index / n_substeps)] for index in (before, min(before + 1, substep))
         )

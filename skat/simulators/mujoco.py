@@ -237,10 +237,22 @@ class MujocoSimulator(Simulator):
         moved[..., :n_states] = self._layout.displaced(states, tangent)
         return moved
 
-    def _reads_delayed(self, spec: mujoco.MjSpec, delay: float, values: Mapping[str, float]) -> bool:
-        """Whether MuJoCo delays controls as this simulator does: between time steps, by one of them at least."""
-        step = float(self._nominal.opt.timestep) * max(1.0, values.get("timestep", 1.0))
-        return int(spec.option.integrator) != EXPLICIT_INTEGRATOR and delay >= step
+    def _reads_delayed(self, spec: mujoco.MjSpec, effect: Effect, values: Mapping[str, float]) -> bool:
+        """Whether MuJoCo delays controls as this simulator does: between time steps, by one of them at least.
+
+        Where the model's own delay holds controls, it would hold all of it, and so only whole time steps are the same.
+        """
+        delay, step = (
+            values[effect.name],
+            float(self._nominal.opt.timestep) * max(1.0, values.get("timestep", 1.0)),
+        )
+        steps = delay / float(spec.option.timestep)
+        names = self._actuator_names if effect.target == "action" else (effect.target,)
+        holds = any(
+            hold and name in names for name, hold in zip(self._actuator_names, self._native_delays[1])
+        )
+        is_read = not holds or abs(steps - round(steps)) < 1e-9
+        return int(spec.option.integrator) != EXPLICIT_INTEGRATOR and delay >= step and is_read
 
     def to_mjcf(self, path: str | PathLike[str], *, force: bool = False) -> tuple[Path, ...]:
         """Write the model, with the effects that are built in, for any user of MuJoCo.
@@ -291,7 +303,7 @@ class MujocoSimulator(Simulator):
                     rounded[effect.name] = written
                 edits[effect.name](spec, written)
                 continue
-            fits = effect.family != "delay" or self._reads_delayed(spec, value, values)
+            fits = effect.family != "delay" or self._reads_delayed(spec, effect, values)
             is_written = effect.name in edits and fits and effect.name not in kept
             if is_written:
                 edits[effect.name](spec, value)
@@ -642,20 +654,19 @@ class MujocoSimulator(Simulator):
                 ("dead_zone", names, 0.0),
             )
         )
-        own_delay, holds = self._native_delays
-        model = self._model(values, self._substeps(values)[0][1])
+        n_substeps = self._substeps(values)[0][1]
+        model = self._model(values, n_substeps)
         limited = model.actuator_ctrllimited & (not self._anatomy.is_off("clampctrl"))
         low, high = np.where(limited, model.actuator_ctrlrange.T, [[-np.inf], [np.inf]])
         late = self._anatomy.model.actuator_dyntype == NO_DYNAMICS
         return CommandPath(
             scale=scale,
             bias=bias,
-            delay=delay + own_delay + values.get("delay[action]", 0.0),
+            delay=delay + self._native_delay(self.dt / n_substeps) + values.get("delay[action]", 0.0),
             low=low,
             high=high,
             lag=lag + np.where(late, values.get("lag[all]", 0.0), 0.0),
             dead_zone=np.where(self._follows_places, 0.0, dead_zone) if nu else dead_zone,
-            holds=holds,
         )
 
     @property
@@ -685,6 +696,11 @@ class MujocoSimulator(Simulator):
             return np.array(delays, dtype=float), np.array(holds, dtype=bool)
 
         return self._cached("native_delays", found)
+
+    def _native_delay(self, step: float) -> Array:
+        """Return the delay of each actuator in the model, s: where it holds controls, in whole time steps."""
+        delays, holds = self._native_delays
+        return np.where(holds, step * np.ceil(delays / step - 1e-9), delays)
 
     def _acting(
         self, actions: Array, starts: NDArray[np.intp], candidates: Sequence[Mapping[str, float]]

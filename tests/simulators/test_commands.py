@@ -18,15 +18,15 @@ def path(n=1, **changes):
         "lag": 0.0,
         "dead_zone": 0.0,
     }
-    parts |= {"holds": False} | changes
+    parts |= changes
     return CommandPath(**{name: np.broadcast_to(value, n).copy() for name, value in parts.items()})
 
 
-def by_hand(commands, *, delay=0.0, lag=0.0, holds=False, n_past=100):
+def by_hand(commands, *, delay=0.0, lag=0.0, n_past=100):
     """Return what acts in the time steps of one episode whose first command has held for long."""
     steps = np.repeat(np.r_[np.full(n_past, commands[0]), commands], N_SUBSTEPS)
     moments = np.arange(len(steps)) - delay / (DT / N_SUBSTEPS)
-    late = np.interp(np.floor(moments + 1e-9) if holds else moments, np.arange(len(steps)), steps)
+    late = np.interp(moments, np.arange(len(steps)), steps)
     if lag:
         # The solution of a filter's equation at many moments of a step, and the mean of them.
         moments = DT / N_SUBSTEPS * (np.arange(1000) + 0.5) / 1000
@@ -44,16 +44,13 @@ STARTS = np.array([0] * 5 + [5] * 1 + [6] * 6)
 
 @pytest.mark.parametrize("delay", [0.0, 0.002, 0.005, 0.0125, 0.02, 0.033, 0.06])
 @pytest.mark.parametrize("lag", [0.0, 0.007])
-@pytest.mark.parametrize("holds", [False, True])
-def test_late_and_filtered_commands_are_those_of_their_own_episode(delay, lag, holds):
-    mixed = path(2, delay=[delay, 0.01], lag=[lag, 0.0], holds=[holds, False])
+def test_late_and_filtered_commands_are_those_of_their_own_episode(delay, lag):
+    mixed = path(2, delay=[delay, 0.01], lag=[lag, 0.0])
     found = mixed.acting(COMMANDS, STARTS, DT, N_SUBSTEPS)
     assert found.shape == (12, N_SUBSTEPS, 2)
     for rows in (slice(0, 5), slice(5, 6), slice(6, 12)):
         first, second = COMMANDS[rows].T
-        np.testing.assert_allclose(
-            found[rows, :, 0], by_hand(first, delay=delay, lag=lag, holds=holds), atol=1e-7
-        )
+        np.testing.assert_allclose(found[rows, :, 0], by_hand(first, delay=delay, lag=lag), atol=1e-7)
         np.testing.assert_allclose(found[rows, :, 1], by_hand(second, delay=0.01), atol=1e-12)
 
 
@@ -69,7 +66,7 @@ def test_a_command_is_scaled_and_shifted_before_its_dead_zone_takes_from_it():
 def test_any_part_of_any_actuator_changes_commands(part, value):
     neutral = 1.0 if part == "scale" else 0.0
     assert path(2, **{part: [neutral, value]}).changes
-    assert not path(2, holds=True).changes
+    assert not path(2).changes
 
 
 @pytest.mark.parametrize(

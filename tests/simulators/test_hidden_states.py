@@ -139,6 +139,29 @@ def test_native_delays_are_mujocos(delay, interp):
     assert np.abs(more - found).max() > 1e-3
 
 
+@pytest.mark.parametrize("extra", [0.003, 0.0041, 0.008])
+def test_a_delay_on_top_of_one_that_holds_is_linear_between_time_steps(tmp_path, extra):
+    text = changed(SERVO_ARM, ('name="lift"', 'name="lift" delay="0.0101" nsample="8"'))
+    simulator = MujocoSimulator(text, frame_skip=SKIP)
+    controls = commands()
+    controls[:4] = 0
+    moments = 0.004 * np.arange(N_STEPS * SKIP)
+    lift = np.interp(
+        moments - 0.012 - extra, moments, np.repeat(controls[:, 0], SKIP)
+    )  # the model's, in whole steps
+
+    def late(moment):
+        return [lift[moment], controls[moment // SKIP][1]]
+
+    loose = simulator.extended({"delay[lift]": extra})
+    found = loose.rollout(np.zeros((1, 4)), controls[None], n_steps=N_STEPS)[0]
+    np.testing.assert_allclose(found, stepped(SERVO_ARM, controls, late=late), atol=1e-7)
+    path, *beside = loose.to_mjcf(tmp_path / "late.xml")
+    assert bool(beside) == (extra != 0.008)
+    if not beside:
+        np.testing.assert_allclose(stepped(path.read_text(), controls), found, atol=1e-7)
+
+
 @pytest.mark.parametrize(
     ("interp", "integrator", "message"),
     [
