@@ -86,7 +86,8 @@ def with_motors(source: ModelSource, motors: str | None) -> ModelSource:
         Without actuators.
     motors : str or None
         ``"torque"``: the control is the torque or force; ``"position:kp,kv"``: it is a position that a servo with
-        these gains pulls to. Limited to what the model says of each joint (a URDF's effort). ``"none"``: nothing drives
+        these gains pulls to, with an integrator that is implicit in its damping, as joints of a URDF may be light.
+        Limited to what the model says of each joint (a URDF's effort). ``"none"``: nothing drives
         them, and a log's commands are left aside. None: nobody has said.
 
     Raises
@@ -130,6 +131,8 @@ def with_motors(source: ModelSource, motors: str | None) -> ModelSource:
             actuator.set_to_motor()
         else:
             actuator.set_to_position(kp=kp, kv=kv)
+    if kind == "position" and spec.option.integrator == mujoco.mjtIntegrator.mjINT_EULER:
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     of = "a torque motor" if kind == "torque" else f"a position servo (kp {kp:g}, kv {kv:g})"
     driven = ", ".join(actuator.name for actuator in spec.actuators)
     note = f"Added {of} on {driven}; limits of effort: {', '.join(limits) or 'none'}."
