@@ -257,13 +257,15 @@ class MujocoSimulator(Simulator):
     def to_mjcf(self, path: str | PathLike[str], *, force: bool = False) -> tuple[Path, ...]:
         """Write the model, with the effects that are built in, for any user of MuJoCo.
 
-        Numbers are written with all digits: plain MuJoCo predicts what this simulator predicts. A time step that does
-        not divide a transition is written as the nearest one that does; the notes beside the model say so. What MJCF
-        cannot express (wind, drag on bodies that turn, friction that grows with position or load or falls with
-        speed, forces on joints, dead zones, torque that lags or falls with speed, sensors, a delay shorter than a time
-        step, any under the Runge-Kutta integrator, which reads delayed controls between time steps, and what lies
-        between a command and an actuator that integrates it, but a delay) is written
-        beside it, into ``<name>.effects.json``. A ``backlash`` is written as a joint of its own, ``<joint>.play``.
+        Numbers are written with all digits: plain MuJoCo predicts what this simulator predicts, under a ``lag`` nearly,
+        as its filter acts as it is at the end of a time step. Before the first command it has commands of zero. A time
+        step that does not divide a transition is written as the nearest one that does; the notes beside the model say
+        so. What MJCF cannot express (wind, drag on bodies that turn, friction that grows with position or load or falls
+        with speed, forces on joints, dead zones, torque that lags or falls with speed, sensors, a delay shorter than a
+        time step, any under the Runge-Kutta integrator, which reads delayed controls between time steps, and what lies
+        between a command and an actuator that integrates it, but a delay) is written beside it, into
+        ``<name>.effects.json``, and so is what is done to the command of an actuator with a dead zone or with torque
+        that lags or falls with speed. A ``backlash`` is written as a joint of its own, ``<joint>.play``.
 
         Parameters
         ----------
@@ -420,8 +422,10 @@ class MujocoSimulator(Simulator):
         Parameters
         ----------
         effects : mapping from name to value, optional
-            On top of those that are built in. Those that MJCF cannot express are left out; a time step is
-            rounded up to a whole number of them in a transition.
+            On top of those that are built in. What the model does not hold here is left out: what MJCF cannot
+            express, and what lies between commands and actuators, ``delay``, the model's own among them, ``lag``,
+            ``scale[ctrl.<actuator>]`` and ``bias[ctrl.<actuator>]``, which `to_mjcf` writes. A time step is rounded
+            up to a whole number of them in a transition.
         """
         values = self._total(effects)
         own = {name: values[name] for name in values if name in self._own_by_name}
