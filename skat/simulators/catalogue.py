@@ -741,7 +741,7 @@ def _contact_effects(anatomy: Anatomy) -> Found:
             "restitution", pairs, (0.05, 5.0), contacts.scale_damping_ratio
         ):
             if effect.target == "all":
-                effect = replace(effect, apply=contacts.scale_all_damping_ratios, describe=effect.describe)
+                effect = replace(effect, apply=contacts.scale_all_damping_ratios)
             yield effect, listed
 
 

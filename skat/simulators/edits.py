@@ -424,7 +424,7 @@ def add_payload(body: int, place: Sequence[float | None], spec: mujoco.MjSpec, m
     element = _with_inertial(spec.bodies[body], spec)
     turn, diagonal = np.zeros(9), np.array(element.inertia, dtype=float)
     if np.isnan(element.fullinertia[0]):
-        mujoco.mju_quat2Mat(turn, _quaternion(element.iquat, element.ialt, element.compiler, spec))
+        mujoco.mju_quat2Mat(turn, orientation(element.iquat, element.ialt, element.compiler, spec))
         axes = turn.reshape(3, 3)
         inertia = axes @ np.diag(diagonal) @ axes.T
     else:
@@ -469,12 +469,12 @@ def _carrier(body: mujoco.MjsBody, spec: mujoco.MjSpec) -> np.ndarray:
 
 def _turned(place: np.ndarray, element: Any, spec: mujoco.MjSpec) -> np.ndarray:
     """Return a place in a body's, frame's or geom's frame along the axes that the element itself is placed in."""
-    quaternion, turned = _quaternion(element.quat, element.alt, element.compiler, spec), np.zeros(3)
+    quaternion, turned = orientation(element.quat, element.alt, element.compiler, spec), np.zeros(3)
     mujoco.mju_rotVecQuat(turned, np.asarray(place, dtype=float), quaternion)
     return turned
 
 
-def _quaternion(given: np.ndarray, other: Any, compiler: Any, spec: mujoco.MjSpec) -> np.ndarray:
+def orientation(given: np.ndarray, other: Any, compiler: Any, spec: mujoco.MjSpec) -> np.ndarray:
     """Return an orientation, given as a quaternion or in another way, as a unit quaternion."""
     if other.type == mujoco.mjtOrientation.mjORIENTATION_QUAT:
         return np.asarray(given / np.linalg.norm(given))

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import mujoco
 
+from skat.simulators.channels import free_name
 from skat.simulators.source import ModelSource, write_xml
 from skat.simulators.urdf import root_link, says_what_its_root_is
 
@@ -119,7 +120,7 @@ def with_motors(source: ModelSource, motors: str | None) -> ModelSource:
     for index, joint in enumerate(spec.joints):
         if joint.type not in (HINGE, SLIDE) or joint.name in follows:
             continue
-        joint.name = joint.name or _free_name(spec, f"joint{index}")
+        joint.name = joint.name or free_name(f"joint{index}", [one.name for one in spec.joints])
         actuator = spec.add_actuator(name=joint.name, target=joint.name)
         actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
         low, high = joint.actfrcrange
@@ -137,10 +138,3 @@ def with_motors(source: ModelSource, motors: str | None) -> ModelSource:
     driven = ", ".join(actuator.name for actuator in spec.actuators)
     note = f"Added {of} on {driven}; limits of effort: {', '.join(limits) or 'none'}."
     return replace(source, xml=write_xml(spec), motors=motors, notes=(*source.notes, note))
-
-
-def _free_name(spec: mujoco.MjSpec, name: str) -> str:
-    """Return a joint's name, with underscores where another one is called that."""
-    while any(joint.name == name for joint in spec.joints):
-        name += "_"
-    return name

@@ -22,15 +22,15 @@ import numpy as np
 from mujoco.batch import MODEL_FIELDS, Batch, SimulationError
 from numpy.typing import NDArray
 
+from skat.simulators.anatomy import INTEGRATOR, JOINT_TRANSMISSIONS
 from skat.simulators.friction import LOADED, NEUTRAL, budget
 from skat.simulators.tables import Array
 
 CHUNK = 8192
 CACHED_BATCHES = 32
 HUGE = 1e10  # MuJoCo's own limit of a state that is not divergent
-INTEGRATOR, MUSCLE = int(mujoco.mjtDyn.mjDYN_INTEGRATOR), int(mujoco.mjtDyn.mjDYN_MUSCLE)
+MUSCLE = int(mujoco.mjtDyn.mjDYN_MUSCLE)
 FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT), MUSCLE)
-JOINT_TRANSMISSION = int(mujoco.mjtTrn.mjTRN_JOINT)
 LIMITS = ("actuator_ctrlrange", "actuator_ctrllimited", "actuator_forcerange", "actuator_forcelimited")
 SERVOS = ("actuator_gainprm", "actuator_biasprm")
 
@@ -784,7 +784,7 @@ def steady_activations(model: mujoco.MjModel, controls: Array, qpos: Array) -> A
         kind = int(model.actuator_dyntype[actuator])
         if kind in FILTERS:
             steady[:, last] = np.clip(control, 0, 1) if kind == MUSCLE else control
-        elif kind == INTEGRATOR and int(model.actuator_trntype[actuator]) == JOINT_TRANSMISSION:
+        elif kind == INTEGRATOR and int(model.actuator_trntype[actuator]) in JOINT_TRANSMISSIONS:
             joint = int(model.actuator_trnid[actuator, 0])
             if model.actuator_biasprm[actuator, 1]:
                 steady[:, last] = model.actuator_gear[actuator, 0] * qpos[:, model.jnt_qposadr[joint]]
