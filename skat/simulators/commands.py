@@ -22,8 +22,8 @@ class CommandPath:
     ----------
     scale, bias : ndarray of shape (nu,)
         What acts is scale * command + bias.
-    delay : ndarray of shape (nu,)
-        s.
+    held, delay : ndarray of shape (nu,)
+        s. The first in whole time steps, up to which it is rounded; the second on top of it, linear between them.
     low, high : ndarray of shape (nu,)
         Ends of the range that late commands are put into, as MuJoCo does, before anything filters them.
     lag : ndarray of shape (nu,)
@@ -34,6 +34,7 @@ class CommandPath:
 
     scale: Array
     bias: Array
+    held: Array
     delay: Array
     low: Array
     high: Array
@@ -45,12 +46,18 @@ class CommandPath:
         """Whether anything but the command itself acts."""
         return bool(
             (self.scale != 1).any()
-            or any(values.any() for values in (self.bias, self.delay, self.lag, self.dead_zone))
+            or any(values.any() for values in (self.bias, self.held, self.delay, self.lag, self.dead_zone))
         )
 
-    def n_lags(self, dt: float) -> int:
+    def n_lags(self, dt: float, n_substeps: int) -> int:
         """Return how many earlier rows' commands are on the way, at most."""
-        return math.ceil(float(self.delay.max(initial=0.0)) / dt - 1e-9)
+        return math.ceil(float(self._late_by(dt, n_substeps).max(initial=0.0)) / n_substeps - 1e-9)
+
+    def _late_by(self, dt: float, n_substeps: int) -> Array:
+        """Return how late the command of each actuator is, in time steps."""
+        per_step = n_substeps / dt
+        late: Array = np.ceil(self.held * per_step - 1e-9) + self.delay * per_step
+        return late
 
     def acting(self, commands: Array, starts: NDArray[np.intp], dt: float, n_substeps: int) -> Array:
         """Return what acts in each time step.
@@ -70,13 +77,13 @@ class CommandPath:
         ndarray of shape (n_rows, n_substeps, nu)
         """
         commands = self.scale * commands + self.bias
-        n_lags = self.n_lags(dt)
+        n_lags, late_by = self.n_lags(dt, n_substeps), self._late_by(dt, n_substeps)
         history = earlier_rows(commands, starts, n_lags) if n_lags else None
         acts = np.repeat(commands[:, None], n_substeps, axis=1)
-        for delay in np.unique(self.delay[self.delay > 0]):
-            late = np.flatnonzero(self.delay == delay)
+        for steps in np.unique(late_by[late_by > 0]):
+            late = np.flatnonzero(late_by == steps)
             past = history[:, :, late] if history is not None else None
-            acts[:, :, late] = delayed_controls(commands[:, late], past, delay * n_substeps / dt, n_substeps)
+            acts[:, :, late] = delayed_controls(commands[:, late], past, steps, n_substeps)
         acts = np.clip(acts, self.low, self.high)
         if self.lag.any():
             acts = filtered(acts, starts, self.lag * n_substeps / dt)

@@ -643,7 +643,8 @@ class MujocoSimulator(Simulator):
         return self._cached("sensors", lambda: tuple(_sensor_effects(self._layout, self.dt)))
 
     def _lags(self, values: Mapping[str, float]) -> int:
-        return self._path(values).n_lags(self.dt)
+        path = self._path(values)
+        return max(path.n_lags(self.dt, n_substeps) for _, n_substeps in self._substeps(values))
 
     def _path(self, values: Mapping[str, float]) -> CommandPath:
         """Return what lies between the commands and the actuators."""
@@ -658,15 +659,16 @@ class MujocoSimulator(Simulator):
                 ("dead_zone", names, 0.0),
             )
         )
-        n_substeps = self._substeps(values)[0][1]
-        model = self._model(values, n_substeps)
+        own_delay, holds = self._native_delays
+        model = self._model(values, self._substeps(values)[0][1])
         limited = model.actuator_ctrllimited & (not self._anatomy.is_off("clampctrl"))
         low, high = np.where(limited, model.actuator_ctrlrange.T, [[-np.inf], [np.inf]])
         late = self._anatomy.model.actuator_dyntype == NO_DYNAMICS
         return CommandPath(
             scale=scale,
             bias=bias,
-            delay=delay + self._native_delay(self.dt / n_substeps) + values.get("delay[action]", 0.0),
+            held=np.where(holds, own_delay, 0.0),
+            delay=delay + np.where(holds, 0.0, own_delay) + values.get("delay[action]", 0.0),
             low=low,
             high=high,
             lag=lag + np.where(late, values.get("lag[all]", 0.0), 0.0),
@@ -700,11 +702,6 @@ class MujocoSimulator(Simulator):
             return np.array(delays, dtype=float), np.array(holds, dtype=bool)
 
         return self._cached("native_delays", found)
-
-    def _native_delay(self, step: float) -> Array:
-        """Return the delay of each actuator in the model, s: where it holds controls, in whole time steps."""
-        delays, holds = self._native_delays
-        return np.where(holds, step * np.ceil(delays / step - 1e-9), delays)
 
     def _acting(
         self, actions: Array, starts: NDArray[np.intp], candidates: Sequence[Mapping[str, float]]

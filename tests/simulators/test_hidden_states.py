@@ -157,6 +157,8 @@ def test_a_delay_on_top_of_one_that_holds_is_linear_between_time_steps(tmp_path,
     found = loose.rollout(np.zeros((1, 4)), controls[None], n_steps=N_STEPS)[0]
     np.testing.assert_allclose(found, stepped(SERVO_ARM, controls, late=late), atol=1e-7)
     path, *beside = loose.to_mjcf(tmp_path / "late.xml")
+    near = loose.predict(rows_of(found, controls), effects={"timestep": 1 + 1e-9})
+    np.testing.assert_allclose(near, found[1:], atol=1e-5)
     assert bool(beside) == (extra != 0.008)
     if not beside:
         np.testing.assert_allclose(stepped(path.read_text(), controls), found, atol=1e-7)
