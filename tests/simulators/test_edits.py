@@ -226,6 +226,7 @@ def test_play_is_a_bare_joint_of_its_width_beyond_the_motors(angle, armature, ro
 DAMPED = """<mujoco><option timestep=".01" integrator="{}" {}/><worldbody><body><joint name="hinge" armature=".2"
 damping=".5"/><geom size=".1"/><body><joint name="tip" damping="3"/><geom size=".1"/></body></body></worldbody>
 <tendon><fixed name="t" damping="{}"><joint joint="tip" coef="1"/></fixed></tendon><actuator>{}</actuator></mujoco>"""
+LIMITED = '<position joint="hinge" kp="7" kv="4" forcerange="-1 1" {}/>'
 GEARED = '<position joint="hinge" kp="7" kv="4" gear="3"/>'
 
 
@@ -242,6 +243,9 @@ GEARED = '<position joint="hinge" kp="7" kv="4" gear="3"/>'
         ("implicitfast", "", 0.1, GEARED, [0.2, 0, 0]),
         ("implicitfast", "", 0, '<position tendon="t" kp="7" kv="4"/>', [0.2, 0, 0]),
         ("implicitfast", "", 0, '<muscle joint="hinge" lengthrange="0 1"/>', [0.2, 0, 0]),
+        # A servo with a limit feeds nothing back at it; a rotor that is lighter than h D comes first.
+        ("implicitfast", "", 0, LIMITED.format(""), [0.2, 0, 0]),
+        ("implicitfast", "", 0, LIMITED.format('gear="3"'), [0.2 + 0.01 * (0.5 + 4 * 9), 0, 0.01 * 3]),
     ],
 )
 def test_flanks_are_as_hard_as_the_time_step_allows_and_know_of_dampers_on_joints(
