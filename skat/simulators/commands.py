@@ -24,8 +24,6 @@ class CommandPath:
         What acts is scale * command + bias.
     held, delay : ndarray of shape (nu,)
         s. The first in whole time steps, up to which it is rounded; the second on top of it, linear between them.
-    low, high : ndarray of shape (nu,)
-        Ends of the range that late commands are put into, as MuJoCo does, before anything filters them.
     lag : ndarray of shape (nu,)
         Time constant of a filter of first order, s.
     dead_zone : ndarray of shape (nu,)
@@ -36,8 +34,6 @@ class CommandPath:
     bias: Array
     held: Array
     delay: Array
-    low: Array
-    high: Array
     lag: Array
     dead_zone: Array
 
@@ -59,7 +55,14 @@ class CommandPath:
         late: Array = np.ceil(self.held * per_step - 1e-9) + self.delay * per_step
         return late
 
-    def acting(self, commands: Array, starts: NDArray[np.intp], dt: float, n_substeps: int) -> Array:
+    def acting(
+        self,
+        commands: Array,
+        starts: NDArray[np.intp],
+        dt: float,
+        n_substeps: int,
+        limits: tuple[Array | float, Array | float] = (-np.inf, np.inf),
+    ) -> Array:
         """Return what acts in each time step.
 
         Parameters
@@ -71,6 +74,8 @@ class CommandPath:
             Duration of a row, s.
         n_substeps : int
             Time steps of a row.
+        limits : pair of ndarray of shape (nu,)
+            Ends of the range that late commands are put into, as MuJoCo does, before anything filters them.
 
         Returns
         -------
@@ -84,7 +89,7 @@ class CommandPath:
             late = np.flatnonzero(late_by == steps)
             past = history[:, :, late] if history is not None else None
             acts[:, :, late] = delayed_controls(commands[:, late], past, steps, n_substeps)
-        acts = np.clip(acts, self.low, self.high)
+        acts = np.clip(acts, *limits)
         if self.lag.any():
             acts = filtered(acts, starts, self.lag * n_substeps / dt)
         return acts - np.clip(acts, -self.dead_zone, self.dead_zone)

@@ -134,7 +134,7 @@ class FunctionSimulator(Simulator):
         )
         zeros = np.zeros(len(names))
         delay += values.get("delay[action]", 0.0)
-        return CommandPath(1 + zeros, zeros, zeros, delay, zeros - np.inf, zeros + np.inf, lag, zeros)
+        return CommandPath(1 + zeros, zeros, zeros, delay, lag, zeros)
 
     def _acting(
         self, actions: Array, starts: NDArray[np.intp], candidates: Sequence[Mapping[str, float]]

@@ -86,10 +86,10 @@ def with_motors(source: ModelSource, motors: str | None) -> ModelSource:
     source : ModelSource
         Without actuators.
     motors : str or None
-        ``"torque"``: the control is the torque or force; ``"position:kp,kv"``: it is a position that a servo with
-        these gains pulls to, with an integrator that is implicit in its damping, as joints of a URDF may be light.
-        Limited to what the model says of each joint (a URDF's effort). ``"none"``: nothing drives
-        them, and a log's commands are left aside. None: nobody has said.
+        ``"torque"``: the control is the torque or force; ``"position:kp,kv"``: it is a position that a servo with these
+        gains pulls to, with an integrator that is implicit in its damping, as joints of a URDF may be light. Limited to
+        what the model says of each joint (a URDF's effort). ``"none"``: nothing drives them, and a log's commands are
+        left aside. None: nobody has said.
 
     Raises
     ------

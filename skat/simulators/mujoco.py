@@ -242,17 +242,13 @@ class MujocoSimulator(Simulator):
 
         Where the model's own delay holds controls, it would hold all of it, and so only whole time steps are the same.
         """
-        delay, step = (
-            values[effect.name],
-            float(self._nominal.opt.timestep) * max(1.0, values.get("timestep", 1.0)),
-        )
+        delay = values[effect.name]
+        step = float(self._nominal.opt.timestep) * max(1.0, values.get("timestep", 1.0))
+        if int(spec.option.integrator) == EXPLICIT_INTEGRATOR or delay < step:
+            return False
         steps = delay / float(spec.option.timestep)
-        names = self._actuator_names if effect.target == "action" else (effect.target,)
-        holds = any(
-            hold and name in names for name, hold in zip(self._actuator_names, self._native_delays[1])
-        )
-        is_read = not holds or abs(steps - round(steps)) < 1e-9
-        return int(spec.option.integrator) != EXPLICIT_INTEGRATOR and delay >= step and is_read
+        late = [effect.target in ("action", name) for name in self._actuator_names]
+        return abs(steps - round(steps)) < 1e-9 or not (self._native_delays[1] & late).any()
 
     def to_mjcf(self, path: str | PathLike[str], *, force: bool = False) -> tuple[Path, ...]:
         """Write the model, with the effects that are built in, for any user of MuJoCo.
@@ -660,17 +656,12 @@ class MujocoSimulator(Simulator):
             )
         )
         own_delay, holds = self._native_delays
-        model = self._model(values, self._substeps(values)[0][1])
-        limited = model.actuator_ctrllimited & (not self._anatomy.is_off("clampctrl"))
-        low, high = np.where(limited, model.actuator_ctrlrange.T, [[-np.inf], [np.inf]])
         late = self._anatomy.model.actuator_dyntype == NO_DYNAMICS
         return CommandPath(
             scale=scale,
             bias=bias,
             held=np.where(holds, own_delay, 0.0),
             delay=delay + np.where(holds, 0.0, own_delay) + values.get("delay[action]", 0.0),
-            low=low,
-            high=high,
             lag=lag + np.where(late, values.get("lag[all]", 0.0), 0.0),
             dead_zone=np.where(self._follows_places, 0.0, dead_zone) if nu else dead_zone,
         )
@@ -710,9 +701,19 @@ class MujocoSimulator(Simulator):
         for values in candidates:
             path = self._path(values)
             numbers = [n_substeps for _, n_substeps in self._substeps(values)]
-            within = (path.acting(actions, starts, self.dt, n_substeps) for n_substeps in numbers)
+            within = (
+                path.acting(actions, starts, self.dt, n_substeps, self._command_range(values, n_substeps))
+                for n_substeps in numbers
+            )
             found.append(tuple(within) if path.changes else None)
         return found
+
+    def _command_range(self, values: Mapping[str, float], n_substeps: int) -> tuple[Array, Array]:
+        """Return the lower and the upper ends of the range of each actuator's control."""
+        model = self._model(values, n_substeps)
+        limited = model.actuator_ctrllimited & (not self._anatomy.is_off("clampctrl"))
+        low, high = np.where(limited, model.actuator_ctrlrange.T, [[-np.inf], [np.inf]])
+        return low, high
 
     def _own_hidden_names(self, values: Mapping[str, float]) -> tuple[str, ...]:
         key = "hidden", tuple(name for name in values if name.startswith(("lag_torque[", "backlash[")))

@@ -10,7 +10,7 @@ DT, N_SUBSTEPS = 0.02, 4
 
 def path(n=1, **changes):
     zeros = dict.fromkeys(("bias", "held", "delay", "lag", "dead_zone"), 0.0)
-    parts = zeros | {"scale": 1.0, "low": -np.inf, "high": np.inf} | changes
+    parts = zeros | {"scale": 1.0} | changes
     return CommandPath(**{name: np.broadcast_to(value, n).copy() for name, value in parts.items()})
 
 
