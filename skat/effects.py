@@ -40,7 +40,8 @@ class Family:
     only : tuple of str
         Units for which the words hold; () for any.
     form : str
-        How values are told: "" plainly, "more" as more or less than the model's, "shift" as a shift.
+        How values are told: "" plainly, "more" as more or less than the model's, "shift" as a shift, "limit" as one
+        where the model has none.
     aliases : tuple of str
         Families that act the same wherever only what they have in common shows.
     inertial : bool
@@ -115,7 +116,8 @@ _TABLE = (
     ),
     _ADDED("torque_speed", "the force that {} loses per speed", unit=("N s/m", "N m s/rad"), force_share=FORCE,
            odds=0.5),
-    Family("current_limit", "the largest force of {}", unit=_TORQUE, neutral=math.nan, force_share=FORCE, odds=0.5),
+    Family("current_limit", "the largest force of {}", unit=_TORQUE, neutral=math.nan, force_share=FORCE, odds=0.5,
+           form="limit"),
     _ADDED("payload", "a weight on {}", unit=("kg",), odds=1.0, order=4, only=("kg",), inertial=True),
     Family("contact_friction", "the contact friction of {}", "the contact friction", typical=FACTOR, order=5),
     Family("contact_anisotropy", "the contact friction of {} along its second direction",
@@ -377,6 +379,8 @@ def _sentence(name: str, unit: str, neutral: float, value: float) -> str:
             return f"{phrase} is shifted by {value:.3g} {unit}"
     named_unit = "" if unit == "1" else f" {unit}"
     beside = f" (the model has {neutral:.3g}{named_unit})" if neutral else ""
+    if form == "limit":
+        beside = " (the model has no limit)"
     return f"{phrase} is {value:.3g}{named_unit}{beside}"
 
 

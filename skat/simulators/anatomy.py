@@ -5,7 +5,7 @@ from functools import cached_property
 import mujoco
 import numpy as np
 
-from skat.simulators.channels import BALL, FREE, HINGE, SLIDE, element_name, joint_name
+from skat.simulators.channels import BALL, FREE, HINGE, SLIDE, element_name, free_name, joint_name
 from skat.simulators.contacts import ContactPair, contact_pairs
 from skat.simulators.edits import CAPSULE, CYLINDER
 from skat.simulators.tables import Array
@@ -186,12 +186,11 @@ class Anatomy:
         """Actuators that act on each degree of freedom through its joint."""
         model = self.model
         drives: list[list[int]] = [[] for _ in range(model.nv)]
-        for actuator in range(model.nu):
-            if int(model.actuator_trntype[actuator]) in JOINT_TRANSMISSIONS:
-                dofs = self.dofs_of(int(model.actuator_trnid[actuator, 0]))
-                for dof, gear in zip(dofs, model.actuator_gear[actuator]):
-                    if gear:
-                        drives[dof].append(actuator)
+        for actuator in self.joint_driven:
+            dofs = self.dofs_of(int(model.actuator_trnid[actuator, 0]))
+            for dof, gear in zip(dofs, model.actuator_gear[actuator]):
+                if gear:
+                    drives[dof].append(actuator)
         return drives
 
     @cached_property
@@ -231,12 +230,9 @@ class Anatomy:
             data.qpos[:] = pose
             mujoco.mj_forward(model, data)
             force = np.maximum(force, np.abs(data.qfrc_bias))
-        for actuator in range(model.nu):
+        for actuator in self.joint_driven:
             joint = int(model.actuator_trnid[actuator, 0])
-            if int(model.actuator_trntype[actuator]) in JOINT_TRANSMISSIONS and self.joint_kind(joint) in (
-                HINGE,
-                SLIDE,
-            ):
+            if self.joint_kind(joint) in (HINGE, SLIDE):
                 dof = int(model.jnt_dofadr[joint])
                 force[dof] = max(force[dof], self.capacity(actuator))
         return force
@@ -329,15 +325,18 @@ class Anatomy:
         of_each: Array = mobility[model.actuator_outadr]
         return of_each
 
+    def largest_control(self, actuator: int) -> float:
+        """Return the size of the largest control of an actuator; 1 if nothing limits it."""
+        limited = bool(self.model.actuator_ctrllimited[actuator])
+        return float(np.abs(self.model.actuator_ctrlrange[actuator]).max()) if limited else 1.0
+
     def capacity(self, actuator: int) -> float:
         """Return the largest force of an actuator on its joint or tendon.
 
         Its limit, if it has one; else that at the largest control, or at a control of 1.
         """
         model = self.model
-        limited = bool(model.actuator_ctrllimited[actuator])
-        control = float(np.abs(model.actuator_ctrlrange[actuator]).max()) if limited else 1.0
-        force = abs(float(model.actuator_gainprm[actuator, 0])) * control
+        force = abs(float(model.actuator_gainprm[actuator, 0])) * self.largest_control(actuator)
         if model.actuator_forcelimited[actuator]:
             force = float(np.abs(model.actuator_forcerange[actuator]).max())
         return abs(float(model.actuator_gear[actuator, 0])) * force
@@ -363,10 +362,7 @@ def actuator_name(model: mujoco.MjModel, actuator: int) -> str:
     taken = own + [joint_of(index) for index in range(model.nu) if index != actuator]
     if name and name not in taken:
         return name
-    name = f"actuator{actuator}"
-    while name in taken:
-        name += "_"
-    return name
+    return free_name(f"actuator{actuator}", taken)
 
 
 def drag_joint(anatomy: Anatomy, axis: int) -> int | None:

@@ -632,7 +632,9 @@ def _late_effects(anatomy: Anatomy, dt: float) -> Found:
             yield bias, integrates or not servo
             bounds = (-LARGEST_SCALE, LARGEST_SCALE)
             yield _effect("scale", target, bounds, scale, typical=0.2), servo
-        yield _effect("dead_zone", name(index), (0.0, 0.9 * limit), unit=unit, typical=0.01 * limit), True
+        # A servo with a filter follows what this holds, and not its control.
+        if not model.actuator_biasprm[index, 1] or integrates or model.actuator_dyntype[index] == NO_DYNAMICS:
+            yield _effect("dead_zone", name(index), (0.0, 0.9 * limit), unit=unit, typical=0.01 * limit), True
 
 
 def _servo_effects(anatomy: Anatomy) -> Found:
@@ -654,7 +656,7 @@ def _servo_effects(anatomy: Anatomy) -> Found:
         if not capacity > 0:
             continue
         known = bool(model.actuator_ctrllimited[index] or model.actuator_forcelimited[index])
-        edit = partial(edits.prepare_tiring, index, capacity)
+        edit = partial(edits.prepare_tiring, index, anatomy.largest_control(index))
         bounds = (0.0, capacity / LEAST_SPEED)
         unit = FAMILIES["torque_speed"].unit[angular]
         tiring = _effect("torque_speed", name(index), bounds, edit, unit=unit, force=capacity / 10)
@@ -739,7 +741,7 @@ def _contact_effects(anatomy: Anatomy) -> Found:
             "restitution", pairs, (0.05, 5.0), contacts.scale_damping_ratio
         ):
             if effect.target == "all":
-                effect = replace(effect, apply=contacts.scale_all_damping_ratios, describe=effect.describe)
+                effect = replace(effect, apply=contacts.scale_all_damping_ratios)
             yield effect, listed
 
 

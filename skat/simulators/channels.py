@@ -1,6 +1,7 @@
 """Names of the columns of a MuJoCo state, and differences and displacements in its tangent space."""
 
 from collections import Counter
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import mujoco
@@ -163,6 +164,13 @@ def element_name(model: mujoco.MjModel, kind: mujoco.mjtObj, index: int, stem: s
         return name
     name = f"{stem}{index}"
     while mujoco.mj_name2id(model, kind, name) >= 0:
+        name += "_"
+    return name
+
+
+def free_name(name: str, taken: Collection[str]) -> str:
+    """Return a name, with underscores where another one is called that."""
+    while name in taken:
         name += "_"
     return name
 

@@ -1,4 +1,4 @@
-"""What acts of the commands: scaled, shifted, late, filtered, with a dead zone.
+"""What acts of the commands: scaled, shifted, late, within their range, filtered, with a dead zone.
 
 All of it follows from the commands alone. Commands hold from row to row; before an episode's first row its own first
 command is taken to have held for ever.
@@ -22,36 +22,47 @@ class CommandPath:
     ----------
     scale, bias : ndarray of shape (nu,)
         What acts is scale * command + bias.
-    delay : ndarray of shape (nu,)
-        s.
+    held, delay : ndarray of shape (nu,)
+        s. The first in whole time steps, up to which it is rounded; the second on top of it, linear between them.
     lag : ndarray of shape (nu,)
         Time constant of a filter of first order, s.
     dead_zone : ndarray of shape (nu,)
         Half of the width within which a command does nothing; beyond, it acts as much less.
-    holds : ndarray of shape (nu,) of bool
-        Whether a late command is held from time step to time step; otherwise it is linear between them.
     """
 
     scale: Array
     bias: Array
+    held: Array
     delay: Array
     lag: Array
     dead_zone: Array
-    holds: NDArray[np.bool_]
 
     @property
     def changes(self) -> bool:
         """Whether anything but the command itself acts."""
         return bool(
             (self.scale != 1).any()
-            or any(values.any() for values in (self.bias, self.delay, self.lag, self.dead_zone))
+            or any(values.any() for values in (self.bias, self.held, self.delay, self.lag, self.dead_zone))
         )
 
-    def n_lags(self, dt: float) -> int:
+    def n_lags(self, dt: float, n_substeps: int) -> int:
         """Return how many earlier rows' commands are on the way, at most."""
-        return math.ceil(float(self.delay.max(initial=0.0)) / dt - 1e-9)
+        return math.ceil(float(self._late_by(dt, n_substeps).max(initial=0.0)) / n_substeps - 1e-9)
 
-    def acting(self, commands: Array, starts: NDArray[np.intp], dt: float, n_substeps: int) -> Array:
+    def _late_by(self, dt: float, n_substeps: int) -> Array:
+        """Return how late the command of each actuator is, in time steps."""
+        per_step = n_substeps / dt
+        late: Array = np.ceil(self.held * per_step - 1e-9) + self.delay * per_step
+        return late
+
+    def acting(
+        self,
+        commands: Array,
+        starts: NDArray[np.intp],
+        dt: float,
+        n_substeps: int,
+        limits: tuple[Array | float, Array | float] = (-np.inf, np.inf),
+    ) -> Array:
         """Return what acts in each time step.
 
         Parameters
@@ -63,30 +74,28 @@ class CommandPath:
             Duration of a row, s.
         n_substeps : int
             Time steps of a row.
+        limits : pair of ndarray of shape (nu,)
+            Ends of the range that late commands are put into, as MuJoCo does, before anything filters them.
 
         Returns
         -------
         ndarray of shape (n_rows, n_substeps, nu)
         """
         commands = self.scale * commands + self.bias
-        n_lags = self.n_lags(dt)
+        n_lags, late_by = self.n_lags(dt, n_substeps), self._late_by(dt, n_substeps)
         history = earlier_rows(commands, starts, n_lags) if n_lags else None
         acts = np.repeat(commands[:, None], n_substeps, axis=1)
-        for delay in np.unique(self.delay[self.delay > 0]):
-            for hold in (False, True):
-                late = np.flatnonzero((self.delay == delay) & (self.holds == hold))
-                if late.size:
-                    steps = delay * n_substeps / dt
-                    past = history[:, :, late] if history is not None else None
-                    acts[:, :, late] = delayed_controls(commands[:, late], past, steps, n_substeps, hold=hold)
+        for steps in np.unique(late_by[late_by > 0]):
+            late = np.flatnonzero(late_by == steps)
+            past = history[:, :, late] if history is not None else None
+            acts[:, :, late] = delayed_controls(commands[:, late], past, steps, n_substeps)
+        acts = np.clip(acts, *limits)
         if self.lag.any():
             acts = filtered(acts, starts, self.lag * n_substeps / dt)
         return acts - np.clip(acts, -self.dead_zone, self.dead_zone)
 
 
-def delayed_controls(
-    controls: Array, history: Array | None, lag: float, n_substeps: int, *, hold: bool = False
-) -> Array:
+def delayed_controls(controls: Array, history: Array | None, lag: float, n_substeps: int) -> Array:
     """Return the controls of each substep that come ``lag`` substeps late, linear between substeps.
 
     Parameters
@@ -96,8 +105,6 @@ def delayed_controls(
         Controls of the transitions before: one back, two back, ...
     lag : float
     n_substeps : int
-    hold : bool
-        Whether the earlier of two substeps holds, in place of what is between them.
 
     Returns
     -------
@@ -108,7 +115,7 @@ def delayed_controls(
     for substep in range(n_substeps):
         moment = substep - lag
         before = math.floor(moment + 1e-9)
-        weight = 0.0 if hold else moment - before
+        weight = moment - before
         earlier, later = (
             known[:, -math.floor(index / n_substeps)] for index in (before, min(before + 1, substep))
         )

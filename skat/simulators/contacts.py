@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from skat.simulators.channels import element_name
+from skat.simulators.channels import element_name, free_name
 
 DISABLE_CONTACT = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
 OVERRIDE = int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
@@ -137,7 +137,7 @@ def explicit_pair(spec: mujoco.MjSpec, pair: ContactPair) -> mujoco.MjsPair:
     """
     first, second = spec.geoms[pair.first], spec.geoms[pair.second]
     for index, geom in ((pair.first, first), (pair.second, second)):
-        geom.name = geom.name or _free_name(spec, f"geom{index}")
+        geom.name = geom.name or free_name(f"geom{index}", [one.name for one in spec.geoms])
     for element in spec.pairs:
         if {element.geomname1, element.geomname2} == {first.name, second.name}:
             return element
@@ -161,13 +161,6 @@ def explicit_pair(spec: mujoco.MjSpec, pair: ContactPair) -> mujoco.MjsPair:
         gap=first.gap + second.gap,
         adhesion=sum(geom.adhesion for geom in leading),
     )
-
-
-def _free_name(spec: mujoco.MjSpec, name: str) -> str:
-    taken = {geom.name for geom in spec.geoms}
-    while name in taken:
-        name += "_"
-    return name
 
 
 def _mixed_condim(condims: NDArray[np.int32], priorities: NDArray[np.int32]) -> int:

@@ -5,7 +5,8 @@ import warnings
 import mujoco
 import numpy as np
 
-from skat.simulators.edits import heed_inertials, scale_mass
+from skat.simulators.channels import free_name
+from skat.simulators.edits import heed_inertials, multiply_mass, orientation
 from skat.simulators.tables import Array
 
 BODY, SITE = mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_SITE
@@ -70,7 +71,9 @@ def _frames(spec: mujoco.MjSpec) -> None:
         if body.explicitinertial or not body.geoms:
             inertial = alone.body_ipos[own], alone.body_iquat[own]
             _place_inertial(body, inertial[1], _product(*back, *inertial))
-        body.pos, body.quat = _product(body.pos, _quaternion(body, spec), *shift)
+        body.pos, body.quat = _product(
+            body.pos, orientation(body.quat, body.alt, body.compiler, spec), *shift
+        )
         body.alt.type = QUATERNION
         parts = [*body.geoms, *body.sites, *body.cameras, *body.lights, *body.bodies, *body.frames]
         outer = [part for part in parts if part.frame is None]
@@ -96,16 +99,6 @@ def _place_inertial(body: mujoco.MjsBody, axes: Array, pose: Pose) -> None:
         body.fullinertia = np.full(6, np.nan)
     body.ialt.type = QUATERNION
     body.ipos, body.iquat = pose
-
-
-def _quaternion(body: mujoco.MjsBody, spec: mujoco.MjSpec) -> Array:
-    """Return a body's orientation in the frame that its ``pos`` is given in."""
-    compiler = body.compiler
-    if body.alt.type == QUATERNION:
-        return np.asarray(body.quat / np.linalg.norm(body.quat))
-    return np.array(
-        spec.resolve_orientation(degree=compiler.degree, sequence=compiler.eulerseq, orientation=body.alt)
-    )
 
 
 def _product(place: Array, turn: Array, inner_place: Array, inner_turn: Array) -> Pose:
@@ -145,7 +138,7 @@ def _masses(spec: mujoco.MjSpec) -> None:
                 body.mass, body.inertia = bounded.body_mass[index], bounded.body_inertia[index]
                 body.ipos, body.iquat = bounded.body_ipos[index], bounded.body_iquat[index]
     if total > 0:
-        scale_mass(range(len(spec.bodies)), spec, total / float(np.sum(_compiled(spec).body_mass)))
+        multiply_mass(range(len(spec.bodies)), spec, total / float(np.sum(_compiled(spec).body_mass)))
 
 
 def _controllers(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
@@ -195,10 +188,7 @@ def _loops(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
             ends = [(first, data[3:6], data[6:10]), (second, data[:3], straight)]
         names = []
         for end, (body, place, turn) in enumerate(ends, start=1):
-            name = f"equality{index}_{end}"
-            taken = {site.name for site in spec.sites}
-            while name in taken:
-                name += "_"
+            name = free_name(f"equality{index}_{end}", [site.name for site in spec.sites])
             spec.bodies[body].add_site(spec.default, name=name, pos=place, quat=turn)
             names.append(name)
         equality.objtype, (equality.name1, equality.name2) = SITE, names

@@ -6,7 +6,7 @@ changes the spec in place; a list of indices means the edit of each.
 
 import copy
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import mujoco
@@ -32,7 +32,14 @@ JOINT_PARTS = (
 
 
 def scale_mass(bodies: Sequence[int], spec: mujoco.MjSpec, factor: float) -> None:
-    """Multiply the mass of bodies, and their inertia with it."""
+    """Multiply the mass of bodies, and their inertia with it; what compensates their gravity stays what it was."""
+    multiply_mass(bodies, spec, factor)
+    for body in _bodies(spec, bodies):
+        body.gravcomp = body.gravcomp / factor
+
+
+def multiply_mass(bodies: Sequence[int], spec: mujoco.MjSpec, factor: float) -> None:
+    """Multiply the mass of bodies, and their inertia with it, as the compiler does for a total mass."""
     for body in _bodies(spec, bodies):
         body.mass = body.mass * factor
         body.inertia = body.inertia * factor
@@ -257,7 +264,7 @@ def scale_command(actuator: int, spec: mujoco.MjSpec, factor: float) -> None:
     element = spec.actuators[actuator]
     element.gainprm = np.asarray(element.gainprm) * factor
     if factor:
-        element.ctrlrange = np.sort(np.asarray(element.ctrlrange) / factor)
+        _move_ranges_of_commands(element, lambda limits: np.sort(limits / factor))
 
 
 def shift_command(actuator: int, spec: mujoco.MjSpec, bias: float) -> None:
@@ -265,7 +272,15 @@ def shift_command(actuator: int, spec: mujoco.MjSpec, bias: float) -> None:
     element = spec.actuators[actuator]
     element.biastype = mujoco.mjtBias.mjBIAS_AFFINE
     element.biasprm[0] = element.biasprm[0] + element.gainprm[0] * bias
-    element.ctrlrange = np.asarray(element.ctrlrange) - bias
+    _move_ranges_of_commands(element, lambda limits: limits - bias)
+
+
+def _move_ranges_of_commands(actuator: mujoco.MjsActuator, moved: Callable[[np.ndarray], np.ndarray]) -> None:
+    """Change the ranges of a control, and of what a filter holds of it, where they are in force."""
+    if is_limited(actuator.ctrllimited, actuator.ctrlrange):
+        actuator.ctrlrange = moved(np.asarray(actuator.ctrlrange))
+    if is_limited(actuator.actlimited, actuator.actrange):
+        actuator.actrange = moved(np.asarray(actuator.actrange))
 
 
 def limit_force(actuator: int, spec: mujoco.MjSpec, force: float) -> None:
@@ -275,11 +290,12 @@ def limit_force(actuator: int, spec: mujoco.MjSpec, force: float) -> None:
     element.forcerange = [-force, force]
 
 
-def prepare_tiring(actuator: int, capacity: float, spec: mujoco.MjSpec, slope: float) -> None:
-    """Give an actuator a limit of its force for its speed to lower."""
+def prepare_tiring(actuator: int, control: float, spec: mujoco.MjSpec, slope: float) -> None:
+    """Give an actuator without a limit of its force one for its speed to lower: what it has at a control."""
     element = spec.actuators[actuator]
-    if not np.any(element.forcerange):
-        limit_force(actuator, spec, capacity)
+    force = abs(float(element.gainprm[0])) * control
+    if force and not is_limited(element.forcelimited, element.forcerange):
+        limit_force(actuator, spec, force)
 
 
 def prepare_lag(actuator: int, spec: mujoco.MjSpec, lag: float) -> None:
@@ -330,6 +346,10 @@ def finish_plays(joints: Collection[str], spec: mujoco.MjSpec, shares: Mapping[i
     with them one that they know. That needs a D of joints alone (dampers, speed feedback of actuators on hinges and
     slides); otherwise it stays as it is. Returned is whether it does not. `shares` says of actuators, by index, how
     much of the force acts within a time step, where it is late.
+
+    A servo at the limit of its force feeds nothing back, and of its h D the integrator then knows nothing, while an
+    armature stays. So where limits cut servos off it stays as it is, too, unless a rotor with play is lighter than
+    its h D: then the flanks would not hold it, which is wrong at each blow and not at the limit alone.
     """
     step, plays = spec.option.timestep, {name + PLAY for name in joints}
     for joint in spec.joints:
@@ -340,6 +360,8 @@ def finish_plays(joints: Collection[str], spec: mujoco.MjSpec, shares: Mapping[i
         return False
     feedback: dict[str, float] = {}  # a joint that is driven has a name, others may share none
     hinges = {joint.name for joint in spec.joints if joint.type in ONE_AXIS}
+    weak = {one.name for one in spec.joints if is_limited(one.actfrclimited, one.actfrcrange)}
+    cut_off = False
     among = spec.option.viscosity or spec.option.density or any(np.any(one.damping) for one in spec.tendons)
     for index, actuator in enumerate(() if euler else spec.actuators):
         affine = actuator.gaintype in PLAIN_GAINS and actuator.biastype in PLAIN_BIASES
@@ -350,10 +372,13 @@ def finish_plays(joints: Collection[str], spec: mujoco.MjSpec, shares: Mapping[i
         elif rate:
             own = float(actuator.gear[0]) ** 2 * rate * shares.get(index, 1.0)
             feedback[actuator.target] = feedback.get(actuator.target, 0.0) + own
-    if among:
+            cut_off |= is_limited(actuator.forcelimited, actuator.forcerange) or actuator.target in weak
+    hidden = [step * (float(joint.damping[0]) + feedback.get(joint.name, 0.0)) for joint in spec.joints]
+    rotors = [(joint.armature, own) for joint, own in zip(spec.joints, hidden) if joint.name in joints]
+    if among or (cut_off and all(armature >= own for armature, own in rotors)):
         return False
-    for joint in spec.joints:
-        joint.armature += step * (float(joint.damping[0]) + feedback.get(joint.name, 0.0))
+    for joint, own in zip(spec.joints, hidden):
+        joint.armature += own
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     spec.option.disableflags |= EULERDAMP
     return True
@@ -379,29 +404,38 @@ def _follow(first: mujoco.MjsJoint, last: mujoco.MjsJoint) -> None:
             setattr(place, name, value)
 
 
+def is_limited(flag: int, limits: Sequence[float]) -> bool:
+    """Return whether a range is in force, as the compiler decides it of a flag that may be left to the range."""
+    automatic = flag == mujoco.mjtLimited.mjLIMITED_AUTO and limits[0] < limits[1]
+    return bool(flag == mujoco.mjtLimited.mjLIMITED_TRUE or automatic)
+
+
 def _in_units(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, values: Sequence[float]) -> np.ndarray:
     """Return angles as the compiler reads them."""
     turns = joint.type == mujoco.mjtJoint.mjJNT_HINGE and spec.compiler.degree
     return np.rad2deg(values) if turns else np.asarray(values)
 
 
-def add_payload(body: int, place: Sequence[float], spec: mujoco.MjSpec, mass: float) -> None:
-    """Fix a point mass to a body, at a place in the body's frame."""
+def add_payload(body: int, place: Sequence[float | None], spec: mujoco.MjSpec, mass: float) -> None:
+    """Fix a point mass to a body, at a place in the body's frame; nothing compensates its gravity.
+
+    None along an axis: where the body's centre of mass is.
+    """
     element = _with_inertial(spec.bodies[body], spec)
     turn, diagonal = np.zeros(9), np.array(element.inertia, dtype=float)
     if np.isnan(element.fullinertia[0]):
-        mujoco.mju_quat2Mat(turn, _quaternion(element.iquat, element.ialt, element.compiler, spec))
+        mujoco.mju_quat2Mat(turn, orientation(element.iquat, element.ialt, element.compiler, spec))
         axes = turn.reshape(3, 3)
         inertia = axes @ np.diag(diagonal) @ axes.T
     else:
         xx, yy, zz, xy, xz, yz = element.fullinertia
         inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     own, total = float(element.mass), float(element.mass) + mass
-    offset = np.asarray(place, dtype=float) - element.ipos
+    offset = np.array([0.0 if at is None else at - centre for at, centre in zip(place, element.ipos)])
     reduced = own * mass / total
     inertia = inertia + reduced * (offset @ offset * np.eye(3) - np.outer(offset, offset))
     element.ipos = element.ipos + mass / total * offset
-    element.mass = total
+    element.mass, element.gravcomp = total, element.gravcomp * own / total
     element.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
     element.iquat = [1.0, 0.0, 0.0, 0.0]
     element.inertia = np.zeros(3)
@@ -435,12 +469,12 @@ def _carrier(body: mujoco.MjsBody, spec: mujoco.MjSpec) -> np.ndarray:
 
 def _turned(place: np.ndarray, element: Any, spec: mujoco.MjSpec) -> np.ndarray:
     """Return a place in a body's, frame's or geom's frame along the axes that the element itself is placed in."""
-    quaternion, turned = _quaternion(element.quat, element.alt, element.compiler, spec), np.zeros(3)
+    quaternion, turned = orientation(element.quat, element.alt, element.compiler, spec), np.zeros(3)
     mujoco.mju_rotVecQuat(turned, np.asarray(place, dtype=float), quaternion)
     return turned
 
 
-def _quaternion(given: np.ndarray, other: Any, compiler: Any, spec: mujoco.MjSpec) -> np.ndarray:
+def orientation(given: np.ndarray, other: Any, compiler: Any, spec: mujoco.MjSpec) -> np.ndarray:
     """Return an orientation, given as a quaternion or in another way, as a unit quaternion."""
     if other.type == mujoco.mjtOrientation.mjORIENTATION_QUAT:
         return np.asarray(given / np.linalg.norm(given))

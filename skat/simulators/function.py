@@ -134,7 +134,7 @@ class FunctionSimulator(Simulator):
         )
         zeros = np.zeros(len(names))
         delay += values.get("delay[action]", 0.0)
-        return CommandPath(1 + zeros, zeros, delay, lag, zeros, np.zeros(len(names), bool))
+        return CommandPath(1 + zeros, zeros, zeros, delay, lag, zeros)
 
     def _acting(
         self, actions: Array, starts: NDArray[np.intp], candidates: Sequence[Mapping[str, float]]
@@ -147,7 +147,7 @@ class FunctionSimulator(Simulator):
         return found
 
     def _lags(self, values: Mapping[str, float]) -> int:
-        return self._path(values).n_lags(self.dt) if self.dt else 0
+        return self._path(values).n_lags(self.dt, PIECES) if self.dt else 0
 
     def _outputs(
         self,

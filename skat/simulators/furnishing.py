@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import mujoco
 
+from skat.simulators.channels import free_name
 from skat.simulators.source import ModelSource, write_xml
 from skat.simulators.urdf import root_link, says_what_its_root_is
 
@@ -85,9 +86,10 @@ def with_motors(source: ModelSource, motors: str | None) -> ModelSource:
     source : ModelSource
         Without actuators.
     motors : str or None
-        ``"torque"``: the control is the torque or force; ``"position:kp,kv"``: it is a position that a servo with
-        these gains pulls to. Limited to what the model says of each joint (a URDF's effort). ``"none"``: nothing drives
-        them, and a log's commands are left aside. None: nobody has said.
+        ``"torque"``: the control is the torque or force; ``"position:kp,kv"``: it is a position that a servo with these
+        gains pulls to, with an integrator that is implicit in its damping, as joints of a URDF may be light. Limited to
+        what the model says of each joint (a URDF's effort). ``"none"``: nothing drives them, and a log's commands are
+        left aside. None: nobody has said.
 
     Raises
     ------
@@ -118,7 +120,7 @@ def with_motors(source: ModelSource, motors: str | None) -> ModelSource:
     for index, joint in enumerate(spec.joints):
         if joint.type not in (HINGE, SLIDE) or joint.name in follows:
             continue
-        joint.name = joint.name or _free_name(spec, f"joint{index}")
+        joint.name = joint.name or free_name(f"joint{index}", [one.name for one in spec.joints])
         actuator = spec.add_actuator(name=joint.name, target=joint.name)
         actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
         low, high = joint.actfrcrange
@@ -130,14 +132,9 @@ def with_motors(source: ModelSource, motors: str | None) -> ModelSource:
             actuator.set_to_motor()
         else:
             actuator.set_to_position(kp=kp, kv=kv)
+    if kind == "position" and spec.option.integrator == mujoco.mjtIntegrator.mjINT_EULER:
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     of = "a torque motor" if kind == "torque" else f"a position servo (kp {kp:g}, kv {kv:g})"
     driven = ", ".join(actuator.name for actuator in spec.actuators)
     note = f"Added {of} on {driven}; limits of effort: {', '.join(limits) or 'none'}."
     return replace(source, xml=write_xml(spec), motors=motors, notes=(*source.notes, note))
-
-
-def _free_name(spec: mujoco.MjSpec, name: str) -> str:
-    """Return a joint's name, with underscores where another one is called that."""
-    while any(joint.name == name for joint in spec.joints):
-        name += "_"
-    return name

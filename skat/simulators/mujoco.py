@@ -45,6 +45,8 @@ CACHED_MODELS = 256
 PREPARED = ("torque_speed", "lag_torque")
 # Families that need the stepping; with those of `friction.budget`.
 STEPPED = ("wind", "air_drag", "force", "dead_zone", *PREPARED)
+# Families that a written model has beside it, and with them what comes before them: what is done to commands.
+BEHIND_COMMANDS = ("dead_zone", *PREPARED)
 # Families that act by their names, whatever an edit says.
 RESERVED = ("bias", "scale", "lag", "delay", "timestep", "backlash", "payload", *PREPARED)
 
@@ -235,21 +237,31 @@ class MujocoSimulator(Simulator):
         moved[..., :n_states] = self._layout.displaced(states, tangent)
         return moved
 
-    def _reads_delayed(self, spec: mujoco.MjSpec, delay: float, values: Mapping[str, float]) -> bool:
-        """Whether MuJoCo delays controls as this simulator does: between time steps, by one of them at least."""
+    def _reads_delayed(self, spec: mujoco.MjSpec, effect: Effect, values: Mapping[str, float]) -> bool:
+        """Whether MuJoCo delays controls as this simulator does: between time steps, by one of them at least.
+
+        Where the model's own delay holds controls, it would hold all of it, and so only whole time steps are the same.
+        """
+        delay = values[effect.name]
         step = float(self._nominal.opt.timestep) * max(1.0, values.get("timestep", 1.0))
-        return int(spec.option.integrator) != EXPLICIT_INTEGRATOR and delay >= step
+        if int(spec.option.integrator) == EXPLICIT_INTEGRATOR or delay < step:
+            return False
+        steps = delay / float(spec.option.timestep)
+        late = [effect.target in ("action", name) for name in self._actuator_names]
+        return abs(steps - round(steps)) < 1e-9 or not (self._native_delays[1] & late).any()
 
     def to_mjcf(self, path: str | PathLike[str], *, force: bool = False) -> tuple[Path, ...]:
         """Write the model, with the effects that are built in, for any user of MuJoCo.
 
-        Numbers are written with all digits: plain MuJoCo predicts what this simulator predicts. A time step that does
-        not divide a transition is written as the nearest one that does; the notes beside the model say so. What MJCF
-        cannot express (wind, drag on bodies that turn, friction that grows with position or load or falls with
-        speed, forces on joints, dead zones, torque that lags or falls with speed, sensors, a delay shorter than a time
-        step, any under the Runge-Kutta integrator, which reads delayed controls between time steps, and what lies
-        between a command and an actuator that integrates it, but a delay) is written
-        beside it, into ``<name>.effects.json``. A ``backlash`` is written as a joint of its own, ``<joint>.play``.
+        Numbers are written with all digits: plain MuJoCo predicts what this simulator predicts, under a ``lag`` nearly,
+        as its filter acts as it is at the end of a time step. Before the first command it has commands of zero. A time
+        step that does not divide a transition is written as the nearest one that does; the notes beside the model say
+        so. What MJCF cannot express (wind, drag on bodies that turn, friction that grows with position or load or falls
+        with speed, forces on joints, dead zones, torque that lags or falls with speed, sensors, a delay shorter than a
+        time step, any under the Runge-Kutta integrator, which reads delayed controls between time steps, and what lies
+        between a command and an actuator that integrates it, but a delay) is written beside it, into
+        ``<name>.effects.json``, and so is what is done to the command of an actuator with a dead zone or with torque
+        that lags or falls with speed. A ``backlash`` is written as a joint of its own, ``<joint>.play``.
 
         Parameters
         ----------
@@ -278,6 +290,7 @@ class MujocoSimulator(Simulator):
         beside: dict[str, float] = {}
         rounded: dict[str, float] = {}
         edits = {effect.name: edit for effect, edit in self._edited(values)}
+        kept = self._kept_commands(values)
         for effect in self._edit_order(values):
             value = values[effect.name]
             of_payload = effect.family == "payload" and effect.unit == "m"
@@ -288,11 +301,12 @@ class MujocoSimulator(Simulator):
                     rounded[effect.name] = written
                 edits[effect.name](spec, written)
                 continue
-            fits = effect.family != "delay" or self._reads_delayed(spec, value, values)
-            if effect.name not in edits or not fits or effect.family in PREPARED:
-                beside |= {} if of_payload else {effect.name: value}
-            else:
+            fits = effect.family != "delay" or self._reads_delayed(spec, effect, values)
+            is_written = effect.name in edits and fits and effect.name not in kept
+            if is_written:
                 edits[effect.name](spec, value)
+            if (not is_written and not of_payload) or effect.family in PREPARED:
+                beside[effect.name] = value
         through_armatures = self._finish_plays(spec, values)
         beside |= {name: value for name, value in values.items() if name not in self._own_by_name}
         said = [f"One transition is {substeps} time steps."]
@@ -307,6 +321,14 @@ class MujocoSimulator(Simulator):
         files = {target: write_xml(spec).encode()}
         files |= {target.parent / name: content for name, content in self.model.assets.items()}
         return self._write(files, target, beside, rounded, force=force)
+
+    def _kept_commands(self, values: Mapping[str, float]) -> set[str]:
+        """Return effects on commands that MJCF could express if nothing that it cannot came after them."""
+        behind = {name.partition("[")[2][:-1] for name in values if name.startswith(BEHIND_COMMANDS)}
+        kept = {name for one in behind for name in (f"scale[ctrl.{one}]", f"bias[ctrl.{one}]", f"lag[{one}]")}
+        # What is common to all lags can only be where each one is.
+        lags = {name for name in values if name.startswith("lag[")}
+        return kept | (lags if behind and "lag[all]" in values else set())
 
     def to_urdf(self, path: str | PathLike[str], *, force: bool = False) -> tuple[Path, ...]:
         """Write the URDF that the model was read from, with the effects that are built in.
@@ -396,8 +418,10 @@ class MujocoSimulator(Simulator):
         Parameters
         ----------
         effects : mapping from name to value, optional
-            On top of those that are built in. Those that MJCF cannot express are left out; a time step is
-            rounded up to a whole number of them in a transition.
+            On top of those that are built in. What the model does not hold here is left out: what MJCF cannot
+            express, and what lies between commands and actuators, ``delay``, the model's own among them, ``lag``,
+            ``scale[ctrl.<actuator>]`` and ``bias[ctrl.<actuator>]``, which `to_mjcf` writes. A time step is rounded
+            up to a whole number of them in a transition.
         """
         values = self._total(effects)
         own = {name: values[name] for name in values if name in self._own_by_name}
@@ -485,7 +509,7 @@ class MujocoSimulator(Simulator):
         """Return the force that a motion needs beyond what the model exerts, under each set of effect values.
 
         By inverse dynamics: M a less gravity, inertial forces, springs, dampers, actuators and applied forces.
-        Contacts, limits and other constraints but dry friction exert nothing here. Dry friction is as soft as
+        Contacts, limits, play and other constraints but dry friction exert nothing here. Dry friction is as soft as
         MuJoCo's: below a speed it grows with it. Motors have no largest force: a servo that is much too stiff in the
         model would be at it where that of the machine never is.
 
@@ -513,7 +537,7 @@ class MujocoSimulator(Simulator):
         inputs = np.concatenate([self._true_inputs(seen, totals), commands], axis=2)
         jobs = []
         for index, total in enumerate(totals):
-            values = self._physical(total)
+            values = _without_plays(self._physical(total))
             model = self._unconstrained(values)
             jobs.append(Job(index, model, 1, self._forces(values)))
         stepper = self._cached("stepper", Stepper)
@@ -535,7 +559,7 @@ class MujocoSimulator(Simulator):
         return forces
 
     def constrained(self, states: ArrayLike) -> NDArray[np.bool_]:
-        """Return in which rows a contact, a limit or another constraint pushes, under the model as it is.
+        """Return in which rows a contact, a limit or another constraint but play pushes, under the model as it is.
 
         Parameters
         ----------
@@ -547,7 +571,7 @@ class MujocoSimulator(Simulator):
         """
         states = self._layout.normalised(np.asarray(states, float), "states")
         inputs = np.concatenate([states, np.zeros((len(states), self._nominal.nu))], axis=1)[None]
-        values = self._physical(self._built_in())
+        values = _without_plays(self._physical(self._built_in()))
         model = self._flagged(values, mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
         return self._cached("stepper", Stepper).constrained(Job(0, model, 1), inputs)
 
@@ -643,7 +667,8 @@ class MujocoSimulator(Simulator):
         return self._cached("sensors", lambda: tuple(_sensor_effects(self._layout, self.dt)))
 
     def _lags(self, values: Mapping[str, float]) -> int:
-        return self._path(values).n_lags(self.dt)
+        path = self._path(values)
+        return max(path.n_lags(self.dt, n_substeps) for _, n_substeps in self._substeps(values))
 
     def _path(self, values: Mapping[str, float]) -> CommandPath:
         """Return what lies between the commands and the actuators."""
@@ -663,10 +688,10 @@ class MujocoSimulator(Simulator):
         return CommandPath(
             scale=scale,
             bias=bias,
-            delay=delay + own_delay + values.get("delay[action]", 0.0),
+            held=np.where(holds, own_delay, 0.0),
+            delay=delay + np.where(holds, 0.0, own_delay) + values.get("delay[action]", 0.0),
             lag=lag + np.where(late, values.get("lag[all]", 0.0), 0.0),
             dead_zone=np.where(self._follows_places, 0.0, dead_zone) if nu else dead_zone,
-            holds=holds,
         )
 
     @property
@@ -704,9 +729,19 @@ class MujocoSimulator(Simulator):
         for values in candidates:
             path = self._path(values)
             numbers = [n_substeps for _, n_substeps in self._substeps(values)]
-            within = (path.acting(actions, starts, self.dt, n_substeps) for n_substeps in numbers)
+            within = (
+                path.acting(actions, starts, self.dt, n_substeps, self._command_range(values, n_substeps))
+                for n_substeps in numbers
+            )
             found.append(tuple(within) if path.changes else None)
         return found
+
+    def _command_range(self, values: Mapping[str, float], n_substeps: int) -> tuple[Array, Array]:
+        """Return the lower and the upper ends of the range of each actuator's control."""
+        model = self._model(values, n_substeps)
+        limited = model.actuator_ctrllimited & (not self._anatomy.is_off("clampctrl"))
+        low, high = np.where(limited, model.actuator_ctrlrange.T, [[-np.inf], [np.inf]])
+        return low, high
 
     def _own_hidden_names(self, values: Mapping[str, float]) -> tuple[str, ...]:
         key = "hidden", tuple(name for name in values if name.startswith(("lag_torque[", "backlash[")))
@@ -878,8 +913,7 @@ class MujocoSimulator(Simulator):
         return found
 
     def _payload_edit(self, body: str, values: Mapping[str, float]) -> Callable[[Any, float], None]:
-        names = [f"payload[{body}.{axis}]" for axis in "xyz"]
-        place = tuple(values.get(name, self._own_by_name[name].neutral) for name in names)
+        place = tuple(values.get(f"payload[{body}.{axis}]") for axis in "xyz")
         numbers = {self._anatomy.body_name(one): one for one in range(self._nominal.nbody)}
         return partial(add_payload, numbers[body], place)
 
@@ -1030,6 +1064,11 @@ class MujocoSimulator(Simulator):
 
 def _holds(file: Path, content: bytes) -> bool:
     return file.is_file() and file.read_bytes() == content
+
+
+def _without_plays(values: Mapping[str, float]) -> dict[str, float]:
+    """Return values for inverse dynamics: the forces that a motion needs go through the gear on either flank."""
+    return {name: value for name, value in values.items() if not name.startswith("backlash[")}
 
 
 def _sensor_effects(layout: StateLayout, dt: float) -> list[Effect]:

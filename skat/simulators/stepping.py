@@ -22,16 +22,17 @@ import numpy as np
 from mujoco.batch import MODEL_FIELDS, Batch, SimulationError
 from numpy.typing import NDArray
 
+from skat.simulators.anatomy import INTEGRATOR, JOINT_TRANSMISSIONS
 from skat.simulators.friction import LOADED, NEUTRAL, budget
 from skat.simulators.tables import Array
 
 CHUNK = 8192
 CACHED_BATCHES = 32
 HUGE = 1e10  # MuJoCo's own limit of a state that is not divergent
-INTEGRATOR, MUSCLE = int(mujoco.mjtDyn.mjDYN_INTEGRATOR), int(mujoco.mjtDyn.mjDYN_MUSCLE)
+MUSCLE = int(mujoco.mjtDyn.mjDYN_MUSCLE)
 FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT), MUSCLE)
-JOINT_TRANSMISSION = int(mujoco.mjtTrn.mjTRN_JOINT)
 LIMITS = ("actuator_ctrlrange", "actuator_ctrllimited", "actuator_forcerange", "actuator_forcelimited")
+SERVOS = ("actuator_gainprm", "actuator_biasprm")
 
 _left_to_other_processes: list[object] = []
 
@@ -55,7 +56,7 @@ class Forces:
     friction : tuple of (dof, column of qpos, coefficients)
         What `friction.budget` adds to the friction of a joint.
     dead_zones : tuple of (actuator, half of the width)
-        Of servos: of the difference of control and place.
+        Of servos without dynamics: of the difference of control and that at which there is no force.
     speed_slopes : tuple of (actuator, slope)
         Both ends of the model's range of force are less by slope * speed, but within this range.
     torque_lags : tuple of (actuator, time constant)
@@ -419,12 +420,20 @@ class _Pool:
         self.ctrl[:count] = controls
         self.time[:count], self.warm[:count] = 0, 0
         if na:
-            steady = steady_activations(self._models[0], controls, self.qpos[:count])
+            steady = self._steady(controls)
             self.act[:count] = np.where(np.isnan(hidden[:, :na]), steady, hidden[:, :na])
         lagging = hidden.shape[1] - na - 2 * len(plays)
         self.torques = hidden[:, na : na + lagging].copy()
         if plays:
             self._load_plays(hidden[:, na + lagging :].reshape(count, len(plays), 2), widths)
+
+    def _steady(self, controls: Array) -> Array:
+        """Return the steady activations (n_rows, na) of each row under its own model."""
+        steady = np.empty((self.count, self.model.na))
+        for index, model in enumerate(self._models):
+            mine = self._which == index
+            steady[mine] = steady_activations(model, controls[mine], self.qpos[: self.count][mine])
+        return steady
 
     def _load_plays(self, hidden: Array, widths: Array) -> None:
         """Set the motors: where they were, or, as without play, at the flank that they press on."""
@@ -567,6 +576,7 @@ class _ForcedPool(_Pool):
         super().__init__(model, size)
         self._fields: dict[str, Array] = {}
         self._limits: dict[str, Array] = {}
+        self._servos: dict[str, Array] = {}
 
     def _set_models(self, models: list[mujoco.MjModel], which: np.ndarray) -> None:
         for name in sorted({name for model in models for name in _different(self.model, model)}):
@@ -626,12 +636,13 @@ class _ForcedPool(_Pool):
         changed = {
             "friction": ("dof_frictionloss",),
             "speed_slopes": ("actuator_forcerange",),
-            "torque_lags": ("actuator_gainprm", "actuator_biasprm"),
+            "torque_lags": SERVOS,
         }
         own = {name: self._own(name) for kind in changed if kind in kinds for name in changed[kind]}
         for name in own:
             self._field(name)[:count] = own[name]
         self._limits = {name: self._own(name) for name in LIMITS} if "torque_lags" in kinds else {}
+        self._servos = {name: self._own(name) for name in SERVOS} if "dead_zones" in kinds else {}
         bound = {
             "drag": ("cvel", "xipos", "subtree_com"),
             "load": ("qfrc_bias", "qfrc_spring", "qfrc_actuator"),
@@ -649,7 +660,7 @@ class _ForcedPool(_Pool):
         """Apply the laws at the state that is loaded."""
         count, kinds = self.count, laws.kinds
         if "dead_zones" in kinds:
-            missing = controls - seen["actuator_length"][:count]
+            missing = controls - _idle_controls(self._servos, seen["actuator_length"][:count], controls)
             controls = controls - np.clip(missing, -laws.dead_zones, laws.dead_zones)
         self.ctrl[:count] = controls
         if "friction" in kinds:
@@ -735,6 +746,14 @@ def _dense(model: mujoco.MjModel, entries: Array) -> Array:
     return found
 
 
+def _idle_controls(parameters: dict[str, Array], length: Array, controls: Array) -> Array:
+    """Return the controls (n_rows, nu) at which actuators at rest exert nothing; those given where none is so."""
+    gain, bias = (parameters[name] for name in SERVOS)
+    slope = gain[..., 0] + gain[..., 1] * length
+    force = bias[..., 0] + bias[..., 1] * length
+    return np.where(slope, -force / np.where(slope, slope, 1.0), controls)
+
+
 def _forces_of(
     own: dict[str, Array], parameters: dict[str, Array], controls: Array, length: Array, speed: Array
 ) -> tuple[Array, Array]:
@@ -765,7 +784,7 @@ def steady_activations(model: mujoco.MjModel, controls: Array, qpos: Array) -> A
         kind = int(model.actuator_dyntype[actuator])
         if kind in FILTERS:
             steady[:, last] = np.clip(control, 0, 1) if kind == MUSCLE else control
-        elif kind == INTEGRATOR and int(model.actuator_trntype[actuator]) == JOINT_TRANSMISSION:
+        elif kind == INTEGRATOR and int(model.actuator_trntype[actuator]) in JOINT_TRANSMISSIONS:
             joint = int(model.actuator_trnid[actuator, 0])
             if model.actuator_biasprm[actuator, 1]:
                 steady[:, last] = model.actuator_gear[actuator, 0] * qpos[:, model.jnt_qposadr[joint]]

@@ -327,3 +327,12 @@ def test_sites_that_tie_a_loop_get_names_that_no_other_has():
     row = [0.31, 0, 0.02, 1, 0, 0, 0, 0.1, *np.zeros(7)]
     found = MujocoSimulator(text, frame_skip=20).predict([row])[0]
     np.testing.assert_allclose(found, stepped(text, row, 20), rtol=1e-9, atol=1e-9)
+
+
+def test_a_total_mass_is_held_up_as_the_compiler_would_hold_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # where MuJoCo logs its warning
+    text = model(swinging().replace('name="b"', 'name="b" gravcomp=".8"'), '<compiler settotalmass="3"/>')
+    simulator = MujocoSimulator(text)
+    plain = mujoco.MjModel.from_xml_string(text)
+    np.testing.assert_array_equal(simulator.compiled().body_gravcomp, plain.body_gravcomp)
+    np.testing.assert_allclose(simulator.compiled({"mass[b]": 2.0}).body_gravcomp[1], 0.4)

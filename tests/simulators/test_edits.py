@@ -187,11 +187,12 @@ def test_a_filter_of_commands_comes_as_late_in_the_mean_and_adds_to_one_that_is_
 
 
 def test_a_limit_of_the_force_is_that_of_both_ends_and_only_missing_ones_are_prepared():
-    for limits, expected in (("", [-7, 7]), ('forcerange="-1 2"', [-1, 2])):
-        rest = DRIVE.format(limits)
+    off = 'forcelimited="false" forcerange="-1 2"'
+    for limits, expected in (("", [-7, 7]), (off, [-7, 7]), ('forcerange="-1 2"', [-1, 2])):
+        rest = DRIVE.format(limits + ' gainprm="-3.5"')
         limited = edited(partial(edits.limit_force, 0), 3.0, rest=rest)
         np.testing.assert_array_equal(limited.actuator_forcerange[0], [-3, 3])
-        tiring = edited(partial(edits.prepare_tiring, 0, 7.0), 0.1, rest=rest)
+        tiring = edited(partial(edits.prepare_tiring, 0, 2.0), 0.1, rest=rest)
         np.testing.assert_array_equal(tiring.actuator_forcerange[0], expected)
         assert limited.actuator_forcelimited[0]
         assert tiring.actuator_forcelimited[0]
@@ -225,6 +226,7 @@ def test_play_is_a_bare_joint_of_its_width_beyond_the_motors(angle, armature, ro
 DAMPED = """<mujoco><option timestep=".01" integrator="{}" {}/><worldbody><body><joint name="hinge" armature=".2"
 damping=".5"/><geom size=".1"/><body><joint name="tip" damping="3"/><geom size=".1"/></body></body></worldbody>
 <tendon><fixed name="t" damping="{}"><joint joint="tip" coef="1"/></fixed></tendon><actuator>{}</actuator></mujoco>"""
+LIMITED = '<position joint="hinge" kp="7" kv="4" forcerange="-1 1" {}/>'
 GEARED = '<position joint="hinge" kp="7" kv="4" gear="3"/>'
 
 
@@ -241,6 +243,9 @@ GEARED = '<position joint="hinge" kp="7" kv="4" gear="3"/>'
         ("implicitfast", "", 0.1, GEARED, [0.2, 0, 0]),
         ("implicitfast", "", 0, '<position tendon="t" kp="7" kv="4"/>', [0.2, 0, 0]),
         ("implicitfast", "", 0, '<muscle joint="hinge" lengthrange="0 1"/>', [0.2, 0, 0]),
+        # A servo with a limit feeds nothing back at it; a rotor that is lighter than h D comes first.
+        ("implicitfast", "", 0, LIMITED.format(""), [0.2, 0, 0]),
+        ("implicitfast", "", 0, LIMITED.format('gear="3"'), [0.2 + 0.01 * (0.5 + 4 * 9), 0, 0.01 * 3]),
     ],
 )
 def test_flanks_are_as_hard_as_the_time_step_allows_and_know_of_dampers_on_joints(
@@ -319,3 +324,27 @@ def test_an_inverted_servo_pushes_instead_of_braking():
 def test_time_step_and_gravity_are_multiplied():
     assert edited(edits.scale_timestep, 0.5).opt.timestep == pytest.approx(0.002)
     np.testing.assert_allclose(edited(edits.scale_gravity, 0.5).opt.gravity, [0.5, 1.0, -4.5])
+
+
+HELD = """<mujoco><worldbody><body name="arm" gravcomp="{}"><joint axis="0 1 0"/>
+<geom pos=".2 0 0" size=".05" mass="1"/>{}</body></worldbody></mujoco>"""
+WEIGHT = '<body pos=".2 0 0"><inertial pos="0 0 0" mass=".6" diaginertia="1e-9 1e-9 1e-9"/></body>'
+
+
+@pytest.mark.parametrize("held", [0.0, 0.7, 1.0])
+def test_what_compensates_gravity_knows_the_mass_that_the_model_had(held):
+    """Of a body of four times the mass three quarters weigh as if they hung on it, of a payload all of it."""
+    heavier = '<body pos=".2 0 0"><geom size=".05" mass="3"/></body>'
+    for edit, value, child in (
+        (partial(edits.scale_mass, [1]), 4.0, heavier),
+        (partial(edits.add_payload, 1, [0.2, 0, 0]), 0.6, WEIGHT),
+    ):
+        spec = mujoco.MjSpec.from_string(HELD.format(held, ""))
+        edit(spec, value)
+        found, plain = spec.compile(), mujoco.MjModel.from_xml_string(HELD.format(held, child))
+        accelerations = []
+        for model in (found, plain):
+            data = mujoco.MjData(model)
+            mujoco.mj_forward(model, data)
+            accelerations.append(data.qacc[0])
+        assert accelerations[0] == pytest.approx(accelerations[1], rel=1e-7)

@@ -139,6 +139,31 @@ def test_native_delays_are_mujocos(delay, interp):
     assert np.abs(more - found).max() > 1e-3
 
 
+@pytest.mark.parametrize("extra", [0.003, 0.0041, 0.008])
+def test_a_delay_on_top_of_one_that_holds_is_linear_between_time_steps(tmp_path, extra):
+    text = changed(SERVO_ARM, ('name="lift"', 'name="lift" delay="0.0101" nsample="8"'))
+    simulator = MujocoSimulator(text, frame_skip=SKIP)
+    controls = commands()
+    controls[:4] = 0
+    moments = 0.004 * np.arange(N_STEPS * SKIP)
+    lift = np.interp(
+        moments - 0.012 - extra, moments, np.repeat(controls[:, 0], SKIP)
+    )  # the model's, in whole steps
+
+    def late(moment):
+        return [lift[moment], controls[moment // SKIP][1]]
+
+    loose = simulator.extended({"delay[lift]": extra})
+    found = loose.rollout(np.zeros((1, 4)), controls[None], n_steps=N_STEPS)[0]
+    np.testing.assert_allclose(found, stepped(SERVO_ARM, controls, late=late), atol=1e-7)
+    path, *beside = loose.to_mjcf(tmp_path / "late.xml")
+    near = loose.predict(rows_of(found, controls), effects={"timestep": 1 + 1e-9})
+    np.testing.assert_allclose(near, found[1:], atol=1e-5)
+    assert bool(beside) == (extra != 0.008)
+    if not beside:
+        np.testing.assert_allclose(stepped(path.read_text(), controls), found, atol=1e-7)
+
+
 @pytest.mark.parametrize(
     ("interp", "integrator", "message"),
     [
@@ -251,6 +276,49 @@ def test_a_sensors_filter_follows_what_moves_within_a_row(channel, timestep):
     np.testing.assert_allclose(rolled[:, column], read[:, column], atol=2e-3 * np.ptp(true[:, column]))
 
 
+@pytest.mark.parametrize("also", [{}, {"stribeck[hinge]": 0.1}])
+def test_a_candidate_begins_steady_whatever_other_candidates_run_beside_it(also):
+    """Where an integrating servo begins follows from its own model: without gain it is at no place."""
+    other = also | {"gain[m]": 0.0}
+    simulator = MujocoSimulator(
+        LINK.format('<intvelocity name="m" joint="hinge" kp="4" kv=".3" actrange="-2 2"/>')
+    )
+    rows = np.array([[0.8, 0.0, 0.1], [-0.5, 0.2, 0.0]])
+    alone = simulator.predict_many(rows, [also])[0]
+    np.testing.assert_array_equal(simulator.predict_many(rows, [other, also])[1], alone)
+    np.testing.assert_array_equal(simulator.predict_many(rows, [also, other])[0], alone)
+
+
+def test_a_filter_sees_commands_within_their_range():
+    limited = MOTOR.replace("/>", ' ctrllimited="true" ctrlrange="-1 1"/>')
+    simulator = MujocoSimulator(LINK.format(limited), frame_skip=4)
+    controls = 3 * commands(n_controls=1)[None]
+    values = {"scale[ctrl.m]": 2.0, "bias[ctrl.m]": 0.1, "lag[m]": 0.02}
+    beyond = simulator.rollout(np.zeros((1, 2)), controls, n_steps=N_STEPS, effects=values)
+    within = np.clip(2 * controls + 0.1, -1, 1)
+    expected = simulator.rollout(np.zeros((1, 2)), within, n_steps=N_STEPS, effects={"lag[m]": 0.02})
+    np.testing.assert_allclose(beyond, expected, atol=1e-12)
+
+
+def test_late_commands_beyond_their_range_are_plain_mujocos(tmp_path):
+    limited = MOTOR.replace("/>", ' ctrllimited="true" ctrlrange="-1 1"/>')
+    simulator = MujocoSimulator(LINK.format(limited), frame_skip=SKIP).extended({"delay[m]": 0.00333})
+    controls = 3 * commands(n_controls=1)
+    controls[:4] = 0  # which plain MuJoCo takes to have been before
+    found = simulator.rollout(np.zeros((1, 2)), controls[None], n_steps=N_STEPS)[0]
+    (path,) = simulator.to_mjcf(tmp_path / "late.xml")
+    np.testing.assert_allclose(stepped(path.read_text(), controls), found, atol=1e-9)
+
+
+def test_a_dead_zone_takes_from_a_command_within_its_range():
+    limited = MOTOR.replace("/>", ' ctrllimited="true" ctrlrange="-1 1"/>')
+    simulator = MujocoSimulator(LINK.format(limited))
+    rows = np.array([[0.0, 0.0, 4.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.5]])
+    far, end, plain = simulator.predict(rows, effects={"dead_zone[m]": 0.5})[:, 1]
+    assert far == end == pytest.approx(simulator.predict(rows)[2, 1], rel=1e-12)
+    assert plain == 0
+
+
 def test_a_link_with_play_is_left_to_itself_until_its_motor_has_crossed_the_gap():
     width, push = 0.03, 0.2
     simulator = MujocoSimulator(LINK.format(MOTOR), frame_skip=4)
@@ -337,6 +405,27 @@ def test_a_small_rotor_with_a_strong_damper_is_stopped_by_the_flanks(integrator,
     )
     truth = fine[:, 0] + fine[:, 1]
     assert np.std(loose - truth) < 0.1 * np.std(rigid - truth)
+
+
+@pytest.mark.parametrize(
+    "limits", ['forcerange="-1 1"/>', '/><motor joint="hinge" ctrllimited="true" ctrlrange="0 1"/>']
+)
+def test_play_of_nothing_is_no_play_where_a_servo_is_at_its_limit(limits):
+    """An integrator that is implicit drops the damping of a servo that is at a limit of its force, or its joint's."""
+    joint = "" if "forcerange" in limits else 'actuatorfrcrange="-1 1"'
+    text = f"""
+    <mujoco><compiler angle="radian"/><option timestep="0.005" gravity="0 0 0" integrator="implicitfast"/><worldbody>
+    <body><joint name="hinge" axis="0 1 0" armature="0.03" {joint}/><geom size="0.02" pos="0.2 0 0" mass="0.2"/></body>
+    </worldbody><actuator><position name="m" joint="hinge" kp="20" kv="4" {limits}</actuator></mujoco>
+    """
+    simulator = MujocoSimulator(text, frame_skip=4)
+    places = 0.8 * np.sign(np.sin(0.06 * np.pi * np.arange(100)))[:, None]
+    controls = np.pad(places, ((0, 0), (0, simulator._nominal.nu - 1)))
+    rigid, loose = (
+        simulator.rollout(np.zeros((1, 2)), controls[None], n_steps=100, effects=effects)[0, :, 0]
+        for effects in ({}, {"backlash[hinge]": 1e-7})
+    )
+    np.testing.assert_allclose(loose, rigid, atol=0.01 * np.ptp(rigid))  # flanks are soft
 
 
 def test_a_function_gets_delays_and_lags_of_its_inputs():

@@ -85,6 +85,18 @@ def test_a_motion_of_the_model_needs_no_further_force_and_limits_are_not_asked(a
     )
 
 
+def test_inverse_dynamics_knows_no_play(arm):
+    states = np.random.default_rng(0).uniform(-1.5, 1.5, size=(6, 4))
+    accelerations, commands = np.random.default_rng(1).normal(size=(2, 6, 2))
+    loose = arm.extended({"backlash[slide]": 0.01})
+    for values in ({}, {"mass[sled]": 1.5, "stribeck[slide]": 0.3}, {"force[slide]": 0.7}):
+        rigid = arm.missing_forces(states, accelerations, commands[None], [values])
+        found = loose.missing_forces(states, accelerations, commands[None], [values])
+        np.testing.assert_array_equal(found, rigid)
+    np.testing.assert_array_equal(loose.constrained(states), arm.constrained(states))
+    assert arm.constrained(states).any()
+
+
 def test_dry_friction_is_no_missing_force_where_a_joint_slides():
     text = ARM.replace('type="slide" axis="1 0 0"', 'type="slide" axis="1 0 0" frictionloss="0.4"')
     simulator = MujocoSimulator(text, frame_skip=5)

@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import warnings
 from pathlib import Path
 
 import mujoco
@@ -12,7 +13,7 @@ from scipy.integrate import solve_ivp
 
 from skat.simulators import MujocoSimulator, make_simulator
 from skat.simulators.friction import NEUTRAL, budget
-from tests.machines import SERVO_ARM, changed
+from tests.machines import SERVO_ARM, changed, without_limits
 
 DATA = Path(os.environ.get("SKAT_DATA_HOME", "")) / "bam"
 LAWS = sorted(path.name for path in DATA.glob("*.json")) if os.environ.get("SKAT_DATA_HOME") else []
@@ -264,6 +265,36 @@ def test_a_dead_zone_of_a_servo_is_one_of_its_error_and_of_a_motor_one_of_its_co
     )
 
 
+def test_a_dead_zone_is_about_the_control_of_no_force():
+    """With an offset, a servo acts as without one at a larger control; a factor on its force moves nothing."""
+    simulator = MujocoSimulator(SERVO_ARM, frame_skip=3)
+    rows = np.random.default_rng(0).normal(size=(20, 6)) * 0.1
+    further = rows + np.array([0, 0, 0, 0, 0.2, 0])
+    for also in ({}, {"gain[lift]": 1.3, "kp[lift]": 0.7, "lag_torque[lift]": 0.01}):
+        values = {"dead_zone[lift]": 0.15} | also
+        groups = np.arange(20)
+        found = simulator.predict(rows, effects=values | {"offset[lift]": 0.2}, groups=groups)
+        np.testing.assert_allclose(
+            found, simulator.predict(further, effects=values, groups=groups), atol=1e-9
+        )
+
+
+@pytest.mark.parametrize(
+    ("servo", "has_zone"),
+    [
+        ('<position name="m" joint="hinge" kp="10"/>', True),
+        ('<position name="m" joint="hinge" kp="10" timeconst=".05"/>', False),
+        ('<general name="m" joint="hinge" dyntype="filter" dynprm=".05"/>', True),
+        ('<intvelocity name="m" joint="hinge" kp="10" actrange="-1 1"/>', True),
+    ],
+)
+def test_a_servo_that_follows_what_a_filter_holds_has_no_dead_zone(servo, has_zone):
+    motor = '<motor name="m" joint="hinge"/>'
+    text = changed(PENDULUM.format(step=0.001, armature=0.01, damping=0, friction=0), (motor, servo))
+    names = [effect.name for effect in MujocoSimulator(text).all_effects()]
+    assert ("dead_zone[m]" in names) == has_zone
+
+
 def test_what_comes_before_a_control_that_is_integrated_is_no_force(tmp_path):
     drive = '<intvelocity name="lift" joint="hinge" kp="30" actrange="-3 3" ctrlrange="-2 2"/>'
     simulator = MujocoSimulator(
@@ -277,7 +308,7 @@ def test_what_comes_before_a_control_that_is_integrated_is_no_force(tmp_path):
     rows = np.array([[0.4, 0.0, command] for command in (0.0, 0.2, 1.0, -0.8)])
     values = {"dead_zone[lift]": 0.3, "scale[ctrl.lift]": 2.0, "bias[ctrl.lift]": 0.1}
     as_if = rows.copy()
-    as_if[:, 2] = [0.0, 0.2, 1.8, -1.2]
+    as_if[:, 2] = [0.0, 0.2, 1.7, -1.2]  # 2.1 is beyond the range
     found, groups = simulator.predict(rows, effects=values, groups=range(4)), range(4)
     np.testing.assert_allclose(found, simulator.predict(as_if, groups=groups), atol=1e-12)
     np.testing.assert_allclose(found[0], [0.4, 0.0], atol=1e-12)
@@ -307,6 +338,7 @@ def test_a_current_limit_is_a_limit_of_the_force():
     simulator = MujocoSimulator(text)
     effect = {one.name: one for one in simulator.effects(also="all")}["current_limit[lift]"]
     assert effect.neutral == effect.bounds[1] == 240.0
+    assert effect.describe(40.0) == "the largest force of lift is 40 N m (the model has no limit)"
     limited = MujocoSimulator(SERVO_ARM)
     rows = np.random.default_rng(0).normal(size=(10, 6))
     found = simulator.predict(rows, effects={"current_limit[lift]": 40.0})
@@ -326,6 +358,64 @@ def test_what_mjcf_cannot_hold_is_written_beside_it(tmp_path):
     np.testing.assert_allclose(again.predict(rows), simulator.predict(rows), atol=1e-9)
 
 
+def read_again(simulator, path):
+    """Return the simulator of what one wrote: the model, and beside it what MJCF cannot express."""
+    simulator.to_mjcf(path, force=True)
+    notes = path.with_suffix(".effects.json")
+    effects = json.loads(notes.read_text())["effects"] if notes.exists() else []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        again = MujocoSimulator(path, frame_skip=simulator.frame_skip)
+    return again.extended({one["name"]: one["value"] for one in effects})
+
+
+SIZES = {
+    "dead_zone[lift]": 0.1, "lag_torque[lift]": 0.01, "torque_speed[lift]": 2.0, "scale[ctrl.lift]": 1.4,
+    "bias[ctrl.lift]": 0.2, "lag[lift]": 0.02, "lag[all]": 0.01, "delay[lift]": 0.009,
+    "delay[action]": 0.003, "gain[lift]": 1.6, "kp[lift]": 0.7, "kv[lift]": 0.6, "offset[lift]": 0.1,
+    "current_limit[lift]": 30.0, "dry_friction[elbow]": 0.2,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "name", ["dead_zone[lift]", "lag_torque[lift]", "torque_speed[lift]", "scale[ctrl.bend]"]
+)
+def test_a_model_that_is_written_with_a_pair_of_effects_is_the_simulator_when_it_is_read(tmp_path, name):
+    filtered = (
+        '<general name="bend" joint="elbow" gainprm="8" dyntype="filter" dynprm=".02" actrange="-.5 .5" '
+    )
+    filtered += 'ctrlrange="-1 1"/>'
+    servo = '<position name="bend" joint="elbow" kp="80" kv="4" ctrlrange="-2 2"/>'
+    pairs = [{name: SIZES.get(name, 2.0), other: size} for other, size in SIZES.items() if other != name]
+    pairs += [
+        pairs[0] | {"lag[all]": 0.01, "lag[bend]": 0.015}
+    ]  # a lag alone is written, and is nearly the same
+    text = without_limits(SERVO_ARM)
+    if name == "scale[ctrl.bend]":
+        text = changed(text, (servo, filtered))
+        pairs = [{name: factor, "bias[ctrl.bend]": 0.2} for factor in (2.0, -0.4)]
+    simulator = MujocoSimulator(text, frame_skip=2)
+    rows = np.random.default_rng(0).normal(size=(10, 6))
+    for values in pairs:
+        again = read_again(simulator.extended(values), tmp_path / "pair.xml")
+        expected = simulator.predict(rows, effects=values)
+        np.testing.assert_allclose(again.predict(rows), expected, atol=1e-8, err_msg=str(values))
+
+
+def test_a_limit_that_comes_from_the_largest_control_grows_with_the_gain():
+    simulator = MujocoSimulator(without_limits(SERVO_ARM), frame_skip=2)
+    rows = np.random.default_rng(0).normal(size=(10, 6)) * 3
+    found = simulator.predict(rows, effects={"gain[lift]": 2.0, "torque_speed[lift]": 3.0})
+    limited = changed(
+        SERVO_ARM,
+        ('kp="120" kv="8"', 'kp="240" kv="16"'),
+        ("-40 40", "-480 480"),
+        (' forcerange="-30 30"', ""),
+    )
+    expected = MujocoSimulator(limited, frame_skip=2).predict(rows, effects={"torque_speed[lift]": 3.0})
+    np.testing.assert_allclose(found, expected, atol=1e-10)
+
+
 def test_a_payload_is_a_point_mass_at_its_place():
     place, mass = np.array([0.2, 0.01, -0.02]), 0.6
     simulator = MujocoSimulator(SERVO_ARM, frame_skip=2)
@@ -341,6 +431,16 @@ def test_a_payload_is_a_point_mass_at_its_place():
     np.testing.assert_array_equal(
         simulator.predict(rows, effects={"payload[lower.x]": 0.1}), simulator.predict(rows)
     )
+
+
+@pytest.mark.parametrize("moved", [{"length[lower]": 1.5}, {"centre_of_mass[lower.x]": 0.05}])
+def test_a_payload_without_a_place_is_at_the_centre_of_mass_that_the_body_has(moved):
+    simulator = MujocoSimulator(SERVO_ARM)
+    centre = simulator.compiled(moved).body("lower").ipos
+    found = simulator.compiled(moved | {"payload[lower]": 0.6})
+    np.testing.assert_allclose(found.body("lower").ipos, centre, atol=1e-12)
+    along = simulator.compiled(moved | {"payload[lower]": 0.7, "payload[lower.x]": 0.2})
+    np.testing.assert_allclose(along.body("lower").ipos, [(centre[0] + 0.2) / 2, *centre[1:]], atol=1e-12)
 
 
 def test_places_of_a_payload_are_within_the_bodys_geoms():

@@ -233,6 +233,21 @@ def test_what_a_urdf_does_not_say_is_written_beside(tmp_path):
         MujocoSimulator(SLIDER.format("a")).to_urdf(tmp_path / "no.urdf")
 
 
+@pytest.mark.parametrize(("option", "integrator"), [("", "IMPLICITFAST"), ('integrator="RK4"', "RK4")])
+def test_servos_that_are_added_to_a_light_joint_are_integrated_by_what_their_damping_needs(
+    option, integrator
+):
+    text = f"""<mujoco><option gravity="0 0 0" {option}/><worldbody><body><joint name="j" axis="0 1 0"/>
+    <geom size=".03" mass=".1"/></body></worldbody></mujoco>"""
+    simulator = MujocoSimulator(text, motors="position:20,0.5", frame_skip=4)
+    assert simulator.compiled().opt.integrator == getattr(mujoco.mjtIntegrator, f"mjINT_{integrator}")
+    torque = MujocoSimulator(text, motors="torque").compiled()
+    assert torque.opt.integrator == mujoco.MjModel.from_xml_string(text).opt.integrator
+    if not option:  # with h kv a thousand times its inertia, the joint follows at kp / kv
+        places = simulator.rollout([[0.0, 0.0]], np.full((1, 20, 1), 0.3), n_steps=20)[0, :, 0]
+        np.testing.assert_allclose(places, 0.3 * (1 - np.exp(-0.008 * np.arange(21) * 40)), atol=0.01)
+
+
 @pytest.mark.parametrize(
     ("motors", "effect", "value"),
     [

@@ -444,6 +444,6 @@ def _of_motors(simulator: Simulator) -> MujocoSimulator:
         )
         raise ValueError(
             f"actions='measured' is for what motors were measured to exert, and {what}: drive the joints by motors "
-            "(actuators='torque' of a URDF), or pass actions='commanded'."
+            "(of a URDF motors='torque', on the command line --motors torque), or pass actions='commanded'."
         )
     return simulator
