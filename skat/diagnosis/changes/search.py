@@ -13,7 +13,8 @@ from skat.diagnosis.changes.strengths import Logs, OverStrengths
 from skat.diagnosis.changes.telling import Changes, causes_of, detectable_of, gain_of, sizes_of
 from skat.diagnosis.changes.windows import Windows
 from skat.diagnosis.evidence import Priors, Weighed, bounded_solution
-from skat.diagnosis.forces.machines import MOTORS, Candidate
+from skat.diagnosis.findings import Cause
+from skat.diagnosis.forces.machines import MOTORS, WEAKEST, Candidate
 from skat.diagnosis.forces.motions import Log, half_of
 from skat.diagnosis.search import without_weak
 from skat.effects import Effect
@@ -102,8 +103,19 @@ def find_changes(
     elsewhere = causes and gain is not None and gain.nominal > gain.floor and gain.explained < MOST
     if elsewhere or worth.logs.differ_beyond_misfit(best.evidence, needed):
         causes, verdict = (), "unexplained"
+    if question.weak and (not causes or _contradict(causes, question.weak)):
+        causes, verdict = (), "unexplained"
+        told = " and ".join(question.weak)
+        mistake = f"{told} were next to nothing: a motor that died, or a joint that is stuck"
     detectable = detectable_of(question, worth, needed) if verdict == "nothing changed" else {}
-    return Changes(causes, verdict, gain, sizes_of(question, value), detectable=detectable)
+    return Changes(causes, verdict, gain, sizes_of(question, value), mistake, detectable)
+
+
+def _contradict(causes: Sequence[Cause], weak: Sequence[str]) -> bool:
+    """Return whether a motor that does next to nothing is told to do more: rows are about another machine then."""
+    return any(
+        one.name in weak and (one.interval[0] > WEAKEST or one.interval[1] < -WEAKEST) for one in causes
+    )
 
 
 @dataclass(frozen=True)

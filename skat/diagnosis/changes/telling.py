@@ -38,7 +38,7 @@ class Changes:
         Of each degree of freedom, by the name of its speed: rms force that the model as it is lacks in the two logs,
         and what is left with all that is common in it, N or N m.
     mistake : str
-        How columns of the second log seem to be mixed up; empty if they do not.
+        How columns of the second log seem to be mixed up, or which motor is as good as dead in it; empty if none.
     detectable : dict of str to float
         Where nothing changed: of each effect by how much it would have had to change, either way, to be named; of
         factors the share of what it is. Infinite where no possible change would have been.
