@@ -31,7 +31,7 @@ from skat.diagnosis.identifiability import identifiability, preflight
 from skat.diagnosis.log import Log, check_log, check_matrix, without_channels
 from skat.diagnosis.posterior import Posterior
 from skat.diagnosis.prediction import Prediction, horizon_rows, open_loop_gain, predicted
-from skat.diagnosis.reading import read_logs
+from skat.diagnosis.reading import read_change, read_logs
 from skat.diagnosis.remainder import Remainder, find_remainder, is_unexplained
 from skat.diagnosis.report.from_diagnosis import DiagnosisReport
 from skat.diagnosis.saving import Begun, Checkpoint, read_diagnosis, write_diagnosis
@@ -326,7 +326,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         Parameters
         ----------
         before, after : log, or tuple of (X, y) or (X, y, groups)
-            As `skat.logs.load_log` returns, or as in `fit`.
+            As `skat.logs.load_log` returns, or as in `fit`; without groups, a single episode.
 
         Returns
         -------
@@ -348,10 +348,9 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         """
         self._check_parameters()
         effects, logs = self._chosen_effects(), []
-        for one in (before, after):
-            X, y, *groups = one if isinstance(one, tuple | list) else (one.X, one.y, one.groups)
-            log = check_log(self.simulator, X, y, groups[0] if groups else np.zeros(len(y), dtype=int))
+        for name, log in zip(("before", "after"), read_change(self.simulator, before, after)):
             log = without_channels(self.simulator, log, self.hidden)
+            warn_of_doubts(self.simulator, log, f"the log {name}")
             logs.append((log.X, log.y, log.episodes))
         found = find_changes(
             self.simulator,
