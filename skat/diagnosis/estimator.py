@@ -228,6 +228,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         effects = self._chosen_effects()
         random_state = check_random_state(self.random_state)
         given = read_logs(self.simulator, X, y, groups, floor, self.actions)
+        self._forget()
         least, self.actions_ = given.least, given.actions
         log = without_channels(self.simulator, given.log, self.hidden)
         warn_of_doubts(self.simulator, log)
@@ -321,7 +322,9 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         """Say what changed between two logs of one machine, whatever the simulation gets wrong in both.
 
         Errors that are in both logs are not named, and the simulation needs no calibration. Changes are searched for in
-        the forces on joints, in seconds: for machines of hinges and slides that move freely.
+        the forces on joints, in seconds: for machines of hinges and slides that move freely. Of the parameters it goes
+        by `effects`, `priors`, `alpha`, `test_size` and `hidden`, and by no other: `noise`, `velocities`, `actions`,
+        `max_effects`, `quick` are those of `fit`, and actions are taken for commands.
 
         Parameters
         ----------
@@ -339,7 +342,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             each degree of freedom the rms force that the simulation lacks in both logs, and what is left with all that
             is common in it, N or N m. Where nothing changed `detectable_` says of each effect by how much it would have
             had to change, either way, to be named: in its unit, of factors as a share of what it is, infinite where no
-            possible change would have been.
+            possible change would have been. What an earlier `fit` found is gone.
 
         Raises
         ------
@@ -352,6 +355,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             log = without_channels(self.simulator, log, self.hidden)
             warn_of_doubts(self.simulator, log, f"the log {name}")
             logs.append((log.X, log.y, log.episodes))
+        self._forget()
         found = find_changes(
             self.simulator,
             logs[0],
@@ -393,7 +397,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         TypeError
             If a parameter is of a class that cannot be written.
         """
-        check_is_fitted(self, "verdict_")
+        self._check_fitted()
         return write_diagnosis(self, path, force=force)
 
     @classmethod
@@ -458,7 +462,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         RuntimeError
             If the simulation diverges in every row, or in open loop in an episode.
         """
-        check_is_fitted(self, "verdict_")
+        self._check_fitted()
         if isinstance(horizon, str) and horizon != "episode":
             raise ValueError(f"horizon must be seconds, None or 'episode'; it is {horizon!r}.")
         if initial_state not in ("measured", "fitted"):
@@ -508,7 +512,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         -------
         ndarray of shape (n_rows, n_outputs)
         """
-        check_is_fitted(self, "verdict_")
+        self._check_fitted()
         return self.extended_simulator_.predict(X, groups=groups)
 
     def score(self, X: Any, y: Any, sample_weight: ArrayLike | None = None) -> float:
@@ -559,6 +563,10 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
     def __repr__(self, N_CHAR_MAX: int = 700) -> str:
         """Return the parameters, and after a fit the findings."""
         text = str(super().__repr__(N_CHAR_MAX))
+        if hasattr(self, "changes_"):
+            return "\n".join(
+                [text, f"Verdict: {self.verdict_}", *(f"  {one.sentence}" for one in self.changes_)]
+            )
         return f"{text}\n{self.report_.text()}" if hasattr(self, "report_") else text
 
     def _repr_html_(self) -> str:
@@ -566,16 +574,36 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
 
     def _repr_mimebundle_(self, **_: Any) -> dict[str, str]:
         """Return what Jupyter shows; scikit-learn would have it show the parameters only."""
+        if hasattr(self, "changes_"):
+            return {"text/plain": repr(self)}
         if not hasattr(self, "report_"):
             return dict(super()._repr_mimebundle_())
         return {"text/plain": repr(self), "text/html": self._repr_html_()}
 
     def __getattr__(self, name: str) -> Any:
-        if name.endswith("_") and not name.startswith("_") and "verdict_" not in vars(self):
-            raise NotFittedError(
-                f"this {type(self).__name__} is not fitted yet, so it has no {name}; call fit(X, y, groups=...) first."
-            )
+        if name.endswith("_") and not name.startswith("_"):
+            if "verdict_" not in vars(self):
+                raise NotFittedError(
+                    f"this {type(self).__name__} is not fitted yet, so it has no {name}; call fit(X, y, groups=...) "
+                    "first."
+                )
+            if "changes_" in vars(self):
+                raise NotFittedError(
+                    f"fit_change was asked what changed, so there is no {name}; call fit(X, y, groups=...) first."
+                )
         raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+
+    def _forget(self) -> None:
+        """Leave nothing of what was asked before: `fit` and `fit_change` answer other questions."""
+        kept = {*self.get_params(deep=False), "_metadata_request"}
+        for name in set(vars(self)) - kept:
+            delattr(self, name)
+
+    def _check_fitted(self) -> None:
+        """Raise where `fit` was not the last that was asked."""
+        if "causes_" not in vars(self):
+            check_is_fitted(self, "verdict_")
+            self.__getattr__("causes_")
 
     # -- parts of fit ------------------------------------------------------------------------------------------------
 
