@@ -142,6 +142,7 @@ def test_what_happened_once_is_no_change(held):
     assert f"damping[{('shoulder', 'elbow')[held[1]]}]" in [change.name for change in whole.changes_]
 
 
+@pytest.mark.filterwarnings("ignore:the log (before|after).* the same value in every row")
 def test_what_has_no_forces_on_joints_is_refused_with_a_remedy():
     X, y, groups = log_of(4, rows=60)
     function = FunctionSimulator(
