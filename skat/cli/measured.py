@@ -299,11 +299,8 @@ def changed(
             first.simulator, effects=effect or "all", hidden=hidden or (), alpha=alpha, test_size=test_size
         ).fit_change(first, second)
         print_line(f"Verdict: {diagnosis.verdict_}")
-        if diagnosis.verdict_ == "unexplained":
-            print_line(
-                f"{after.name} differs from {before.name} by more than what the model misses in both, and by no effect "
-                "that was asked about."
-            )
+        if diagnosis.reason_:
+            print_line(f"  {diagnosis.reason_}")
         rows = [
             (one.name, one.value, *one.interval, one.unit, one.probability, ", ".join(map(str, one.aliases)))
             for one in diagnosis.changes_

@@ -25,6 +25,8 @@ LEVEL = 0.01
 FAR = 1e3
 NAMED, AT_BOUND, NO_INTERVAL, ALSO_SEEN, ABSENT = "named", "at a bound", "no interval", "also seen", "-"
 NOT_ASKED = "not asked"
+# Of an effect that is no cause, by which several logs that were fitted together differ.
+ESTIMATED = "estimated"
 FIELDS = ("schema", "verdict", "causes", "also_seen")
 CAUSE_FIELDS = ("name", "unit", "value", "interval", "aliases")
 # What fields are, in the words of JSON.
@@ -137,8 +139,8 @@ def shared_causes(space: StateSpace, found: Found, names: Sequence[str]) -> pd.D
     Returns
     -------
     DataFrame
-        With the columns of `compare_findings`; a log that tells nothing of a cause has "no interval". `p_corrected` is
-        for all effects that were asked about.
+        With the columns of `compare_findings`; a log that tells nothing of a cause has "no interval", and of an effect
+        that is none the status is "estimated". `p_corrected` is for all effects that were asked about.
     """
     scales, effects = found.priors.scales, found.effects
     slopes = slopes_of(space, found.fitted, effects, scales, means=True)
@@ -172,6 +174,7 @@ def _shared(
     """Return the row of an effect that has a value in each log, beside causes that have one in all."""
     effect, others = effects[place], [one for one in causes if one != place]
     n, k = len(grams), len(others)
+    status = NAMED if place in causes else ESTIMATED
     A, b = np.zeros((k + n, k + n)), np.zeros(k + n)
     for log, gram in enumerate(grams):
         A[:k, :k] += gram.products[np.ix_(others, others)]
@@ -189,7 +192,7 @@ def _shared(
     for log, name in enumerate(names):
         value = value_at(effect, grams[log].origin[place] + moves[log])
         low, high = around(effect, value, WIDTH_95 * deviations[log])
-        one = _Said(NAMED, value, low, high) if log in told else _Said(NO_INTERVAL)
+        one = _Said(status, value, low, high) if log in told else _Said(NO_INTERVAL)
         row |= {f"value in {name}": one.value, f"low in {name}": one.low, f"high in {name}": one.high}
         row[f"status in {name}"] = one.status
     row |= {"n_compared": len(told), "chi_square": math.nan, "p_value": math.nan}
@@ -383,12 +386,16 @@ def _holm(p_values: Array) -> Array:
 
 def _sentence(row: Mapping[Any, Any], n_tests: int) -> str:
     status = _statuses(row)
-    named = [name for name, one in status.items() if one in (NAMED, AT_BOUND, NO_INTERVAL)]
-    compared = [name for name in named if status[name] == NAMED]
+    named = [name for name, one in status.items() if one in (NAMED, ESTIMATED, AT_BOUND, NO_INTERVAL)]
+    compared = [name for name in named if status[name] in (NAMED, ESTIMATED)]
     is_compared = row["agreement"] != "not compared"
     if is_compared:
         who = "the logs" if len(compared) == len(status) else listed(compared)
-        corrected = f", corrected for {n_tests} causes {p_text(row['p_corrected'])}" if n_tests > 1 else ""
+        # Of several logs together more was compared than there are rows.
+        is_corrected = n_tests > 1 or row["p_corrected"] != row["p_value"]
+        corrected = (
+            f", corrected for all that was compared {p_text(row['p_corrected'])}" if is_corrected else ""
+        )
         text = f"{row['cause']}: {who} {row['agreement']} ({p_text(row['p_value'])}{corrected})"
     else:
         alone = " alone" if len(named) == 1 else ", not compared"
@@ -397,7 +404,7 @@ def _sentence(row: Mapping[Any, Any], n_tests: int) -> str:
     for name, one in status.items():
         if one == ABSENT and is_compared:
             left_out.append(f"not named in {name}")
-        elif one not in (NAMED, ABSENT):
+        elif one not in (NAMED, ESTIMATED, ABSENT):
             left_out.append(f"{one} in {name}")
     return "; ".join([text, *left_out])
 

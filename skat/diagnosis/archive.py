@@ -322,6 +322,12 @@ class _Encoder:
             return int(value)
         if isinstance(value, float | np.floating):
             return float(value) if math.isfinite(value) else {"is": "float", "value": str(float(value))}
+        if isinstance(value, set | frozenset):
+            value = sorted(value, key=str)
+        elif isinstance(value, pd.Index | pd.Series) or (
+            isinstance(value, np.ndarray) and value.dtype.hasobject
+        ):
+            value = value.tolist()
         if isinstance(value, list):
             return [self.encoded(one, where) for one in value]
         if isinstance(value, tuple):

@@ -114,7 +114,7 @@ def compare_transports(
     carries one onto the other; they are then fitted with noise of the size of what the extended simulation
     leaves, which the note says.
     """
-    check_is_fitted(diagnosis, "verdict_")
+    check_is_fitted(diagnosis, "extended_simulator_")
     transports = _chosen(methods)
     draws: np.random.RandomState = check_random_state(random_state)
     logs = [

@@ -111,7 +111,7 @@ class Raised:
     refused: bool
 
 
-def warn_of_doubts(simulator: Simulator, log: Log) -> None:
+def warn_of_doubts(simulator: Simulator, log: Log, name: str = "") -> None:
     """Warn of what in a log is well-formed but hardly meant.
 
     Parameters
@@ -119,6 +119,8 @@ def warn_of_doubts(simulator: Simulator, log: Log) -> None:
     simulator : Simulator
     log : Log
         NaN where nothing was measured.
+    name : str, default=""
+        Which log it is, where there are several.
 
     Raises
     ------
@@ -126,9 +128,10 @@ def warn_of_doubts(simulator: Simulator, log: Log) -> None:
         If angles are certainly in degrees, or the simulation is random.
     """
     for doubt in doubts_about(simulator, log):
+        sentence = f"{name}: {doubt.sentence}" if name else doubt.sentence
         if doubt.refused:
-            raise ValueError(doubt.sentence)
-        warnings.warn(doubt.sentence, UserWarning, stacklevel=3)
+            raise ValueError(sentence)
+        warnings.warn(sentence, UserWarning, stacklevel=3)
 
 
 def doubts_about(simulator: Simulator, log: Log) -> Iterator[Raised]:

@@ -32,7 +32,7 @@ from skat.diagnosis.log import Log, check_log, check_matrix, without_channels
 from skat.diagnosis.noise import variances_of
 from skat.diagnosis.posterior import Posterior
 from skat.diagnosis.prediction import Prediction, horizon_rows, open_loop_gain, predicted
-from skat.diagnosis.reading import read_logs
+from skat.diagnosis.reading import read_change, read_logs
 from skat.diagnosis.remainder import Remainder, find_remainder, is_unexplained
 from skat.diagnosis.report.from_diagnosis import DiagnosisReport
 from skat.diagnosis.saving import Begun, Checkpoint, read_diagnosis, write_diagnosis
@@ -232,6 +232,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         effects = self._chosen_effects()
         random_state = check_random_state(self.random_state)
         given = read_logs(self.simulator, X, y, groups, floor, self.actions)
+        self._forget()
         least, self.actions_ = given.least, given.actions
         log = without_channels(self.simulator, given.log, self.hidden)
         warn_of_doubts(self.simulator, log)
@@ -331,24 +332,28 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         """Say what changed between two logs of one machine, whatever the simulation gets wrong in both.
 
         Errors that are in both logs are not named, and the simulation needs no calibration. Changes are searched for in
-        the forces on joints, in seconds: for machines of hinges and slides that move freely.
+        the forces on joints, in seconds: for machines of hinges and slides that move freely. Of the parameters it goes
+        by `effects`, `priors`, `alpha`, `test_size` and `hidden`, and by no other: `noise`, `velocities`, `actions`,
+        `max_effects`, `quick` are those of `fit`, and actions are taken for commands.
 
         Parameters
         ----------
         before, after : log, or tuple of (X, y) or (X, y, groups)
-            As `skat.logs.load_log` returns, or as in `fit`.
+            As `skat.logs.load_log` returns, or as in `fit`; without groups, a single episode.
 
         Returns
         -------
         SimulationDiagnosis
             With `changes_`, a list of `Cause` whose value is by how much an effect is more in the log after, or, of a
             factor, how many times what it was; `verdict_`, "nothing changed", "named", "ambiguous" or "unexplained",
-            where columns of the log after seem to be mixed up, or where logs differ by more than any misfit of the
-            simulation makes, and by no effect that was asked about; `gain_`, on parts of the log after that were
-            held out; and `common_`: for each degree of freedom the rms force that the
-            simulation lacks in both logs, and what is left with all that is common in it, N or N m. Where nothing
-            changed `detectable_` says of each effect by how much it would have had to change, either way, to be named:
-            in its unit, of factors as a share of what it is, infinite where no possible change would have been.
+            where columns of the log after seem to be mixed up, where a motor seems to have died in it, or a joint to be
+            stuck, which no change explains, where changes explain too little of parts that were held out, or where logs
+            differ by more than any misfit of the simulation makes, and by no effect that was asked about; `reason_`,
+            which of these it is; `gain_`, on parts of the log after that were held out; and `common_`: for
+            each degree of freedom the rms force that the simulation lacks in both logs, and what is left with all that
+            is common in it, N or N m. Where nothing changed `detectable_` says of each effect by how much it would have
+            had to change, either way, to be named: in its unit, of factors as a share of what it is, infinite where no
+            possible change would have been. What an earlier `fit` found is gone.
 
         Raises
         ------
@@ -357,11 +362,11 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         """
         self._check_parameters()
         effects, logs = self._chosen_effects(), []
-        for one in (before, after):
-            X, y, *groups = one if isinstance(one, tuple | list) else (one.X, one.y, one.groups)
-            log = check_log(self.simulator, X, y, groups[0] if groups else np.zeros(len(y), dtype=int))
+        for name, log in zip(("before", "after"), read_change(self.simulator, before, after)):
             log = without_channels(self.simulator, log, self.hidden)
+            warn_of_doubts(self.simulator, log, f"the log {name}")
             logs.append((log.X, log.y, log.episodes))
+        self._forget()
         found = find_changes(
             self.simulator,
             logs[0],
@@ -372,8 +377,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             test_size=self.test_size,
         )
         if found.mistake:
-            warnings.warn(f"The log after reads as if {found.mistake}.", stacklevel=2)
-        self.changes_, self.verdict_ = list(found.changes), found.verdict
+            warnings.warn(found.reason, stacklevel=2)
+        self.changes_, self.verdict_, self.reason_ = list(found.changes), found.verdict, found.reason
         self.gain_, self.common_, self.detectable_ = found.gain, found.common, dict(found.detectable)
         return self
 
@@ -403,7 +408,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         TypeError
             If a parameter is of a class that cannot be written.
         """
-        check_is_fitted(self, "verdict_")
+        self._check_fitted()
         return write_diagnosis(self, path, force=force)
 
     @classmethod
@@ -468,7 +473,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         RuntimeError
             If the simulation diverges in every row, or in open loop in an episode.
         """
-        check_is_fitted(self, "verdict_")
+        self._check_fitted()
         if isinstance(horizon, str) and horizon != "episode":
             raise ValueError(f"horizon must be seconds, None or 'episode'; it is {horizon!r}.")
         if initial_state not in ("measured", "fitted"):
@@ -518,7 +523,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         -------
         ndarray of shape (n_rows, n_outputs)
         """
-        check_is_fitted(self, "verdict_")
+        self._check_fitted()
         return self.extended_simulator_.predict(X, groups=groups)
 
     def score(self, X: Any, y: Any, sample_weight: ArrayLike | None = None) -> float:
@@ -569,6 +574,10 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
     def __repr__(self, N_CHAR_MAX: int = 700) -> str:
         """Return the parameters, and after a fit the findings."""
         text = str(super().__repr__(N_CHAR_MAX))
+        if hasattr(self, "changes_"):
+            return "\n".join(
+                [text, f"Verdict: {self.verdict_}", *(f"  {one.sentence}" for one in self.changes_)]
+            )
         return f"{text}\n{self.report_.text()}" if hasattr(self, "report_") else text
 
     def _repr_html_(self) -> str:
@@ -576,16 +585,36 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
 
     def _repr_mimebundle_(self, **_: Any) -> dict[str, str]:
         """Return what Jupyter shows; scikit-learn would have it show the parameters only."""
+        if hasattr(self, "changes_"):
+            return {"text/plain": repr(self)}
         if not hasattr(self, "report_"):
             return dict(super()._repr_mimebundle_())
         return {"text/plain": repr(self), "text/html": self._repr_html_()}
 
     def __getattr__(self, name: str) -> Any:
-        if name.endswith("_") and not name.startswith("_") and "verdict_" not in vars(self):
-            raise NotFittedError(
-                f"this {type(self).__name__} is not fitted yet, so it has no {name}; call fit(X, y, groups=...) first."
-            )
+        if name.endswith("_") and not name.startswith("_"):
+            if "verdict_" not in vars(self):
+                raise NotFittedError(
+                    f"this {type(self).__name__} is not fitted yet, so it has no {name}; call fit(X, y, groups=...) "
+                    "first."
+                )
+            if "changes_" in vars(self):
+                raise NotFittedError(
+                    f"fit_change was asked what changed, so there is no {name}; call fit(X, y, groups=...) first."
+                )
         raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+
+    def _forget(self) -> None:
+        """Leave nothing of what was asked before: `fit` and `fit_change` answer other questions."""
+        kept = {*self.get_params(deep=False), "_metadata_request"}
+        for name in set(vars(self)) - kept:
+            delattr(self, name)
+
+    def _check_fitted(self) -> None:
+        """Raise where `fit` was not the last that was asked."""
+        if "causes_" not in vars(self):
+            check_is_fitted(self, "verdict_")
+            self.__getattr__("causes_")
 
     # -- parts of fit ------------------------------------------------------------------------------------------------
 

@@ -605,5 +605,5 @@ def _check_continuity(simulator: Simulator, log: Log, follows: Places, both: Mas
         raise ValueError(
             f"y of row {row} is not the state in row {row + 1} of X: {simulator.residual_names[channel]} differs by "
             f"{gap[wrong[0, 0], channel]:.3g}. The rows of an episode must be in time order, y the next row's state; "
-            "if the log has a gap there, start a new episode (groups=); if its rows are independent, pass groups=None."
+            "if the log has a gap there, start a new episode (groups=); rows that are independent have no groups."
         )

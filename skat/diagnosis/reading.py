@@ -1,15 +1,19 @@
-"""What `fit` was given: a log, or several of one robot, as rows and as log objects, checked and put together."""
+"""What `fit` and `fit_change` were given: logs of one robot, as rows and as log objects, checked and put together."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from os import PathLike
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from skat.diagnosis.chains import Array
-from skat.diagnosis.log import Log, check_log, put_together, tangent_variances
+from skat.diagnosis.log import Log, check_log, check_matrix, put_together, tangent_variances
 from skat.simulators import Simulator
+
+# Rates of a log and of its simulator that differ by no more than this share are one.
+SAME_RATE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -43,9 +47,12 @@ def read_logs(
     own = "commanded" if actions == "auto" else actions
     if y is not None:
         return Given(check_log(simulator, X, y, groups), _checked_floor(simulator, floor), own)
-    logs = _named_logs(X)
+    logs = _named_logs(simulator, X)
     if logs is None:
-        raise ValueError("SimulationDiagnosis requires y to be passed, but the target y is None.")
+        raise ValueError(
+            "SimulationDiagnosis requires y to be passed, but the target y is None. Instead of X and y it takes a log, "
+            f"or a list or a mapping of logs; {_no_log(X)}"
+        )
     if groups is not None or floor is not None:
         raise ValueError("groups and floor are those of each log: pass tuples of (X, y, groups), or logs.")
     if actions == "auto":
@@ -64,12 +71,39 @@ def read_logs(
     return Given(put_together(checked, tuple(logs)), np.stack(floors), own)
 
 
-def _named_logs(given: Any) -> dict[str, tuple[Any, Any, Any, Any]] | None:
+def read_change(simulator: Simulator, before: Any, after: Any) -> tuple[Log, Log]:
+    """Return the two logs that `SimulationDiagnosis.fit_change` was given; without groups one is a single episode.
+
+    Raises
+    ------
+    ValueError
+        If one is no log, or its rows do not fit the simulator, with which one it is.
+    """
+    first, second = (
+        _log_of(simulator, f"the log {name}", one) for name, one in (("before", before), ("after", after))
+    )
+    return first, second
+
+
+def _log_of(simulator: Simulator, name: str, one: Any) -> Log:
+    X, y, groups, _ = _parts(simulator, name, one)
+    try:
+        if groups is None:
+            names = simulator.output_names
+            groups = np.zeros(len(check_matrix(y, "y", names, optional=names)), dtype=int)
+        return check_log(simulator, X, y, groups)
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from error
+
+
+def _named_logs(simulator: Simulator, given: Any) -> dict[str, tuple[Any, Any, Any, Any]] | None:
     """Return X, y, groups and floor of a log, or of several by their names; None of anything else."""
     if _is_log(given):
         given = [given]
     if isinstance(given, Mapping):
         logs = {str(name): one for name, one in given.items()}
+        if len(logs) < len(given):
+            raise ValueError(f"two logs have the same name: {', '.join(map(repr, given))}.")
     elif isinstance(given, list | tuple) and all(_is_log(one) or isinstance(one, tuple) for one in given):
         names = [getattr(one, "source", "") or f"log {number}" for number, one in enumerate(given, 1)]
         logs = {
@@ -80,19 +114,42 @@ def _named_logs(given: Any) -> dict[str, tuple[Any, Any, Any, Any]] | None:
         return None
     if not logs:
         raise ValueError("there is no log; expected at least one.")
-    return {name: _parts(name, one) for name, one in logs.items()}
+    return {name: _parts(simulator, name, one) for name, one in logs.items()}
 
 
 def _is_log(one: Any) -> bool:
     return all(hasattr(one, name) for name in ("X", "y", "groups"))
 
 
-def _parts(name: str, one: Any) -> tuple[Any, Any, Any, Any]:
+def _parts(simulator: Simulator, name: str, one: Any) -> tuple[Any, Any, Any, Any]:
     if _is_log(one):
+        _check_rate(simulator, name, one)
         return one.X, one.y, one.groups, getattr(one, "floor", None)
     if not isinstance(one, tuple) or len(one) not in (2, 3):
-        raise ValueError(f"{name}: expected a log, or a tuple of (X, y) or (X, y, groups); got {one!r:.80}.")
+        raise ValueError(f"{name}: expected a log, or a tuple of (X, y) or (X, y, groups); {_no_log(one)}")
     return one[0], one[1], one[2] if len(one) == 3 else None, None
+
+
+def _check_rate(simulator: Simulator, name: str, log: Any) -> None:
+    """Raise where a log's rows are not as far apart as the simulator's."""
+    given, dt = getattr(getattr(log, "simulator", None), "dt", None), simulator.dt
+    if given and dt and abs(given / dt - 1) > SAME_RATE:
+        raise ValueError(
+            f"{name} has rows of {given:g} s, and a step of the simulator is {dt:g} s. Take the simulator that goes "
+            f"with the log, SimulationDiagnosis(log.simulator), or read the log with load_log(..., rate={1 / dt:g})."
+        )
+
+
+def _no_log(one: Any) -> str:
+    """Return what was given where a log was expected, and what to do."""
+    if isinstance(one, str | PathLike):
+        return f"got the path {str(one)!r}: read it, load_log({str(one)!r}, simulator)."
+    if hasattr(one, "columns"):
+        return "got a table: read it, load_log(table, simulator), or split it in X, the rows, and y, what followed."
+    if isinstance(one, list | tuple):
+        kinds = ", ".join(type(each).__name__ for each in one[:4])
+        return f"got a {type(one).__name__} of {len(one)} ({kinds}), and each log is one of load_log or such a tuple."
+    return f"got {type(one).__name__}."
 
 
 def _actions_of(given: Any) -> str:

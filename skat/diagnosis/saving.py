@@ -40,7 +40,8 @@ def write_diagnosis(diagnosis: Any, path: str | PathLike[str], *, force: bool) -
     target = writable(path, force=force)
     parameters = diagnosis.get_params(deep=False)
     simulator, report = parameters.pop("simulator"), diagnosis.report_
-    left_out = {*parameters, "simulator", *REMADE}
+    # How scikit-learn routes metadata to `fit` is of the session.
+    left_out = {*parameters, "simulator", "_metadata_request", *REMADE}
     attributes = {name: value for name, value in vars(diagnosis).items() if name not in left_out}
     found = attributes["_found"]
     attributes["_found"] = replace(found, fitted=_of_no_rows(found.fitted))

@@ -116,7 +116,7 @@ def test_several_causes_are_corrected_as_holm_does():
     )
     assert set(table["agreement"]) == {"agree"}
     first = agreement_sentences(table.reset_index())[0]
-    assert first == "mass[a]: the logs agree (p = 0.004, corrected for 3 causes p = 0.012)"
+    assert first == "mass[a]: the logs agree (p = 0.004, corrected for all that was compared p = 0.012)"
 
 
 def test_logs_of_the_same_values_are_said_to_differ_in_one_of_a_hundred_comparisons():

@@ -239,8 +239,8 @@ def test_array_of_objects_is_refused(tmp_path):
 
 def test_value_that_cannot_be_written_is_named_and_leaves_no_file(of_function, tmp_path):
     diagnosis = of_function[0]
-    hidden, diagnosis.hidden = diagnosis.hidden, {"x"}
-    with pytest.raises(TypeError, match=r"parameters\['hidden'\] is a set, which cannot be saved"):
+    hidden, diagnosis.hidden = diagnosis.hidden, object()
+    with pytest.raises(TypeError, match=r"parameters\['hidden'\] is a object, which cannot be saved"):
         diagnosis.save(tmp_path / "cart.skat")
     diagnosis.hidden = hidden
     assert not list(tmp_path.iterdir())

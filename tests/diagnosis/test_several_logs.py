@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 from skat.diagnosis import SimulationDiagnosis
+from skat.diagnosis.agreement import agreement_sentences
 from skat.diagnosis.chains import Chains
 from skat.diagnosis.log import check_log, put_together
 from skat.diagnosis.noise import estimate_noise, normal_noise
@@ -87,6 +88,11 @@ def test_so_is_what_is_none_in_both_together():
         found = SimulationDiagnosis(heater(), random_state=0, test_size=0, alpha=1e-9).fit(logs)
     assert found.verdict_ == "unexplained"
     assert list(found.agreement_["cause"]) == ["rate"]
+    # It is no cause, and more was compared than this row.
+    assert set(found.agreement_[["status in log 1", "status in log 2"]].to_numpy().ravel()) == {"estimated"}
+    (row,) = found.agreement_.to_dict("records")
+    (sentence,) = agreement_sentences(found.agreement_)
+    assert ("corrected" in sentence) == (row["p_corrected"] != row["p_value"])
 
 
 def test_one_log_in_a_list_is_that_log():

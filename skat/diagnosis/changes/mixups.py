@@ -38,7 +38,7 @@ def mistake_of(question: Question, differences: Array, *, price: float, needed: 
     Returns
     -------
     str
-        Empty if nothing is mixed up.
+        All that mend about as much; empty if nothing is mixed up.
     """
     simulator, own, rows, law = question.simulator, question.halves[1], question.sides[1], question.law
     mixed = _mixed_up(simulator, own)
@@ -70,7 +70,7 @@ def mistake_of(question: Question, differences: Array, *, price: float, needed: 
     best = int(np.argmax(mended))
     if mended[best] <= 0:
         return ""
-    name, half = mixed[best]
+    half = mixed[best][1]
     otherwise, seen = _in_another_order(question, 1, half, model)
     explained = rows.columns[:, len(question.effects) :] @ differences
     given = replace(rows, target=rows.target - explained, columns=rows.columns[:, : len(question.effects)])
@@ -87,7 +87,10 @@ def mistake_of(question: Question, differences: Array, *, price: float, needed: 
     both, seen = _in_another_order(question, 0, _mixed_up(simulator, question.halves[0])[best][1], model)
     first, mended_first = whole(0, question.sides[0], seen), whole(0, both, seen)
     as_well = Logs(mended_first, mended_second, law).level() > Logs(first, mended_second, law).level()
-    return "" if as_well else name
+    if as_well:
+        return ""
+    # Of a pendulum alone, to turn what is commanded is to turn what is measured.
+    return ", or ".join(one for (one, _), gain in zip(mixed, mended) if gain > mended[best] - needed)
 
 
 def _in_another_order(question: Question, side: int, half: Half, machine: Model) -> tuple[Rows, Mask]:

@@ -31,6 +31,8 @@ LATE_IN_BOTH = tuple(0.25 * one for one in range(-16, 33))
 MOST = 0.5
 # Turns of the machines about which forces are linear, and of what is wrong in both logs or was found to differ.
 TURNS = 3
+# Odds that a motor lost nearly all that it exerts, which is a fault of its own.
+BROKEN = 1e-3
 # Of the way to where slopes lead, so far machines may move.
 SHARES = np.r_[0.0, np.power(2.0, np.arange(-5, 1))]
 
@@ -59,6 +61,8 @@ class Question:
     law : Law
     held_out : ndarray of bool of shape (n_rows of the second log,)
         Which rows of the second log measure the gain.
+    weak : tuple of str
+        Effects of motors that do next to nothing in the second log, by which rows are about machines without them.
     """
 
     simulator: MujocoSimulator
@@ -72,6 +76,7 @@ class Question:
     sides: tuple[Rows, Rows]
     law: Law
     held_out: Mask
+    weak: tuple[str, ...] = ()
 
     @property
     def machine(self) -> Model:
@@ -176,7 +181,7 @@ def question_of(
     sides = [replace(side, columns=side.columns[:, shown] * units) for side in sides]
     sides = [with_friction(simulator, *one, common, sizes) for one in zip(halves, sides)]
     base, late = _bases(simulator, halves, sides, common, sizes, needed)
-    (here, there), sides, law = _about_machines(simulator, halves, base, late, common, sizes)
+    (here, there), sides, law, weak = _about_machines(simulator, halves, base, late, common, sizes, needed)
     first, second = (model_about(base, common, sizes, value) for value in (here, there))
     offered, scales = offered_candidates(simulator, effects, common, sizes, typical)
     units = scales * units_of(offered, first)
@@ -199,6 +204,7 @@ def question_of(
         sides=(sides[0], sides[1]),
         law=law,
         held_out=_held_out(sides[1].stretch, test_size),
+        weak=weak,
     )
 
 
@@ -209,14 +215,45 @@ def _about_machines(
     late: float,
     effects: Sequence[Effect],
     sizes: Array,
-) -> tuple[tuple[Array, Array], list[Rows], Law]:
+    needed: float,
+) -> tuple[tuple[Array, Array], list[Rows], Law, tuple[str, ...]]:
     """Return machines of the first log and the second, (n_effects,) in units of sizes, rows about them, and their law.
 
-    ``late`` is by how many rows commands come late in the second log, if nothing else differs.
+    ``late`` is by how many rows commands come late in the second log, if nothing else differs. About a motor that
+    works slopes do not lead to one that does not: its commands would be noise. Of that the second log is asked, with
+    ``needed`` nats; effects of such motors are the last of what is returned.
+    """
+    weak: dict[int, float] = {}
+    while True:
+        about, rows, law = _settled_machines(simulator, halves, base, late, effects, sizes, weak)
+        own = [rows[0], rows[-1]]
+        found = _weak_motor(simulator, halves, own, law, base, late, effects, sizes, about, weak, needed)
+        if not found:
+            return about, rows[:2], with_misfit(own, law), tuple(effects[place].name for place in weak)
+        weak |= found
+
+
+def _settled_machines(
+    simulator: MujocoSimulator,
+    halves: Sequence[Half],
+    base: Model,
+    late: float,
+    effects: Sequence[Effect],
+    sizes: Array,
+    weak: Mapping[int, float],
+) -> tuple[tuple[Array, Array], list[Rows], Law]:
+    """Return machines of both logs by turns, rows about them, and their law.
+
+    The last of the rows, to which the law belongs, are of the second log with its commands ``late``. With motors that
+    are ``weak`` there, values by places of their effects, nothing known drives the second log's machine, whose forces
+    scale with what it weighs: it is the first log's with these motors.
     """
     values = np.zeros((2, len(effects)))
     lates, ends = (base.late, late), possible(base, effects, sizes)
     for _ in range(TURNS):
+        if weak:
+            values[1] = values[0]
+            values[1, list(weak)] = list(weak.values())
         about = values.copy()
         first, second = (model_about(base, effects, sizes, value) for value in about)
         asked = [(halves[0], first), (halves[1], second), (halves[1], replace(second, late=late))]
@@ -235,7 +272,49 @@ def _about_machines(
                 simulator, halves[place], own[place], law, law.noise[place], effects, machines
             )
             values[place] = path[np.argmin(lacking + np.sum(law.weights * path**2, axis=1))]
-    return (about[0], about[1]), rows[:2], with_misfit(own, law)
+    return (about[0], about[1]), rows, law
+
+
+def _weak_motor(
+    simulator: MujocoSimulator,
+    halves: Sequence[Half],
+    sides: Sequence[Rows],
+    law: Law,
+    base: Model,
+    late: float,
+    effects: Sequence[Effect],
+    sizes: Array,
+    about: tuple[Array, Array],
+    known: Mapping[int, float],
+    needed: float,
+) -> dict[int, float]:
+    """Return the place of the effect of a further motor that does next to nothing in the second log, and its value.
+
+    In units of its size; empty if there is none beside those that are known. It is one where the first log's machine
+    with such a motor lacks less on its joint in the second log than both logs' machines do, and more in the first log:
+    else it is the model's matter.
+    """
+    most, found = needed - np.log(BROKEN), {}
+    for place, effect in enumerate(effects):
+        joints = sides[0].joint[sides[0].columns[:, place] != 0]
+        if effect.family not in MOTORS or place in known or not len(joints):
+            continue
+        weak = np.tile(about[0], (3, 1))
+        factors = np.clip([-WEAKEST, 0.0, WEAKEST], *effect.bounds)
+        weak[:, place] = (factors - base.values.get(effect.name, 1.0)) / sizes[place]
+        gains = []
+        for half, rows, noise, come in zip(halves, sides, law.noise, (base.late, late)):
+            machines = [model_about(base, effects, sizes, value) for value in (*about, *weak)]
+            machines = [replace(machine, late=come) for machine in machines]
+            left = coefficients_of(half, lacking_forces(simulator, half, machines))[0]
+            driven = np.isin(rows.joint, joints)
+            squares = _squares(rows.part(driven), left[driven], law, noise[driven])
+            # Of a noise that is not known: the law's has taken in what a motor that works lacks there.
+            gains.append(0.5 * driven.sum() * np.log(squares[:2].min() / np.maximum(squares[2:], 1e-300)))
+        worth = np.where(gains[0] > 0, 0.0, gains[1])
+        if worth.max() > most:
+            most, found = worth.max(), {place: float(weak[np.argmax(worth), place])}
+    return found
 
 
 def _squares_lacking(
@@ -253,15 +332,19 @@ def _squares_lacking(
     this log.
     """
     left = coefficients_of(half, lacking_forces(simulator, half, machines))[0]
-    columns = rows.columns[:, : len(effects)]
     for place, effect in enumerate(effects):
         if effect.family in MOTORS:
-            driven = np.isin(rows.joint, rows.joint[columns[:, place] != 0])
+            driven = np.isin(rows.joint, rows.joint[rows.columns[:, place] != 0])
             factors = np.abs([machine.values.get(effect.name, 1.0) for machine in machines])
             left[driven] /= np.maximum(factors, WEAKEST)
-    stacked = replace(rows, target=np.zeros(len(left)), columns=np.column_stack([columns, left]))
-    products = Windows.of(stacked, noise).without(law.spread).whole().products
-    return np.diag(products)[len(effects) :]
+    return _squares(rows, left, law, noise)
+
+
+def _squares(rows: Rows, left: Array, law: Law, noise: Array) -> Array:
+    """Return the squares of what is left of rows, (n_rows, n), over the noise and what windows have of their own."""
+    k = len(law.spread)
+    stacked = replace(rows, target=np.zeros(len(left)), columns=np.column_stack([rows.columns[:, :k], left]))
+    return np.diag(Windows.of(stacked, noise).without(law.spread).whole().products)[k:]
 
 
 def _bases(

@@ -13,7 +13,8 @@ from skat.diagnosis.changes.strengths import Logs, OverStrengths
 from skat.diagnosis.changes.telling import Changes, causes_of, detectable_of, gain_of, sizes_of
 from skat.diagnosis.changes.windows import Windows
 from skat.diagnosis.evidence import Priors, Weighed, bounded_solution
-from skat.diagnosis.forces.machines import MOTORS, Candidate
+from skat.diagnosis.findings import Cause, Gain
+from skat.diagnosis.forces.machines import MOTORS, WEAKEST, Candidate
 from skat.diagnosis.forces.motions import Log, half_of
 from skat.diagnosis.search import without_weak
 from skat.effects import Effect
@@ -21,6 +22,9 @@ from skat.simulators import MujocoSimulator, Simulator
 
 # Log odds of what is not named, and the share of its range from neutral that a value keeps to.
 NEVER, INSIDE = -1e6, 1 - 1e-6
+BEYOND_MISFIT = (
+    "The logs differ by more than what the model misses in both, and by no effect that was asked about."
+)
 
 
 def find_changes(
@@ -78,7 +82,7 @@ def find_changes(
     price = found.worth.price(found.best.members)
     mistake = mistake_of(question, found.differences, price=price, needed=needed)
     if mistake:
-        return Changes((), "unexplained", None, sizes_of(question, found.common.level), mistake)
+        return _unexplained(question, found.common.level, None, _as_if(mistake), mistake)
     for _ in range(TURNS):
         if not found.best.members:
             break
@@ -94,16 +98,42 @@ def find_changes(
             break
     best, worth, differences, value = found.best, found.worth, found.differences, found.common.value
     causes = causes_of(question, best, worth, found.nats)
-    verdict = "nothing changed" if not causes else "named"
-    if any(cause.aliases for cause in causes):
-        verdict = "ambiguous"
     gain = gain_of(question, value, differences)
+    reason = ""
     # On windows that were not used the logs differ by something else, or they differ by more than misfit and changes.
-    elsewhere = causes and gain is not None and gain.nominal > gain.floor and gain.explained < MOST
-    if elsewhere or worth.logs.differ_beyond_misfit(best.evidence, needed):
-        causes, verdict = (), "unexplained"
-    detectable = detectable_of(question, worth, needed) if verdict == "nothing changed" else {}
-    return Changes(causes, verdict, gain, sizes_of(question, value), detectable=detectable)
+    if causes and gain is not None and gain.nominal > gain.floor and gain.explained < MOST:
+        told = ", ".join(one.name for one in causes)
+        reason = f"The logs differ as if by {told}, but that explains too little of parts of the log after not used."
+    elif worth.logs.differ_beyond_misfit(best.evidence, needed):
+        reason = BEYOND_MISFIT
+    if question.weak and (reason or not causes or _contradict(causes, question.weak)):
+        told = " and ".join(question.weak)
+        mistake = f"{told} were next to nothing: a motor that died, or a joint that is stuck"
+        return _unexplained(question, value, gain, _as_if(mistake), mistake)
+    if reason:
+        return _unexplained(question, value, gain, reason)
+    sizes = sizes_of(question, value)
+    if not causes:
+        return Changes((), "nothing changed", gain, sizes, detectable=detectable_of(question, worth, needed))
+    ambiguous = any(cause.aliases for cause in causes)
+    return Changes(causes, "ambiguous" if ambiguous else "named", gain, sizes)
+
+
+def _unexplained(
+    question: Question, value: Array, gain: Gain | None, reason: str, mistake: str = ""
+) -> Changes:
+    return Changes((), "unexplained", gain, sizes_of(question, value), mistake, reason)
+
+
+def _as_if(mistake: str) -> str:
+    return f"The log after reads as if {mistake}."
+
+
+def _contradict(causes: Sequence[Cause], weak: Sequence[str]) -> bool:
+    """Return whether a motor that does next to nothing is told to do more: rows are about another machine then."""
+    return any(
+        one.name in weak and (one.interval[0] > WEAKEST or one.interval[1] < -WEAKEST) for one in causes
+    )
 
 
 @dataclass(frozen=True)

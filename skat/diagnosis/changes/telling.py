@@ -38,7 +38,9 @@ class Changes:
         Of each degree of freedom, by the name of its speed: rms force that the model as it is lacks in the two logs,
         and what is left with all that is common in it, N or N m.
     mistake : str
-        How columns of the second log seem to be mixed up; empty if they do not.
+        How columns of the second log seem to be mixed up, or which motor is as good as dead in it; empty if none.
+    reason : str
+        Why the verdict is "unexplained", in a sentence; empty of all others.
     detectable : dict of str to float
         Where nothing changed: of each effect by how much it would have had to change, either way, to be named; of
         factors the share of what it is. Infinite where no possible change would have been.
@@ -49,6 +51,7 @@ class Changes:
     gain: Gain | None
     common: dict[str, tuple[float, float]]
     mistake: str = ""
+    reason: str = ""
     detectable: Mapping[str, float] = field(default_factory=dict)
 
 

@@ -1,10 +1,14 @@
 """What changed between two logs: laws of its algebra, and small machines."""
 
+import warnings
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from skat.diagnosis import SimulationDiagnosis
 from skat.diagnosis.changes.candidates import LATER, _between
+from skat.diagnosis.changes.question import question_of
 from skat.diagnosis.forces.motions import _later
 from skat.simulators import FunctionSimulator, MujocoSimulator
 from tests.diagnosis.forces.test_force_space import ARM, log_of
@@ -43,6 +47,31 @@ def test_a_gain_that_changed_is_told_as_how_many_times_it_is():
     assert found.gain_.extended < found.gain_.nominal
     assert "times what it was" in change.sentence
     assert set(found.common_) == {"qvel.shoulder", "qvel.elbow"}
+
+
+@pytest.mark.parametrize("left", [0.2, 0.0])
+def test_a_motor_that_died_or_lost_most_of_its_force_is_named(left):
+    (change,) = asked(log_of(4, **WRONG), log_of(5, **WRONG, gain=(1.0, left))).changes_
+    assert change.name == "gain[elbow]"
+    assert change.interval[0] < left < change.interval[1]
+
+
+@pytest.mark.parametrize(("gain", "verdict"), [(1.0, "unexplained"), (1.25, "unexplained"), (0.0, "named")])
+def test_a_motor_that_seems_to_have_died_is_told_where_no_change_says_so(monkeypatch, gain, verdict):
+    def with_a_weak_motor(*args, **options):
+        return replace(question_of(*args, **options), weak=("gain[elbow]",))
+
+    monkeypatch.setattr("skat.diagnosis.changes.search.question_of", with_a_weak_motor)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        found = asked(log_of(4, **WRONG), log_of(5, **WRONG, gain=(1.0, gain)))
+    assert found.verdict_ == verdict
+    assert any("a motor that died" in str(one.message) for one in told) == (verdict == "unexplained")
+
+
+def test_a_joint_that_is_stuck_in_both_logs_is_no_motor_that_died():
+    stuck = {**WRONG, "friction": (0.12, 8.0)}
+    assert asked(log_of(4, **stuck), log_of(5, **stuck)).verdict_ == "nothing changed"
 
 
 def test_a_change_is_named_from_the_size_that_is_said_and_none_far_below_it():
@@ -113,6 +142,7 @@ def test_what_happened_once_is_no_change(held):
     assert f"damping[{('shoulder', 'elbow')[held[1]]}]" in [change.name for change in whole.changes_]
 
 
+@pytest.mark.filterwarnings("ignore:the log (before|after).* the same value in every row")
 def test_what_has_no_forces_on_joints_is_refused_with_a_remedy():
     X, y, groups = log_of(4, rows=60)
     function = FunctionSimulator(

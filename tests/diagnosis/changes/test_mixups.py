@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from skat.diagnosis.changes import mixups
 from skat.diagnosis.changes.mixups import mistake_of
 from tests.diagnosis.changes.arm import arm, question_about
 from tests.diagnosis.forces.test_force_space import log_of
@@ -51,6 +52,18 @@ def told(before, after, **options):
 )
 def test_each_mix_up_of_the_second_log_is_told(name):
     assert told(log_of(4), mixed(log_of(5), *MIXED[name])) == name
+
+
+def test_all_that_mend_the_second_log_alike_are_told(monkeypatch):
+    """As of a pendulum, whose angle may as well be turned as its command."""
+    mixed_up, name = mixups._mixed_up, "ctrl.elbow has its sign turned"
+
+    def with_a_twin(simulator, half):
+        found = mixed_up(simulator, half)
+        return [*found, ("its twin", dict(found)[name])]
+
+    monkeypatch.setattr(mixups, "_mixed_up", with_a_twin)
+    assert told(log_of(4), mixed(log_of(5), *MIXED[name])) == f"{name}, or its twin"
 
 
 def test_nothing_is_told_of_a_log_as_it_is():

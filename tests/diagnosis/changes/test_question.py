@@ -262,7 +262,7 @@ def test_a_machine_goes_as_far_as_slopes_lead_to_where_less_is_lacking(simulator
 
     monkeypatch.setattr("skat.diagnosis.changes.question.settled_law", led_there)
     monkeypatch.setattr("skat.diagnosis.changes.question.TURNS", 2)
-    about, _, _ = _about_machines(simulator, halves, base, 0.0, effects, sizes)
+    about, _, _, _ = _about_machines(simulator, halves, base, 0.0, effects, sizes, np.log(100))
     np.testing.assert_allclose(about, [found * values] * 2)
 
 

@@ -154,3 +154,4 @@ def test_what_explains_little_of_the_windows_held_out_is_not_named(
     found = find_changes(simulator, *logs, [effect_of(simulator, name) for name in names])
     assert found.verdict == verdict
     assert bool(found.changes) == (verdict == "named")
+    assert ("explains too little of parts" in found.reason) == (verdict == "unexplained")
