@@ -247,6 +247,8 @@ def find_causes(
             afar = moved is not None
         proposed = [] if afar else list(proposals(ranked, worth, now.members, needed))
         asked = [*proposed, *(_singles(worth, banned) if proposed else ())]
+        if asked and state.dense is not None:
+            asked += _finer(fits, now, worth)
         if asked:
             moved = _likeliest(compared, worth, asked, needed)
             misled = misled or moved is None or moved.members != asked[0].members
@@ -341,6 +343,27 @@ def _singles(worth: Weigher, banned: Container[int]) -> list[Weighed]:
     """Return the effects that slopes say explain most by themselves, a set each."""
     sets = [worth((one,)) for one in range(len(worth.priors.names)) if one not in banned]
     return sorted(sets, key=lambda one: -one.evidence)[:REFITTED]
+
+
+def _finer(fits: Fits, now: Fit, worth: Weigher) -> list[Weighed]:
+    """Return the set of a finer time step alone, by halves as far as the log is likelier with it, if it is at all.
+
+    What a simulation is off for its time step is far from what slopes say of a step a little finer, and is seen beside
+    everything else: what happens in reality happens at all times.
+    """
+    found = []
+    for one in (place for place, effect in enumerate(fits.effects) if effect.family == "timestep"):
+        low, place, bound = fits.priors.low[one], 0.0, now.fitted.bound
+        while place > low:
+            finer = np.array([max(place - np.log(2), low)])
+            moved = fits.bound((one,), finer, now)
+            if moved <= bound:
+                break
+            place, bound = float(finer[0]), moved
+        if place < 0:
+            gain = worth(now.members).evidence + bound - now.fitted.bound
+            found.append(replace(worth((one,)), values=np.array([place]), evidence=gain))
+    return found
 
 
 def _likeliest(compared: Comparison, worth: Weigher, asked: Sequence[Weighed], needed: float) -> Fit | None:

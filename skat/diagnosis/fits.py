@@ -143,10 +143,10 @@ class Fits:
                 if 0 < rows * row <= effect.bounds[1]:
                     starts.append(np.where(np.arange(len(best)) == column, rows * row, best))
             if len(starts) > 1:
-                best = max(starts, key=lambda start: self._bound(members, start, near))
+                best = max(starts, key=lambda start: self.bound(members, start, near))
         return best
 
-    def _bound(self, members: tuple[int, ...], places: Array, near: Fit) -> float:
+    def bound(self, members: tuple[int, ...], places: Array, near: Fit) -> float:
         """Return the bound of a set at given coordinates, about the path of another fit and with its slopes."""
         return self._compared(self._values(members, places), near.fitted).bound
 

@@ -230,7 +230,8 @@ def exchanged(members: Sequence[int], cause: int, other: int) -> tuple[int, ...]
 
 
 def is_held(effect: Effect, value: float) -> bool:
-    """Whether an estimate lies at a bound that is not neutral."""
+    """Whether an estimate lies at a bound that is not neutral, but for the finest time step: reality has none."""
     low, high = (coordinate(effect, bound) for bound in effect.bounds)
     place, width = coordinate(effect, value), AT_BOUND * (high - low)
-    return (place > high - width and high > 0) or (place < low + width and low < 0)
+    finest = effect.family == "timestep"
+    return (place > high - width and high > 0) or (place < low + width and low < 0 and not finest)

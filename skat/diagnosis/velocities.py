@@ -72,7 +72,9 @@ def is_computed(
     if not windows:
         return False
     design, target = np.concatenate(windows), np.concatenate(targets)
-    kept = np.isfinite(design).all(axis=1) & np.isfinite(target)
+    # Sensors that repeat themselves, at rest, tell nothing of either.
+    moves = np.ptp(design[:, : 2 * POSITIONS + 1], axis=1) > 0
+    kept = np.isfinite(design).all(axis=1) & np.isfinite(target) & moves
     design, target = design[kept], target[kept]
     if len(target) < ROWS_EACH * design.shape[1]:
         return False
@@ -129,13 +131,13 @@ def noise_variance(series: Array, episodes: NDArray[Any]) -> float:
     Returns
     -------
     float
-        0 where no piece is long enough to tell.
+        0 where no piece is long enough to tell; pieces in which a sensor repeats itself are none.
     """
     rough = [np.diff(series[episodes == episode], ORDER) for episode in np.unique(episodes)]
     squares = np.concatenate(rough) ** 2 / comb(2 * ORDER, ORDER)
     squares = squares[np.isfinite(squares)]
     n_pieces = max(1, len(squares) // PIECE)
-    means = [piece.mean() for piece in np.array_split(squares, n_pieces) if len(piece)]
+    means = [piece.mean() for piece in np.array_split(squares, n_pieces) if piece.any()]
     return float(np.quantile(means, QUIET)) if means else 0.0
 
 

@@ -10,6 +10,7 @@ from skat.diagnosis import SimulationDiagnosis
 from skat.diagnosis.log import check_log
 from skat.effects import Effect
 from skat.simulators import FunctionSimulator, MujocoSimulator
+from tests.diagnosis import pendulum
 from tests.diagnosis.cart_pole import make_simulator, measure
 
 
@@ -515,3 +516,33 @@ def test_channel_in_which_something_is_missed_is_given_no_scale(seed, limit):
     assert {cause.family for cause in diagnosis.causes_} <= {"gain"}
     assert diagnosis.remainder_.parts[0].name == "elbow"
     assert diagnosis.remainder_.parts[0].regressor == "ctrl.elbow"
+
+
+def test_a_world_in_continuous_time_is_told_by_the_time_step_and_makes_no_sensor_wrong():
+    """Steps of .25 ms for 5 ms: what a coarse step does looks like a delay of half of it, and is seen beside that."""
+    fine = mujoco.MjModel.from_xml_string(pendulum.NOMINAL)
+    fine.opt.timestep = 0.00025
+    rng, X, y = np.random.default_rng(0), [], []
+    for _ in range(3):
+        data = mujoco.MjData(fine)
+        data.qpos[:], phases = rng.uniform(-1, 1), rng.uniform(0, 6, 3)
+        commands = 1.2 * np.sin(np.array([2.0, 5.0, 9.0]) * 0.01 * np.arange(150)[:, None] + phases).sum(
+            axis=1
+        )
+        states = [np.r_[data.qpos, data.qvel]]
+        for command in commands:
+            data.ctrl[:] = command
+            mujoco.mj_step(fine, data, 40)
+            states.append(np.r_[data.qpos, data.qvel])
+        read = np.array(states) + np.array([1e-4, 3e-3]) * rng.normal(size=(151, 2))
+        X.append(np.column_stack([read[:-1], commands]))
+        y.append(read[1:])
+    simulator = MujocoSimulator(pendulum.NOMINAL, frame_skip=pendulum.FRAME_SKIP)
+    groups = np.repeat(np.arange(3), 150)
+    diagnosis = SimulationDiagnosis(simulator, random_state=0).fit(
+        np.concatenate(X), np.concatenate(y), groups
+    )
+    assert diagnosis.verdict_ == "named"
+    (cause,) = diagnosis.causes_
+    assert cause.name == "timestep"
+    assert cause.value == pytest.approx(0.1, abs=0.03)

@@ -211,3 +211,25 @@ def test_velocities_that_are_not_known_as_such_cannot_be_left_out():
         SimulationDiagnosis(simulator, velocities="computed")._without_computed(log)
     for velocities in ("auto", "measured"):
         assert SimulationDiagnosis(simulator, velocities=velocities)._without_computed(log) is log
+
+
+def test_differences_are_told_from_sensors_that_rest_for_half_of_the_log():
+    """An encoder at rest repeats itself, and its noise is seen where it moves alone."""
+    rng, n = np.random.default_rng(0), 400
+    motion = np.cumsum(0.02 * np.sin(0.05 * np.arange(n)) + 0.01 * np.sin(0.19 * np.arange(n)))
+    angle = np.r_[np.zeros(n), motion]
+    step = 2 * np.pi / 16384
+    read = step * np.round(angle / step)
+    differences = np.r_[0.0, np.diff(read)] / 0.01
+    assert is_computed(read, differences, np.zeros(2 * n))
+    rate = np.gradient(angle, 0.01)
+    gyroscope = np.where(np.arange(2 * n) < n, 0.0, rate + 0.02 * rng.normal(size=2 * n))
+    assert not is_computed(read, gyroscope, np.zeros(2 * n))
+
+
+def test_the_noise_of_a_sensor_is_that_of_where_it_moves():
+    noisy = 0.1 * np.random.default_rng(1).normal(size=400)
+    rested = np.r_[np.zeros(300), noisy]
+    own = noise_variance(noisy, np.zeros(400))
+    assert noise_variance(rested, np.zeros(700)) == pytest.approx(own, rel=0.3)
+    assert noise_variance(np.zeros(100), np.zeros(100)) == 0.0
