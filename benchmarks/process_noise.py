@@ -9,7 +9,8 @@ the noise that is found is judged, and nothing else::
 
 A rod that bends under a pendulum, whose encoder sits at the motor, is a force that is taken back
 (`worlds.flexible`): positions alone, one cause each, or none. A base that shakes pushes both joints of an arm at once
-(`worlds.shaken`), with speeds measured and not.
+(`worlds.shaken`), with speeds measured and not. An arm in continuous time is what no step of its model is
+(`worlds.continuous`): its time step is wrong in every log, and may be named.
 
 Causes have sizes s of 0.3 to 5, which count the random force as noise (`worlds.robots.size_of`).
 """
@@ -18,7 +19,7 @@ import numpy as np
 import sensors
 import tables
 from tables import Case, Table
-from worlds import flexible, shaken
+from worlds import continuous, flexible, shaken
 from worlds.robots import World, make_log
 from worlds.worth import noise_bound
 
@@ -41,7 +42,8 @@ N_CLEAN = 200
 N_UNMODELLED, UNMODELLED = 20, 0.2
 N_FLEXIBLE, N_FLEXIBLE_CLEAN = 10, 20
 N_SHAKEN, N_SHAKEN_CLEAN = 8, 20
-ODD = {"flexible": flexible, "shaken": shaken}
+N_CONTINUOUS, N_CONTINUOUS_CLEAN = 3, 6
+ODD = {"flexible": flexible, "shaken": shaken, "continuous": continuous}
 VISIBLE = 0.3
 SIZES = (0.3, 5.0)
 
@@ -70,6 +72,10 @@ def cases(cut):
             truth = {} if value is None else {name: value}
             settings = {"truth": truth, "how": {"measured": seed % 2 == 0}}
             found.append(Case(f"shaken | two_link | {name}", 8000 + seed, settings))
+    for name, value in (*continuous.CAUSES.items(), ("nothing", None)):
+        truth = {} if value is None else {name: value}
+        for seed in range(1 if cut else N_CONTINUOUS_CLEAN if value is None else N_CONTINUOUS):
+            found.append(Case(f"continuous | scara | {name}", 9000 + seed, {"truth": truth}))
     return found
 
 
@@ -187,13 +193,19 @@ def report(lines, shown):
         shown.share("... alone", map(tables.alone, [x for x in some if x["truth"]]))
         shown.share("... intervals that cover", [one for x in some for one in tables.in_interval(x)])
         shown.share("... alarms", [not tables.silent(x) for x in some if not x["truth"]])
+    finer = [[name for name in tables.names(x) if name != "timestep"] for x in odd["continuous"]]
+    shown.share(
+        "continuous time: nothing named but the time step and what is hidden",
+        [names == list(x["truth"]) for names, x in zip(finer, odd["continuous"])],
+    )
     ratios = [pair for line in lines if "sigma" in line for pair in _ratios(line)]
     shown.share(
         "noise within its Fisher 95 % interval", [abs(r) <= 1.96 * b for r, b in ratios], "92 to 98 %"
     )
     known = [r for r, b in ratios if b <= 0.04]
     shown.share("noise within 10 %, bound <= 4 %", [abs(r) <= np.log(1.1) for r in known], ">= 90 %")
-    shown.probabilities(causes + clean + [line for some in odd.values() for line in some])
+    wrong_in_one = [line for kind in ("flexible", "shaken") for line in odd[kind]]
+    shown.probabilities(causes + clean + wrong_in_one)
 
 
 TABLE = Table("process_noise", cases, run, report)
