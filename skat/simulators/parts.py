@@ -67,7 +67,8 @@ def _places(anatomy: Anatomy, parts: NDArray[np.intp]) -> Iterator[tuple[str, in
         for family in ("bias", "scale", "lag"):
             yield from ((f"{family}[{kind}.{name}]", own) for kind in ("qpos", "qvel"))
     for actuator in range(model.nu):
-        own = joint_parts[int(model.actuator_trnid[actuator, 0])]
+        # Where one acts on anything but a joint all is one part.
+        own = joint_parts[int(model.actuator_trnid[actuator, 0])] if actuator in anatomy.joint_driven else 0
         name = actuator_name(model, actuator)
         yield from ((f"{family}[{name}]", own) for family in OF_ACTUATORS)
         yield from ((f"{family}[ctrl.{name}]", own) for family in ("bias", "scale"))

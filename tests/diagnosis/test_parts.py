@@ -156,3 +156,15 @@ def test_legs_are_linear_as_each_is_alone():
         np.testing.assert_allclose(slopes[:, states][..., places], expected, atol=1e-5)
         others = [names.index(name) for name in names if both.part_of(name) == 1 - leg]
         assert not slopes[:, states][..., others].any()
+
+
+def test_actuators_of_sites_act_in_the_one_part_that_there_is():
+    """As thrusts of a quadrotor do; more of them than joints."""
+    thrusts = "".join(f'<motor name="rotor{k}" site="place{k}" gear="0 0 1 0 0 0"/>' for k in range(4))
+    places = "".join(f'<site name="place{k}" pos=".1 {k} 0"/>' for k in range(4))
+    simulator = MujocoSimulator(
+        f'<mujoco><worldbody><body name="hull"><freejoint/><geom size=".1"/>{places}</body></worldbody>'
+        f"<actuator>{thrusts}</actuator></mujoco>"
+    )
+    assert {simulator.part_of(effect.name) for effect in simulator.effects()} <= {0, None}
+    assert simulator.part_of("gain[rotor3]") == 0
