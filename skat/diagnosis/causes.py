@@ -247,11 +247,11 @@ def find_causes(
             afar = moved is not None
         proposed = [] if afar else list(proposals(ranked, worth, now.members, needed))
         asked = [*proposed, *(_singles(worth, banned) if proposed else ())]
-        if asked and state.dense is not None:
+        if not afar and (max_effects is None or len(now.members) < max_effects):
             asked += _finer(fits, now, worth)
         if asked:
             moved = _likeliest(compared, worth, asked, needed)
-            misled = misled or moved is None or moved.members != asked[0].members
+            misled = misled or (bool(proposed) and (moved is None or moved.members != asked[0].members))
         if moved is None and state.dense is not None:
             # What all effects together explain is noise again.
             state = replace(state, dense=None)
@@ -265,7 +265,7 @@ def find_causes(
         if moved is None and not coarse:
             moved = _as_one(compared, worth, exclusive) or _superfluous(compared, worth, needed)
         if moved is None and not coarse:
-            rivals, moved = _rivals(compared, worth, state.first or gram, ranked)
+            rivals, moved = _rivals(compared, worth, state.first or gram, ranked, banned)
         if moved is None:
             stands = True
             break
@@ -346,23 +346,27 @@ def _singles(worth: Weigher, banned: Container[int]) -> list[Weighed]:
 
 
 def _finer(fits: Fits, now: Fit, worth: Weigher) -> list[Weighed]:
-    """Return the set of a finer time step alone, by halves as far as the log is likelier with it, if it is at all.
+    """Return the present set with a finer time step, by halves as far as the log is likelier with it, if it is at all.
 
     What a simulation is off for its time step is far from what slopes say of a step a little finer, and is seen beside
     everything else: what happens in reality happens at all times.
     """
-    found = []
+    found, at = [], list(fits.places(now))
     for one in (place for place, effect in enumerate(fits.effects) if effect.family == "timestep"):
+        if one in now.members:
+            continue
+        members = tuple(sorted((*now.members, one)))
+        column = members.index(one)
         low, place, bound = fits.priors.low[one], 0.0, now.fitted.bound
         while place > low:
-            finer = np.array([max(place - np.log(2), low)])
-            moved = fits.bound((one,), finer, now)
+            finer = max(place - float(np.log(2)), low)
+            moved = fits.bound(members, np.insert(at, column, finer), now)
             if moved <= bound:
                 break
-            place, bound = float(finer[0]), moved
+            place, bound = finer, moved
         if place < 0:
-            gain = worth(now.members).evidence + bound - now.fitted.bound
-            found.append(replace(worth((one,)), values=np.array([place]), evidence=gain))
+            values, gain = np.insert(at, column, place), bound - now.fitted.bound
+            found.append(replace(worth(members), values=values, evidence=worth(now.members).evidence + gain))
     return found
 
 
@@ -436,7 +440,7 @@ def _weakest(worth: Weigher, now: Fit) -> list[int]:
 
 
 def _rivals(
-    compared: Comparison, worth: Weigher, first: Gram, ranked: Ranked
+    compared: Comparison, worth: Weigher, first: Gram, ranked: Ranked, banned: Container[int]
 ) -> tuple[list[Rival], Fit | None]:
     """Return sets in which an effect that acts much like a cause has its place, and the one that does better, if any.
 
@@ -453,7 +457,7 @@ def _rivals(
         by_angle = [int(one) for one in np.argsort(-alike, kind="stable") if alike[one] >= ALIKE]
         for other in list(dict.fromkeys([*others_of[cause], *by_angle]))[:RIVALS]:
             members = exchanged(now.members, cause, other)
-            if not worth.allows(members):
+            if other in banned or not worth.allows(members):
                 continue
             one = weigh(grams[int(np.argmax(looks[:, other]))], worth.priors, members)
             if compared.prefers(members, one.values, 0.0) and (moved := compared.taken(one, 0.0)) is not None:
