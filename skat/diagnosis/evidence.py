@@ -17,7 +17,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.lapack import dposv
+from scipy.linalg.lapack import dposv, dpotrf
 from scipy.special import log_ndtr
 
 from skat.diagnosis.chains import Array
@@ -28,8 +28,8 @@ COARSE_ROWS = 10_000
 RANK = 1e-12
 # Of a normal law within its 95 % interval, in standard deviations.
 WIDTH_95 = 1.96
-# Steps of a posterior mode, each with a normal law in the place of each prior; so many from the values of a set alike.
-STEPS, FEW_STEPS = 30, 12
+# Steps of a posterior mode, each with a normal law in the place of each prior.
+STEPS = 30
 
 
 def coarsened(n_rows: int) -> float:
@@ -166,7 +166,9 @@ class Weighed:
 NO_CAUSE = Weighed((), np.zeros(0), 0.0, 0.0, np.zeros((0, 0)))
 
 
-def weigh(gram: Gram, priors: Priors, members: Sequence[int], *, power: float = 1.0) -> Weighed:
+def weigh(
+    gram: Gram, priors: Priors, members: Sequence[int], *, power: float = 1.0, near: Array | None = None
+) -> Weighed:
     """Return what a set is worth.
 
     Parameters
@@ -176,46 +178,56 @@ def weigh(gram: Gram, priors: Priors, members: Sequence[int], *, power: float = 
     members : sequence of int
     power : float, default=1.0
         To which the likelihood is taken: below 1 where innovations are not as independent as the model has them.
+    near : ndarray of shape (n_effects,), optional
+        Values of a set that is much alike; the mode is then told no finer than a search of many such sets needs.
     """
     members = tuple(sorted(members))
     if not members:
         return NO_CAUSE
     chosen = np.array(members)
+    scales, low, high = priors.scales[chosen], priors.low[chosen], priors.high[chosen]
     G = gram.products[np.ix_(chosen, chosen)] * power
     b = gram.at_neutral[chosen] * power
-    values, curvature = posterior_mode(G, b, priors.scales[chosen], priors.low[chosen], priors.high[chosen])
+    values, curvature = posterior_mode(G, b, scales, low, high, None if near is None else near[chosen])
     likelihood = float(b @ values - 0.5 * values @ G @ values)
-    gradient = b - G @ values - 2 * values / (priors.scales[chosen] ** 2 + values**2)
-    _, log_determinant = np.linalg.slogdet(curvature)
     evidence = likelihood + float(priors.log_density(members, values).sum() + priors.log_odds[chosen].sum())
-    evidence += 0.5 * len(members) * np.log(2 * np.pi) - 0.5 * log_determinant
-    evidence += _inside(values, gradient, curvature, priors.low[chosen], priors.high[chosen])
+    evidence += 0.5 * len(members) * np.log(2 * np.pi) - 0.5 * _log_determinant(curvature)
+    # Where the slope does not vanish, as on a bound, the law is normal about where it would.
+    roots = np.sqrt(np.diag(curvature))
+    slopes = (b - G @ values - 2 * values / (scales**2 + values**2)) / roots
+    centres = values + slopes / roots
+    evidence += np.sum(0.5 * slopes**2 + _log_share((low - centres) * roots, (high - centres) * roots))
     return Weighed(members, values, float(evidence), likelihood / power, curvature)
 
 
-def posterior_mode(G: Array, b: Array, scales: Array, low: Array, high: Array) -> tuple[Array, Array]:
+def posterior_mode(
+    G: Array, b: Array, scales: Array, low: Array, high: Array, near: Array | None = None
+) -> tuple[Array, Array]:
     """Return the mode under Cauchy priors within bounds, and the curvature there.
 
-    The prior is met by a normal law of the same slope, in turns (each turn raises the posterior).
+    The prior is met by a normal law of the same slope, in turns (each turn raises the posterior). ``near`` as of
+    `weigh`.
     """
-    values = np.zeros(len(b))
-    weights = 1.0 / scales**2  # 2 / (s^2 + theta^2) at theta = s
+    values, still = (np.zeros(len(b)), 1e-3) if near is None else (near, 1e-2)
+    weights = 2.0 / (scales**2 + (scales if near is None else near) ** 2)
     for _ in range(STEPS):
         new = bounded_solution(G + np.diag(weights), b, low, high, values)
         moved = np.max(np.abs(new - values) * np.sqrt(np.diag(G) + weights), initial=0.0)
         values = new
         weights = 2.0 / (scales**2 + values**2)
-        if moved < 1e-3:
+        if moved < still:
             break
-    curvature = G + np.diag(_bent(scales, values))
-    if np.linalg.eigvalsh(curvature)[0] <= 0:
+    curvature = G + np.diag(weights**2 * (scales**2 - values**2) / 2)
+    if not np.isfinite(_log_determinant(curvature)):
         curvature = G + np.diag(weights)
     return values, curvature
 
 
-def _bent(scales: Array, values: Array) -> Array:
-    """Return the curvature of the log density of Cauchy laws, with its sign turned."""
-    return 2 * (scales**2 - values**2) / (scales**2 + values**2) ** 2
+def _log_determinant(curvature: Array) -> float:
+    """Return the log of a determinant, -inf of what is not positive definite."""
+    units = 1 / np.sqrt(np.maximum(np.diag(curvature), 1e-300))
+    factor, failed = dpotrf(curvature * units * units[:, None])
+    return -np.inf if failed else 2 * float(np.log(np.diag(factor) / units).sum())
 
 
 def bounded_solution(H: Array, b: Array, low: Array, high: Array, start: Array) -> Array:
@@ -244,18 +256,6 @@ def bounded_solution(H: Array, b: Array, low: Array, high: Array, start: Array) 
     return np.clip(x, low, high)
 
 
-def _inside(values: Array, gradient: Array, curvature: Array, low: Array, high: Array) -> float:
-    """Return the log of the share of the normal law about the mode that lies within the bounds, one value at a time."""
-    total = 0.0
-    for index, (value, slope) in enumerate(zip(values, gradient)):
-        root = np.sqrt(curvature[index, index])
-        # Where the slope does not vanish, as on a bound, the law is normal about where it would.
-        centre = value + slope / root**2
-        upper, lower = (high[index] - centre) * root, (low[index] - centre) * root
-        total += float(0.5 * (slope / root) ** 2 + _log_share(lower, upper))
-    return total
-
-
 def _log_share(lower: Array, upper: Array) -> Array:
     """Return the log of the share of the standard normal law that lies between two ends."""
     # Where both ends are above the centre, the difference of two shares of 1 would be lost.
@@ -277,6 +277,8 @@ class Weigher:
         Effects that are in no set with a given one: all of a family, and each of it.
     power : float, default=1.0
         As `weigh`'s.
+    alike : bool, default=False
+        Whether sets are many and much alike: each is weighed from the values of those before.
 
     Attributes
     ----------
@@ -291,9 +293,11 @@ class Weigher:
         rivals: Mapping[int, Sequence[int]] | None = None,
         *,
         power: float = 1.0,
+        alike: bool = False,
     ):
         self.gram, self.priors, self.power = gram, priors, power
         self.rivals = rivals or {}
+        self._last = np.zeros(len(priors.scales)) if alike else None
         self.seen: dict[tuple[int, ...], Weighed] = {}
 
     def __call__(self, members: Sequence[int]) -> Weighed:
@@ -317,87 +321,23 @@ class Weigher:
         return {one: whole.evidence - self.without(whole, one).evidence for one in whole.members}
 
     def promises(self, now: Weighed) -> Array:
-        """Return about by how much each further effect would raise the log posterior odds; -inf of members and rivals.
-
-        But for what is the same for all.
-        """
-        priors = self.priors
-        G, b = self.gram.products * self.power, self.gram.at_neutral * self.power
-        left, information = b.copy(), np.diag(G).copy()
+        """Return about what each further effect would add to the log posterior odds; -inf of members and rivals."""
+        G, left = self.gram.products * self.power, self.gram.at_neutral * self.power
+        information = np.diag(G).copy()
         if now.members:
             members = np.array(now.members)
-            left -= G[:, members] @ now.values
+            left = left - G[:, members] @ now.values
             solved = np.linalg.solve(now.curvature, G[members])
             information -= np.sum(G[:, members] * solved.T, axis=1)
-        information = np.maximum(information, 1e-9 * np.maximum(np.diag(G), 1e-300))
-        whole = information + 1 / priors.scales**2
-        values = np.clip(left / whole, priors.low, priors.high)
-        gain = left * values - 0.5 * information * values**2 + priors.log_odds
-        gain += -np.log1p((values / priors.scales) ** 2) - np.log(priors.scales) - 0.5 * np.log(whole)
-        gain[self._out(now)] = -np.inf
-        return np.asarray(gain)
-
-    def _out(self, now: Weighed) -> list[int]:
-        return [*now.members, *(other for one in now.members for other in self.rivals.get(one, ()))]
-
-    def _weighed(self, members: tuple[int, ...]) -> Weighed:
-        return weigh(self.gram, self.priors, members, power=self.power)
-
-
-class SwiftWeigher(Weigher):
-    """Weighs many sets that are much alike: each from the values of those before, and no finer than a search needs."""
-
-    def __init__(self, gram: Gram, priors: Priors, rivals: Mapping[int, Sequence[int]] | None = None):
-        super().__init__(gram, priors, rivals)
-        self._last = np.zeros(len(priors.scales))
-
-    def _weighed(self, members: tuple[int, ...]) -> Weighed:
-        if not members:
-            return NO_CAUSE
-        chosen = np.array(members)
-        G, b = self.gram.products[np.ix_(chosen, chosen)], self.gram.at_neutral[chosen]
-        scales, low, high = self.priors.scales[chosen], self.priors.low[chosen], self.priors.high[chosen]
-        values = self._last[chosen]
-        for _ in range(FEW_STEPS):
-            weights = 2 / (scales**2 + values**2)
-            new = _bounded_at_once(G + np.diag(weights), b, low, high, values)
-            moved = float(np.max(np.abs(new - values) * np.sqrt(np.diag(G) + weights)))
-            values = new
-            if moved < 1e-2:
-                break
-        self._last[chosen] = values
-        curvature = G + np.diag(_bent(scales, values))
-        unit = 1 / np.sqrt(np.maximum(np.diag(curvature), 1e-300))
-        sign, log_determinant = np.linalg.slogdet(curvature * unit * unit[:, None])
-        if sign <= 0 or not (np.diag(curvature) > 0).all():
-            curvature = G + np.diag(2 / (scales**2 + values**2))
-            unit = 1 / np.sqrt(np.diag(curvature))
-            _, log_determinant = np.linalg.slogdet(curvature * unit * unit[:, None])
-        log_determinant -= 2 * float(np.log(unit).sum())
-        likelihood = float(b @ values - 0.5 * values @ G @ values)
-        prior = self.priors.log_density(members, values).sum() + self.priors.log_odds[chosen].sum()
-        evidence = likelihood + float(prior) + 0.5 * len(members) * np.log(2 * np.pi) - 0.5 * log_determinant
-        slope = b - G @ values - 2 * values / (scales**2 + values**2)
-        roots = 1 / unit
-        centres = values + slope * unit**2
-        inside = _log_share((low - centres) * roots, (high - centres) * roots)
-        evidence += float(np.sum(0.5 * (slope * unit) ** 2 + inside))
-        return Weighed(members, values, evidence, likelihood, curvature)
-
-    def promises(self, now: Weighed) -> Array:
-        """Return about by how much each further effect would raise the log posterior odds; -inf of members and rivals.
-
-        With the values of the others moved, which what an exchange is worth depends on.
-        """
-        S, G = list(now.members), self.gram.products
-        left, information = self.gram.at_neutral.copy(), np.diag(G).copy()
-        if S:
-            solved = np.linalg.solve(now.curvature, G[S])
-            left = left - G[:, S] @ now.values
-            information = information - np.sum(G[S] * solved, axis=0)
         gain = gains_alone(left, np.maximum(information, 0.0), self.priors)
-        gain[self._out(now)] = -np.inf
-        return np.asarray(gain)
+        gain[[*now.members, *(other for one in now.members for other in self.rivals.get(one, ()))]] = -np.inf
+        return gain
+
+    def _weighed(self, members: tuple[int, ...]) -> Weighed:
+        one = weigh(self.gram, self.priors, members, power=self.power, near=self._last)
+        if self._last is not None:
+            self._last[list(one.members)] = one.values
+        return one
 
 
 def gains_alone(left: Array, information: Array, priors: Priors) -> Array:
@@ -420,27 +360,3 @@ def gains_alone(left: Array, information: Array, priors: Priors) -> Array:
     ]
     gain = np.max(gains, axis=0) + priors.log_odds + 0.5 * np.log(2 * np.pi / whole)
     return np.asarray(gain - np.log(np.pi * scales))
-
-
-def _bounded_at_once(H: Array, b: Array, low: Array, high: Array, start: Array) -> Array:
-    """Return the same minimum: all bounds that a solution breaks are held at once, which many sets ask for."""
-    unit = 1 / np.sqrt(np.diag(H))
-    H, b, low, high = H * unit * unit[:, None], b * unit, low / unit, high / unit
-    held = np.zeros(len(b), dtype=bool)
-    x = np.clip(start / unit, low, high)
-    for _ in range(2 * len(b) + 2):
-        free = ~held
-        if free.any():
-            right = b[free] - H[np.ix_(free, held)] @ x[held]
-            x[free] = np.linalg.solve(H[np.ix_(free, free)], right)
-        beyond = free & ((x < low - 1e-12) | (x > high + 1e-12))
-        if beyond.any():
-            x = np.clip(x, low, high)
-            held |= beyond
-            continue
-        slope = b - H @ x
-        inward = held & (((x <= low) & (slope > 1e-9)) | ((x >= high) & (slope < -1e-9)))
-        if not inward.any():
-            break
-        held[int(np.argmax(np.where(inward, np.abs(slope), -1.0)))] = False
-    return np.clip(x, low, high) * unit

@@ -12,13 +12,13 @@ from itertools import combinations
 import numpy as np
 
 from skat.diagnosis.chains import Array
-from skat.diagnosis.evidence import Gram, SwiftWeigher, Weighed, Weigher
+from skat.diagnosis.evidence import Gram, Weighed, Weigher
 from skat.effects import EVERY, Effect
 
 # Sets less likely than the best by more than this factor are told from it.
 ALIAS_FACTOR = 20.0
-# Causes at a time, of a search of one log and of one of many Gram matrices.
-LARGEST_SET, LARGEST_OF_MANY = 60, 80
+# Causes at a time.
+LARGEST_SET = 60
 # A move that gains no more than this, nats, is rounding.
 ROUNDING = 1e-9
 # Effects that are weighed exactly in a move, of those that promise most; pairs are made of fewer.
@@ -176,7 +176,7 @@ def _family_moves(
     return moves
 
 
-def search_sets(worth: SwiftWeigher, start: Sequence[int] = ()) -> Weighed:
+def search_sets(worth: Weigher, start: Sequence[int] = ()) -> Weighed:
     """Return the set of causes that is worth most, begun with one that may be near.
 
     No single effect can be added, dropped or exchanged with a gain, of those that promise most.
@@ -192,20 +192,20 @@ def search_sets(worth: SwiftWeigher, start: Sequence[int] = ()) -> Weighed:
         now = tried
 
 
-def _best_addition(worth: SwiftWeigher, now: Weighed) -> Weighed:
-    if len(now.members) >= LARGEST_OF_MANY:
+def _best_addition(worth: Weigher, now: Weighed) -> Weighed:
+    if len(now.members) >= LARGEST_SET:
         return now
     promises = worth.promises(now)
     likely = [int(one) for one in np.argsort(-promises)[:FEW] if promises[one] > -np.inf]
     return max((worth((*now.members, one)) for one in likely), key=_evidence, default=now)
 
 
-def _best_drop(worth: SwiftWeigher, now: Weighed) -> Weighed:
+def _best_drop(worth: Weigher, now: Weighed) -> Weighed:
     order = [now.members[place] for place in np.argsort(_likely_losses(now))[:FEW]]
     return max((worth.without(now, gone) for gone in order), key=_evidence, default=now)
 
 
-def _best_exchange(worth: SwiftWeigher, now: Weighed) -> Weighed:
+def _best_exchange(worth: Weigher, now: Weighed) -> Weighed:
     """Return the first better set that has another effect in a member's place."""
     losses = dict(zip(now.members, _likely_losses(now)))
     for gone in sorted(now.members, key=lambda one: losses[one]):
@@ -249,7 +249,7 @@ def without_weak(best: Weighed, worth: Weigher, needed: float) -> tuple[Weighed,
     return best, {}
 
 
-def alternatives(best: Weighed, worth: SwiftWeigher, within: float) -> dict[int, list[tuple[int, float]]]:
+def alternatives(best: Weighed, worth: Weigher, within: float) -> dict[int, list[tuple[int, float]]]:
     """Return for each member the effects that could stand in its place, and how many nats less such a set is worth."""
     found: dict[int, list[tuple[int, float]]] = {}
     for one in best.members:

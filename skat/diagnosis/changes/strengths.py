@@ -20,7 +20,7 @@ from scipy.special import logsumexp
 from skat.diagnosis.chains import Array
 from skat.diagnosis.changes.law import Law
 from skat.diagnosis.changes.windows import Quadratic
-from skat.diagnosis.evidence import Gram, Priors, SwiftWeigher, Weighed, gains_alone
+from skat.diagnosis.evidence import Gram, Priors, Weighed, Weigher, gains_alone
 from skat.diagnosis.search import search_sets
 
 # Of the variance of an effect's difference, over that if all misfit looked like it. No misfit exerts more than all of
@@ -89,7 +89,7 @@ class Logs:
         )
 
 
-class OverStrengths(SwiftWeigher):
+class OverStrengths(Weigher):
     """Weighs sets at all strengths together.
 
     Parameters
@@ -105,17 +105,17 @@ class OverStrengths(SwiftWeigher):
         super().__init__(nothing, priors, rivals)
         self.logs = logs
         self._at = [self._weigher(logs, strength) for strength in logs.strengths]
-        self._short: list[list[tuple[SwiftWeigher, float]]] = []
+        self._short: list[list[tuple[Weigher, float]]] = []
         tops = [search_sets(worth) for worth, _ in self._at]
         best = int(np.argmax([top.evidence + level for top, (_, level) in zip(tops, self._at)]))
         self.gram = self._at[best][0].gram
         for top in tops:
             search_sets(self, top.members)
 
-    def _weigher(self, logs: Logs, strength: float) -> tuple[SwiftWeigher, float]:
+    def _weigher(self, logs: Logs, strength: float) -> tuple[Weigher, float]:
         left = logs.left(strength)
         gram = Gram(left.products, left.projections, np.zeros(len(left.projections)))
-        return SwiftWeigher(gram, self.priors, self.rivals), left.level
+        return Weigher(gram, self.priors, self.rivals, alike=True), left.level
 
     def _worths(self, members: Sequence[int]) -> Array:
         return np.array([worth(members).evidence + level for worth, level in self._at])
@@ -149,7 +149,7 @@ class OverStrengths(SwiftWeigher):
         found = super().losses(whole)
         for at in self._shortened() if found else ():
 
-            def worth(members: Sequence[int], at: list[tuple[SwiftWeigher, float]] = at) -> float:
+            def worth(members: Sequence[int], at: list[tuple[Weigher, float]] = at) -> float:
                 return float(logsumexp([one(members).evidence + level for one, level in at]))
 
             ours = worth(whole.members)
@@ -157,7 +157,7 @@ class OverStrengths(SwiftWeigher):
                 found[gone] = min(loss, ours - worth([one for one in whole.members if one != gone]))
         return found
 
-    def _shortened(self) -> list[list[tuple[SwiftWeigher, float]]]:
+    def _shortened(self) -> list[list[tuple[Weigher, float]]]:
         """Return for both logs without each of their windows what weighs sets at each strength."""
         if not self._short:
             self._short = [

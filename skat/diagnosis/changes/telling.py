@@ -8,7 +8,7 @@ import numpy as np
 from skat.diagnosis.chains import Array, Mask
 from skat.diagnosis.changes.question import Question
 from skat.diagnosis.changes.strengths import OverStrengths
-from skat.diagnosis.evidence import SwiftWeigher, Weighed
+from skat.diagnosis.evidence import Weighed, Weigher
 from skat.diagnosis.findings import Alias, Cause, Gain
 from skat.diagnosis.forces.force_space import joined
 from skat.diagnosis.forces.machines import Candidate
@@ -56,7 +56,7 @@ class Changes:
 
 
 def causes_of(
-    question: Question, best: Weighed, worth: SwiftWeigher, nats: Mapping[int, float]
+    question: Question, best: Weighed, worth: Weigher, nats: Mapping[int, float]
 ) -> tuple[Cause, ...]:
     """Return the members of a set as they are told, most telling first.
 
@@ -65,7 +65,7 @@ def causes_of(
     question : Question
     best : Weighed
         The set that is named; its values are in units of scales.
-    worth : SwiftWeigher
+    worth : Weigher
         By which others are about as likely: the aliases.
     nats : mapping from place to float
         What each member is worth, in log odds.

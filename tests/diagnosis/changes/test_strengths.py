@@ -11,7 +11,7 @@ from skat.diagnosis.changes.law import Law, with_misfit
 from skat.diagnosis.changes.question import Question
 from skat.diagnosis.changes.search import _logs
 from skat.diagnosis.changes.strengths import BEYOND, LEAST, STRENGTHS, OverStrengths
-from skat.diagnosis.evidence import Gram, Priors, SwiftWeigher, Weigher
+from skat.diagnosis.evidence import Gram, Priors, Weigher
 from skat.diagnosis.forces.force_space import Rows
 from skat.diagnosis.forces.machines import Candidate, Model
 from skat.diagnosis.search import without_weak
@@ -107,7 +107,7 @@ def at(logs, strength, members):
     left = logs.left(strength)
     k = len(left.projections)
     gram = Gram(left.products, left.projections, np.zeros(k))
-    return SwiftWeigher(gram, priors_of(k))(members).evidence + left.level
+    return Weigher(gram, priors_of(k))(members).evidence + left.level
 
 
 def at_all(logs, members):
@@ -132,7 +132,7 @@ def test_values_and_their_errors_are_those_of_the_mixture_over_strengths(simulat
     rng, drawn = np.random.default_rng(0), []
     for strength, share in zip(STRENGTHS, shares):
         left = logs.left(strength)
-        one = SwiftWeigher(Gram(left.products, left.projections, np.zeros(M)), priors_of(M))((2,))
+        one = Weigher(Gram(left.products, left.projections, np.zeros(M)), priors_of(M))((2,))
         drawn.append(rng.normal(one.values[0], one.deviations[0], round(2e6 * share)))
     found, drawn = worth((2,)), np.concatenate(drawn)
     assert found.values[0] == pytest.approx(drawn.mean(), abs=0.01 * drawn.std())

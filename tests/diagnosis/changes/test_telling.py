@@ -6,7 +6,7 @@ import pytest
 from skat.diagnosis.changes.law import Law
 from skat.diagnosis.changes.question import Question
 from skat.diagnosis.changes.telling import causes_of, gain_of, sizes_of
-from skat.diagnosis.evidence import Gram, Priors, SwiftWeigher
+from skat.diagnosis.evidence import Gram, Priors, Weigher
 from skat.diagnosis.forces.force_space import Rows
 from skat.diagnosis.forces.machines import Candidate, Model
 from tests.diagnosis.changes.arm import arm, effect_of
@@ -42,7 +42,7 @@ def made_up(simulator, names, scales, *, sides=(None, None), noise=(None, None),
 def weigher(products, projections):
     k = len(projections)
     priors = Priors(("",) * k, np.ones(k), np.full(k, -np.log(k + 1.0)), np.full(k, -50.0), np.full(k, 50.0))
-    return SwiftWeigher(Gram(np.array(products), np.array(projections), np.zeros(k)), priors)
+    return Weigher(Gram(np.array(products), np.array(projections), np.zeros(k)), priors)
 
 
 NAMES = ["damping[elbow]", "mass[lower]", "gain[elbow]"]

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from skat.diagnosis.changes import find_changes
-from skat.diagnosis.evidence import Gram, Priors, SwiftWeigher, weigh
+from skat.diagnosis.evidence import Gram, Priors, Weigher, weigh
 from skat.diagnosis.forces.force_space import Rows, noise_of, smooth_squares
 from skat.diagnosis.forces.smoothing import smooth_coordinate
 from skat.diagnosis.search import alternatives, search_sets
@@ -151,12 +151,12 @@ def random_problem(seed, n=300, k=12, members=(1, 2, 3, 4, 8)):
 @pytest.mark.parametrize("seed", range(3))
 def test_sets_come_back_when_data_are_simulated_from_them(seed):
     gram, priors = random_problem(seed)
-    assert search_sets(SwiftWeigher(gram, priors)).members == (1, 2, 3, 4, 8)
+    assert search_sets(Weigher(gram, priors)).members == (1, 2, 3, 4, 8)
 
 
 def test_quick_weighing_is_that_of_the_evidence():
     gram, priors = random_problem(5)
-    worth = SwiftWeigher(gram, priors)
+    worth = Weigher(gram, priors)
     for members in ((1,), (1, 2, 3), (0, 4, 8, 11)):
         assert worth(members).evidence == pytest.approx(weigh(gram, priors, members).evidence, abs=0.02)
 
@@ -172,7 +172,7 @@ def test_a_promise_is_what_a_further_effect_gains_where_the_others_hardly_move(s
         truth = size * rng.uniform(-1.5, 1.5, k) * (np.arange(k) < 5)
         z = N @ truth + rng.normal(size=n)
         priors = Priors(("",) * k, np.ones(k), np.full(k, -2.0), np.full(k, -1e3), np.full(k, 1e3))
-        worth = SwiftWeigher(Gram(N.T @ N, N.T @ z, np.zeros(k)), priors)
+        worth = Weigher(Gram(N.T @ N, N.T @ z, np.zeros(k)), priors)
         for members in ((), (0,), (0, 1, 2), (1, 3, 6), (0, 1, 2, 3, 4)):
             now, promises = worth(members), worth.promises(worth(members))
             assert not np.isfinite(promises[list(members)]).any()
@@ -188,7 +188,7 @@ def test_a_promise_is_what_a_further_effect_gains_where_the_others_hardly_move(s
 def test_a_promise_holds_where_a_value_ends_at_its_bound():
     gram, priors = random_problem(5)
     bounded = Priors(priors.names, priors.scales, priors.log_odds, np.full(12, -0.2), np.full(12, 0.2))
-    worth = SwiftWeigher(gram, bounded)
+    worth = Weigher(gram, bounded)
     now = worth((1, 2))
     promises = worth.promises(now)
     for one in (3, 4, 8):
@@ -199,7 +199,7 @@ def test_a_promise_holds_where_a_value_ends_at_its_bound():
 
 def test_rivals_of_members_promise_nothing():
     gram, priors = random_problem(5)
-    worth = SwiftWeigher(gram, priors, {1: [4, 7]})
+    worth = Weigher(gram, priors, {1: [4, 7]})
     assert np.flatnonzero(np.isinf(worth.promises(worth((1, 2))))).tolist() == [1, 2, 4, 7]
     assert np.flatnonzero(np.isinf(worth.promises(worth((2,))))).tolist() == [2]
 
@@ -214,7 +214,7 @@ def test_effects_that_act_nearly_alike_are_all_found_however_many_promise_more()
     )
     z = 0.2 * common + rng.normal(size=2000)
     priors = Priors(("",) * k, np.ones(k), np.full(k, -np.log(10.0)), np.full(k, -50.0), np.full(k, 50.0))
-    worth = SwiftWeigher(Gram(N.T @ N, N.T @ z, np.zeros(k)), priors)
+    worth = Weigher(Gram(N.T @ N, N.T @ z, np.zeros(k)), priors)
     best = search_sets(worth)
     (gone,) = best.members
     lost = {one: best.evidence - worth((one,)).evidence for one in range(k) if one != gone}
@@ -228,7 +228,7 @@ def test_effects_that_act_nearly_alike_are_all_found_however_many_promise_more()
 
 def test_an_effect_that_explains_less_than_asked_is_no_alternative():
     gram, priors = random_problem(5)
-    worth = SwiftWeigher(gram, priors)
+    worth = Weigher(gram, priors)
     best = search_sets(worth)
     assert alternatives(best, worth, np.log(20.0)) == {one: [] for one in best.members}
 
@@ -236,8 +236,8 @@ def test_an_effect_that_explains_less_than_asked_is_no_alternative():
 @pytest.mark.parametrize("start", [(0,), (0, 5, 7), (1, 2)])
 def test_a_set_to_begin_with_changes_nothing_of_what_is_found(start):
     gram, priors = random_problem(5)
-    found = search_sets(SwiftWeigher(gram, priors), start)
-    assert found.members == search_sets(SwiftWeigher(gram, priors)).members
+    found = search_sets(Weigher(gram, priors), start)
+    assert found.members == search_sets(Weigher(gram, priors)).members
 
 
 @pytest.mark.parametrize("sign", [-1, 1])
@@ -250,9 +250,7 @@ def test_a_value_held_at_its_bound_is_worth_what_the_integral_says(sign):
     at_bound = pull * bound - stiffness * bound**2 / 2
     prior = priors.log_density((0,), np.full(1, sign * bound))[0]
     slope = pull - stiffness * bound
-    assert SwiftWeigher(gram, priors)((0,)).evidence == pytest.approx(
-        at_bound + prior - np.log(slope), abs=0.01
-    )
+    assert Weigher(gram, priors)((0,)).evidence == pytest.approx(at_bound + prior - np.log(slope), abs=0.01)
 
 
 def test_only_what_changed_is_named_of_a_model_that_is_wrong_in_both_logs():
