@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from skat.diagnosis.chains import Array, Mask, Places
 from skat.diagnosis.log import Log, without_channels
-from skat.diagnosis.prediction import FEWEST_PIECES, N_BOOTSTRAP, PIECES
+from skat.diagnosis.prediction import FEWEST_PIECES, N_BOOTSTRAP, ends, in_open_loop, pieces_of
 from skat.diagnosis.statespace import tangent_mask, tangents
 from skat.simulators import Simulator
 from skat.transport import (
@@ -35,13 +35,6 @@ TRANSPORTS = (
 )
 # Exact transport takes time and memory with the square of the number of rows.
 MOST_EXACT_ROWS = 2_000
-# Rows of a piece of time that counts as independent, at most.
-ROWS_OF_PIECE = 12
-# An initial state is fitted to the first rows of its episode, then to more of them by this factor, until it is whole.
-GROWTH = 1.6
-FIT_STEPS = 8
-# Of a channel's spread, over which to differentiate by an initial state.
-RELATIVE_STEP = 1e-4
 # A map learned from noisy states averages some of their noise out, which the true simulation cannot: a
 # smaller advantage than this is no sign of a cause.
 TELLING_RATIO = 0.95
@@ -104,8 +97,8 @@ def compare_transports(
 
     .. math:: \mathrm{error} = \Bigl(\frac{1}{n m} \sum_{t, j} (y_{tj} - \hat y_{tj})^2 / s_j^2\Bigr)^{1/2}
 
-    so that 1 is the error of predicting the mean. The interval comes from a bootstrap over the same blocks of
-    time for both methods. Orientations are compared as rotation vectors. Rows in which something was not measured
+    so that 1 is the error of predicting the mean. The interval comes from a bootstrap over the same
+    episodes for both methods, or, where they are few, pieces of them. Orientations are compared as rotation vectors. Rows in which something was not measured
     are left out. If channels were never measured, the rows are those of whole episodes simulated in open loop from
     fitted initial states; their inputs are the step and the actions, and the bootstrap is over episodes. Fewer than
     five blocks or episodes give no interval.
@@ -301,25 +294,21 @@ def _one_step_rows(diagnosis: Any, log: Log, what: str) -> _Rows:
         difference,
         spread,
         tuple(simulator.residual_names),
-        _pieces(log)[there],
+        (pieces_of(log.episodes) if log.consecutive else log.episodes)[there],
         lost,
     )
-
-
-def _pieces(log: Log) -> Places:
-    """Return the piece of each row: short against an episode, long against contacts' echoes."""
-    if not log.consecutive:
-        return log.episodes
-    length = int(np.clip(len(log) // PIECES, 1, ROWS_OF_PIECE))
-    return np.cumsum(np.r_[True, (np.diff(log.episodes) > 0) | (log.steps[1:] % length == 0)]) - 1
 
 
 def _trajectory_rows(diagnosis: Any, log: Log, what: str) -> _Rows:
     simulator: Simulator = diagnosis.simulator
     n_states = len(simulator.state_names)
     channels = np.flatnonzero(log.measured)
+    space = diagnosis._space(log, len(log))
+    error = np.nan_to_num(diagnosis.noise_, nan=1.0)[None] ** 2
     nominal, extended = (
-        _open_loop(one, log)[:, channels] for one in (simulator, diagnosis.extended_simulator_)
+        simulator.residual(ends(space)[0], path[:, 1:][space.places])[:, channels]
+        for one in (simulator, diagnosis.extended_simulator_)
+        for path, _ in [in_open_loop(replace(space, simulator=one), {}, error)]
     )
     measured = tangents(simulator, log.filled.y)[:, channels]
     seen = np.asarray(tangent_mask(simulator, np.isfinite(log.y))[:, channels].all(axis=1))
@@ -337,74 +326,6 @@ def _trajectory_rows(diagnosis: Any, log: Log, what: str) -> _Rows:
         log.episodes[there],  # In open loop an error lasts through its episode.
         int((seen & ~there).sum()),
     )
-
-
-def _open_loop(simulator: Simulator, log: Log) -> Array:
-    """Return measured minus simulated of each row, each episode in open loop from the state that fits it best.
-
-    Initial states take damped steps of Gauss and Newton, on the first rows of the episodes, then on more and more: with
-    a poor guess of what was not measured, the whole of an episode has many optima.
-    """
-    filled, mask = log.filled, tangent_mask(simulator, np.isfinite(log.y))
-    n_states, d = len(simulator.state_names), len(simulator.residual_names)
-    lengths = np.bincount(log.episodes)
-    n_steps, n = int(lengths.max()), len(lengths)
-    inputs = np.zeros((n, n_steps, log.X.shape[1] - n_states))
-    inputs[log.episodes, log.steps] = log.X[:, n_states:]
-    spread = _spread(tangents(simulator, filled.y))
-    first = np.flatnonzero(log.steps == 0)
-    # What is known of a first state: the reading itself, and of what was not measured, about the spread.
-    known = tangent_mask(simulator, np.isfinite(log.X[first, :n_states]))
-    guess = filled.X[first, :n_states]
-
-    def missed(states: Array, horizon: int) -> Array:
-        """Return measured minus simulated in rows before a horizon, 0 behind it; NaN where it diverges."""
-        copies = len(states) // n
-        paths = simulator.rollout_many(
-            states, np.tile(inputs[:, :horizon], (copies, 1, 1)), [{}], n_steps=horizon
-        )[0].reshape(copies, n, horizon + 1, -1)
-        rows = np.flatnonzero(log.steps < horizon)
-        out = np.zeros((copies, len(log), d))
-        for one, path in zip(out, paths):
-            difference = simulator.residual(filled.y[rows], path[log.episodes[rows], log.steps[rows] + 1])
-            one[rows] = np.where(mask[rows] | ~np.isfinite(difference), difference, 0.0)
-        return out
-
-    best = guess.copy()
-    horizon = 0
-    while horizon < n_steps:
-        horizon = min(int(np.ceil(GROWTH * max(horizon, 1))), n_steps)
-        damping, move = np.full(n, 1e-6), np.zeros((n, d))
-        at, loss = best, np.full(n, np.inf)
-        curvature, slope = np.zeros((n, d, d)), np.zeros((n, d))
-        for _ in range(FIT_STEPS):
-            trial = simulator.displace(at, move)
-            moved = [
-                simulator.displace(trial, np.tile(one, (n, 1))) for one in np.diag(RELATIVE_STEP * spread)
-            ]
-            base, *others = missed(np.concatenate([trial, *moved]), horizon) / spread
-            columns = np.stack([base - other for other in others], axis=-1) / RELATIVE_STEP
-            columns = np.nan_to_num(columns)
-            away = simulator.residual(guess, trial) / spread
-            for episode in range(n):
-                rows = log.episodes == episode
-                # A weak hold on the guess decides what no row depends on.
-                weights = np.where(known[episode], 1.0, 1e-6)
-                own = base[rows].ravel()
-                now = float(own @ own + weights @ away[episode] ** 2)
-                if np.isfinite(now) and now < loss[episode]:
-                    loss[episode], at[episode] = now, trial[episode]
-                    flat = columns[rows].reshape(-1, d)
-                    curvature[episode] = flat.T @ flat + np.diag(weights)
-                    slope[episode] = flat.T @ own + weights * away[episode]
-                    damping[episode] /= 10
-                else:
-                    damping[episode] *= 100
-                held = curvature[episode] + damping[episode] * np.diag(np.diag(curvature[episode]) + 1e-12)
-                move[episode] = np.linalg.solve(held, slope[episode]) * spread
-        best = at
-    left: Array = missed(best, n_steps)[0]
-    return left
 
 
 def _there(nominal: Array, extended: Array, measured: Mask, what: str) -> Mask:

@@ -501,7 +501,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
                 "horizon='episode' needs a simulation with a state, and groups=, the episode of each row."
             )
         return open_loop_gain(
-            self._space(log),
+            self._space(log, len(log)),
             self._fitted_for(log),
             self._values,
             initial_state=initial_state,

@@ -17,7 +17,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skat.diagnosis.ahead import SETTLED_ROWS, Seen, ahead, before, filtered
 from skat.diagnosis.chains import Array, Mask, Places
@@ -190,7 +189,7 @@ def predicted(
     there = counted.any(axis=1)
     gain = _gain(
         np.stack([nominal, extended, floor])[:, there],
-        _pieces(space.groups[starts])[there],
+        pieces_of(space.groups[starts])[there],
         random_state,
         horizon=float(h * simulator.dt) if simulator.dt else float(h),
         channels=_channel_errors(space, fitted, errors, mask[rows]),
@@ -271,6 +270,7 @@ def open_loop_gain(
     Parameters
     ----------
     space : StateSpace
+        Of which each episode is a chain.
     fitted : Fitted
         Its noise says how much each channel counts where initial states are fitted, and what a right model has.
     values : mapping from name to value
@@ -296,7 +296,6 @@ def open_loop_gain(
         If an episode diverges.
     """
     simulator = space.simulator
-    space = _whole_episodes(space)
     measured, mask = ends(space)
     names = [name for channel, name in enumerate(simulator.residual_names) if mask[:, channel].any()]
     unknown = [name for name in outputs or () if name not in names]
@@ -314,15 +313,11 @@ def open_loop_gain(
         )
     noise = fitted.estimate.noise
     variances = variances_of(noise.error, noise.error_nu)[:, : space.d]
-    deviations = np.sqrt(variances)[space.origins]
     counted = mask & chosen
     paths = []
     models: tuple[Mapping[str, float], ...] = ({}, values)
     for name, model in zip(("nominal", "extended"), models):
-        starts = [space.measured[:, 0]]
-        if initial_state == "fitted":
-            starts += _fitted_starts(space, model, variances)
-        path, lost = _best_runs(space, model, starts, measured, mask, deviations)
+        path, lost = in_open_loop(space, model, variances, initial_state=initial_state)
         if lost.any():
             episode = int(np.flatnonzero(lost)[0])
             label = episode if labels is None else labels[episode]
@@ -412,8 +407,8 @@ def _cut(squares: Array, drawn: Array, counted: Mask) -> tuple[Array, Array, Arr
     return nominal / unit, extended / unit, floor / unit
 
 
-def _pieces(episodes: Places) -> Places:
-    """Return the piece of each start: its episode, or where there are few, a piece of time."""
+def pieces_of(episodes: Places) -> Places:
+    """Return the piece of each row or start that counts as one: its episode, or where there are few, one of time."""
     labels = np.unique(episodes, return_inverse=True)[1]
     n_episodes = int(labels.max()) + 1
     if n_episodes >= FEWEST_PIECES:
@@ -509,34 +504,41 @@ def _channel_of(output: str, simulator: Simulator) -> int:
 # -- parts of whole episodes in open loop ----------------------------------------------------------------------------
 
 
-def _whole_episodes(space: StateSpace) -> StateSpace:
-    """Return the log with each episode as one chain."""
-    episode: NDArray[np.intp] = np.unique(space.groups, return_inverse=True)[1]
-    if len(space.real) == int(episode[-1]) + 1:
-        return space
-    step = steps_of(episode)
-    first = np.flatnonzero(step == 0)
-    shape = int(episode[-1]) + 1, int(step.max()) + 1
-    real = np.zeros(shape, dtype=bool)
-    real[episode, step] = True
-    after, seen_after = ends(space)
-    measured = np.repeat(space.measured[space.places][first][:, None], shape[1] + 1, axis=1)
-    mask = np.zeros((shape[0], shape[1] + 1, space.d), dtype=bool)
-    mask[:, 0] = space.mask[space.places][first]
-    measured[episode, step + 1], mask[episode, step + 1] = after, seen_after
-    return StateSpace(
-        space.simulator,
-        space.X,
-        space.groups,
-        (episode, step),
-        measured,
-        mask,
-        real,
-        space.carrier,
-        space.spread,
-        space.origins[first],
-        earlier=space.earlier,
+def in_open_loop(
+    space: StateSpace, values: Mapping[str, float], error: Array, *, initial_state: str = "fitted"
+) -> tuple[Array, Mask]:
+    """Return episodes in open loop (n_episodes, n_steps + 1, n_outputs), and which of them diverge.
+
+    Parameters
+    ----------
+    space : StateSpace
+        Of which each episode is a chain.
+    values : mapping from name to value
+    error : ndarray of shape (n_laws, d)
+        Variance of each channel's noise.
+    initial_state : {"measured", "fitted"}, default="fitted"
+        Where they begin; a fitted state is taken where it does better than what was measured.
+    """
+    simulator, (measured, mask) = space.simulator, ends(space)
+    inputs = space.padded(space.X[:, len(simulator.state_names) :])
+    n_steps, episode = space.real.shape[1], space.places[0]
+    starts = [space.measured[:, 0]] + (
+        _fitted_starts(space, values, error) if initial_state == "fitted" else []
     )
+    best, least = np.empty(0), np.full(len(space.real), np.inf)
+    for start in starts:
+        (path,) = simulator.rollout_many(start, inputs, [values], n_steps=n_steps)
+        with np.errstate(invalid="ignore", over="ignore"):
+            squares = simulator.residual(measured, path[:, 1:][space.places]) ** 2 / error[space.origins]
+            loss = np.bincount(episode, np.where(mask, squares, 0.0).sum(axis=1))
+        loss = np.where(
+            np.bincount(episode, ~np.isfinite(path[:, 1:][space.places]).all(axis=1)) > 0, np.inf, loss
+        )
+        if not len(best):
+            best = path
+        better = loss < least
+        best[better], least[better] = path[better], loss[better]
+    return best, ~np.isfinite(least)
 
 
 def _fitted_starts(space: StateSpace, values: Mapping[str, float], error: Array) -> list[Array]:
@@ -556,34 +558,6 @@ def _fitted_starts(space: StateSpace, values: Mapping[str, float], error: Array)
         path = moved_path(space, path, np.clip(smoothed.means, -farthest, farthest))
         starts.append(path[:, 0])
     return starts
-
-
-def _best_runs(
-    space: StateSpace,
-    values: Mapping[str, float],
-    starts: Sequence[Array],
-    measured: Array,
-    mask: Mask,
-    deviations: Array,
-) -> tuple[Array, Mask]:
-    """Return the episodes (n_episodes, n_steps + 1, n_outputs) from the best of several starts, and which diverge."""
-    simulator = space.simulator
-    inputs = space.padded(space.X[:, len(simulator.state_names) :])
-    n_steps, episode = space.real.shape[1], space.places[0]
-    best, least = np.empty(0), np.full(len(space.real), np.inf)
-    for start in starts:
-        (path,) = simulator.rollout_many(start, inputs, [values], n_steps=n_steps)
-        with np.errstate(invalid="ignore", over="ignore"):
-            white = simulator.residual(measured, path[:, 1:][space.places]) / deviations
-            loss = np.bincount(episode, np.where(mask, white**2, 0.0).sum(axis=1))
-        loss = np.where(
-            np.bincount(episode, ~np.isfinite(path[:, 1:][space.places]).all(axis=1)) > 0, np.inf, loss
-        )
-        if not len(best):
-            best = path
-        better = loss < least
-        best[better], least[better] = path[better], loss[better]
-    return best, ~np.isfinite(least)
 
 
 def _open_loop_variances(

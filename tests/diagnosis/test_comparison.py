@@ -62,7 +62,7 @@ def diagnosed(simulator, causes=(), hidden=(), noise=0.01):
     """Return a diagnosis as fit would leave it, of given causes."""
     diagnosis = SimulationDiagnosis(simulator, hidden=hidden)
     diagnosis.verdict_, diagnosis.computed_velocities_ = "named", ()
-    diagnosis.noise_ = np.full(len(simulator.residual_names) - len(hidden), noise)
+    diagnosis.noise_ = np.full(len(simulator.residual_names), noise)
     diagnosis.extended_simulator_ = simulator.extended(dict(causes))
     return diagnosis
 

@@ -1,4 +1,4 @@
-"""What a comparison with learned maps is made of, by hand: standardised rows, pieces, ratios, starts, sentences."""
+"""What a comparison with learned maps is made of, by hand: standardised rows, ratios, sentences."""
 
 import numpy as np
 import pandas as pd
@@ -9,15 +9,12 @@ from skat.diagnosis import SimulationDiagnosis, compare_transports
 from skat.diagnosis.comparison import (
     EXTENDED,
     NOMINAL,
-    _open_loop,
-    _pieces,
     _rank,
     _ratio,
     _spread,
     ceiling_sentence,
     is_beaten,
 )
-from skat.diagnosis.log import Log, check_log, without_channels
 from skat.effects import Effect
 from skat.simulators import FunctionSimulator
 
@@ -208,19 +205,6 @@ def test_what_beats_the_causes_is_clearly_and_by_more_than_noise_gives_better(ra
 # -- parts -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("lengths", "piece"), [([400, 100], 12), ([100, 100], 10), ([41, 20], 3), ([10, 9], 1)]
-)
-def test_pieces_of_time_are_as_long_as_twenty_fit_in_but_no_longer_than_twelve_rows(lengths, piece):
-    groups = np.repeat(np.arange(len(lengths)), lengths)
-    X = np.zeros((len(groups), 1))
-    pieces = _pieces(Log(X, X, groups, True))
-    expected = np.concatenate([np.arange(n) // piece for n in lengths])
-    starts = np.r_[0, np.cumsum([-(-n // piece) for n in lengths])[:-1]]
-    assert pieces.tolist() == (expected + starts[groups]).tolist()
-    assert _pieces(Log(X, X, groups, False)).tolist() == groups.tolist()
-
-
 def test_the_rank_of_rows_is_that_of_what_varies_in_any_unit():
     rows = np.random.default_rng(0).normal(size=(30, 3))
     assert _rank(rows * [1e-6, 1.0, 1e6] + 100) == 3
@@ -238,36 +222,3 @@ def test_a_column_that_is_constant_up_to_rounding_has_a_spread_of_one():
 def test_ratios_of_nothing_are_one():
     assert _ratio([4.0, 0.0, 0.0], [1.0, 0.0, 2.0]).tolist() == [2.0, 1.0, 0.0]
     assert _ratio(1.0, 0.0) > 1e100
-
-
-@pytest.mark.parametrize("hidden", [[], ["v"]])
-def test_open_loop_begins_where_least_squares_over_the_episode_do(hidden):
-    """Of linear dynamics, with readings of the first state as one row more, and a weak hold where there is none."""
-    A, rng, names, n = np.array([[0.95, 0.3], [-0.2, 0.9]]), np.random.default_rng(0), ("x", "v"), 25
-    simulator = FunctionSimulator(
-        lambda X: X[:, :2] @ A.T + np.c_[0 * X[:, 2], X[:, 2]],
-        input_names=(*names, "u"),
-        output_names=names,
-        state_names=names,
-        dt=0.1,
-    )
-    u = rng.normal(size=(2, n, 1))
-    states = simulator.rollout(rng.normal(size=(2, 2)), u, n_steps=n) + 0.1 * rng.normal(size=(2, n + 1, 2))
-    X = np.concatenate([states[:, :-1], u], axis=2).reshape(2 * n, 3)
-    log = check_log(simulator, X, states[:, 1:].reshape(2 * n, 2), np.repeat([0, 1], n))
-    log = without_channels(simulator, log, hidden)
-    left = _open_loop(simulator, log).reshape(2, n, 2)
-    filled = log.filled
-    spread = filled.y.std(axis=0) if not hidden else np.array([filled.y[:, 0].std(), 1.0])
-    seen = [0] if hidden else [0, 1]
-    weights = np.array([1.0, 1e-6 if hidden else 1.0])
-    forced = simulator.rollout(np.zeros((2, 2)), u, n_steps=n)[:, 1:]
-    powers = np.array([np.linalg.matrix_power(A, step) for step in range(1, n + 1)])
-    for episode in range(2):
-        guess = filled.X[episode * n, :2]
-        target = states[episode, 1:] - forced[episode]
-        rows = [(powers / spread[:, None])[:, seen].reshape(-1, 2), np.diag(np.sqrt(weights) / spread)]
-        right = [(target / spread)[:, seen].ravel(), np.sqrt(weights) * guess / spread]
-        start = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=None)[0]
-        expected = target - powers @ start
-        np.testing.assert_allclose(left[episode][:, seen], expected[:, seen], atol=1e-4)

@@ -16,14 +16,14 @@ from skat.diagnosis.prediction import (
     _channel_errors,
     _cut,
     _gain,
-    _pieces,
     _weighted,
-    _whole_episodes,
     _worst_episodes,
     ends,
     horizon_rows,
+    in_open_loop,
     look,
     open_loop_gain,
+    pieces_of,
     predicted,
     windows,
 )
@@ -171,13 +171,6 @@ def test_rows_end_where_they_were_measured_to_end_however_episodes_are_cut(chain
     measured, mask = ends(space)
     np.testing.assert_array_equal(mask, np.isfinite(y))
     np.testing.assert_array_equal(measured[mask], y[np.isfinite(y)])
-    whole = _whole_episodes(space)
-    uncut = state_space(resting(), X, y, groups, consecutive=True, chain_length=1000)
-    np.testing.assert_array_equal(whole.places, uncut.places)
-    for name in ("real", "mask", "groups"):
-        np.testing.assert_array_equal(getattr(whole, name), getattr(uncut, name))
-    np.testing.assert_array_equal(whole.measured[uncut.mask], uncut.measured[uncut.mask])
-    assert _whole_episodes(uncut) is uncut
 
 
 # -- what is known at a start, and ahead of it -----------------------------------------------------------------------
@@ -475,7 +468,7 @@ def test_a_channel_in_which_the_nominal_model_diverges_is_cut_as_the_worst_other
 @pytest.mark.parametrize("sizes", [[100], [30, 41, 52], [9, 3, 60, 21], [4, 4, 4, 4, 4], [7] * 8])
 def test_pieces_are_episodes_or_even_parts_of_them_in_time(sizes):
     episodes = np.repeat(10 + 3 * np.arange(len(sizes)), sizes)
-    pieces = _pieces(episodes)
+    pieces = pieces_of(episodes)
     assert (np.diff(pieces) >= 0).all()
     each = 1 if len(sizes) >= 5 else -(-20 // len(sizes))
     for label, size in zip(np.unique(episodes), sizes):
@@ -588,11 +581,10 @@ def test_starts_from_which_a_simulation_diverges_are_counted_and_count_as_wholly
 
 
 @pytest.mark.parametrize("start", ["measured", "fitted"])
-@pytest.mark.parametrize("chain_length", [6, 1000])
-def test_the_floor_in_open_loop_is_what_a_right_model_has(start, chain_length):
+def test_the_floor_in_open_loop_is_what_a_right_model_has(start):
     """From a start that was read, twice the noise; from one fitted to eleven readings, a tenth of it is taken up."""
     error, lengths = 0.1, [10] * 60
-    space = read(lengths, error=error, chain_length=chain_length)
+    space = read(lengths, error=error)
     gain = open_loop_gain(space, known(space, error), {}, initial_state=start, random_state=random_state())
     square = 2 * error**2 if start == "measured" else error**2 * (1 - 1 / 11)
     assert gain.floor == pytest.approx(np.sqrt(square), rel=1e-6)
@@ -616,6 +608,39 @@ def test_a_fitted_start_is_taken_where_it_fits_better_than_the_reading():
     from_fit = open_loop_gain(space, fitted, {}, initial_state="fitted", random_state=random_state())
     assert from_reading.nominal == pytest.approx(1.0, rel=0.1)
     assert from_fit.nominal < 0.2
+
+
+@pytest.mark.parametrize("hidden", [[], [1]])
+def test_open_loop_begins_where_least_squares_over_the_episode_do(hidden):
+    """Of linear dynamics, with readings of the first state as one row more."""
+    A, rng, names, n, error = (
+        np.array([[0.95, 0.3], [-0.2, 0.9]]),
+        np.random.default_rng(0),
+        ("x", "v"),
+        25,
+        0.1,
+    )
+    simulator = FunctionSimulator(
+        lambda X: X[:, :2] @ A.T + np.c_[0 * X[:, 2], X[:, 2]],
+        input_names=(*names, "u"),
+        output_names=names,
+        state_names=names,
+        dt=DT,
+    )
+    u = rng.normal(size=(2, n, 1))
+    states = simulator.rollout(rng.normal(size=(2, 2)), u, n_steps=n) + error * rng.normal(size=(2, n + 1, 2))
+    states[..., hidden] = np.nan
+    X = np.concatenate([states[:, :-1], u], axis=2).reshape(2 * n, 3)
+    space = state_space(simulator, X, states[:, 1:].reshape(2 * n, 2), np.repeat([0, 1], n), consecutive=True)
+    paths, lost = in_open_loop(space, {}, np.full((1, 2), error**2))
+    assert not lost.any()
+    seen = [one for one in (0, 1) if one not in hidden]
+    forced = simulator.rollout(np.zeros((2, 2)), u, n_steps=n)
+    powers = np.array([np.linalg.matrix_power(A, step) for step in range(n + 1)])
+    for episode in range(2):
+        read = (states[episode] - forced[episode])[:, seen].ravel()
+        start = np.linalg.lstsq(powers[:, seen].reshape(-1, 2), read, rcond=None)[0]
+        np.testing.assert_allclose(paths[episode], forced[episode] + powers @ start, atol=1e-3)
 
 
 def test_the_episode_that_diverges_in_open_loop_is_named_as_its_user_does():
