@@ -187,7 +187,7 @@ def predicted(
         squares = np.nan_to_num(errors[:, :, -1] ** 2 / right.variances[:, -1], nan=np.inf)
     nominal, extended, floor = _cut(squares, right.last, counted)
     there = counted.any(axis=1)
-    gain = _gain(
+    gain = measured_gain(
         np.stack([nominal, extended, floor])[:, there],
         pieces_of(space.groups[starts])[there],
         random_state,
@@ -331,7 +331,7 @@ def open_loop_gain(
     right = _open_loop_variances(space, fitted, values, initial_state, path[:, 0])
     floor = np.where(counted, right, 0.0).sum(axis=-1)
     there = counted.any(axis=1)
-    return _gain(
+    return measured_gain(
         np.stack([*squares, floor])[:, there],
         space.groups[there],
         random_state,
@@ -420,7 +420,7 @@ def pieces_of(episodes: Places) -> Places:
     return pieces
 
 
-def _gain(
+def measured_gain(
     parts: Array,
     pieces: Places,
     random_state: np.random.RandomState,

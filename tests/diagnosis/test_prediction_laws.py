@@ -15,13 +15,13 @@ from skat.diagnosis.noise import Noise, normal_noise, passed, variances_of
 from skat.diagnosis.prediction import (
     _channel_errors,
     _cut,
-    _gain,
     _weighted,
     _worst_episodes,
     ends,
     horizon_rows,
     in_open_loop,
     look,
+    measured_gain,
     open_loop_gain,
     pieces_of,
     predicted,
@@ -479,7 +479,7 @@ def test_pieces_are_episodes_or_even_parts_of_them_in_time(sizes):
 
 
 def gain_of(parts, pieces, **options):
-    return _gain(
+    return measured_gain(
         np.array(parts, float), np.array(pieces), random_state(), horizon=1.0, channels={}, **options
     )
 

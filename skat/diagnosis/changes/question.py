@@ -20,6 +20,7 @@ from skat.diagnosis.forces.motions import (
     lacking_forces,
     rows_about,
     shares_of,
+    units_by,
     with_friction,
 )
 from skat.effects import Effect
@@ -171,12 +172,7 @@ def question_of(
     shares = shares_of(joined(sides))
     shown = np.flatnonzero(shares > SHOWN)
     common, sizes, shares = [common[place] for place in shown], sizes[shown], shares[shown]
-    units = np.array(
-        [
-            1.0 if effect.name in typical or effect.force_share is None else effect.force_share / share
-            for effect, share in zip(common, shares)
-        ]
-    )
+    units = units_by(shares, common, typical)
     sizes = sizes * units
     sides = [replace(side, columns=side.columns[:, shown] * units) for side in sides]
     sides = [with_friction(simulator, *one, common, sizes) for one in zip(halves, sides)]

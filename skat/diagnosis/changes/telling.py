@@ -12,11 +12,10 @@ from skat.diagnosis.evidence import Weighed, Weigher
 from skat.diagnosis.findings import Alias, Cause, Gain
 from skat.diagnosis.forces.force_space import joined
 from skat.diagnosis.forces.machines import Candidate
-from skat.diagnosis.prediction import FEWEST_PIECES
+from skat.diagnosis.prediction import measured_gain
 from skat.diagnosis.search import ALIAS_FACTOR, alternatives
 from skat.simulators import MujocoSimulator
 
-BOOTSTRAPS = 400
 # Changes that are tried, in typical sizes.
 TRIED = np.geomspace(0.01, 100, 81)
 
@@ -161,32 +160,19 @@ def gain_of(question: Question, value: Array, differences: Array) -> Gain | None
     mine = question.held_out
     if not mine.any():
         return None
-    nominal = question.left(value, np.zeros(len(question.candidates)))[1][mine]
-    extended = question.left(value, differences)[1][mine]
-    noise, rows = question.law.noise[1][mine], question.sides[1]
-    windows = [rows.stretch[mine] == one for one in np.unique(rows.stretch[mine])]
-    squares = np.array(
-        [[float(np.sum((one[own] / noise[own]) ** 2)) for one in (nominal, extended)] for own in windows]
+    nominal, extended = (
+        question.left(value, step)[1][mine] for step in (np.zeros(len(differences)), differences)
     )
-    counts = np.array([int(own.sum()) for own in windows])
-    errors = squares.sum(axis=0) / counts.sum()
-    rng = np.random.default_rng(0)
-    drawn = rng.integers(len(windows), size=(BOOTSTRAPS, len(windows)))
-    some = squares[drawn].sum(axis=1) / counts[drawn].sum(axis=1)[:, None]
-    shares = (some[:, 0] - some[:, 1]) / np.maximum(some[:, 0] - 1, 1e-12)
-    low, high = np.percentile(shares, [2.5, 97.5]) if len(windows) >= FEWEST_PIECES else (np.nan, np.nan)
-    excess = errors[0] - 1
-    return Gain(
-        nominal=float(errors[0]),
-        extended=float(errors[1]),
-        floor=1.0,
-        explained=float((errors[0] - errors[1]) / excess) if excess > 0 else 0.0,
-        interval=(float(low), float(high)),
+    rows, noise = question.sides[1].part(mine), question.law.noise[1][mine]
+    return measured_gain(
+        np.stack([(nominal / noise) ** 2, (extended / noise) ** 2, np.ones(len(noise))]),
+        rows.stretch,
+        np.random.RandomState(0),
         horizon=0.0,
         channels={
             name: (_rms(nominal, own), _rms(extended, own))
             for joint, name in enumerate(_dof_names(question.simulator))
-            if (own := rows.joint[mine] == joint).any()
+            if (own := rows.joint == joint).any()
         },
     )
 
