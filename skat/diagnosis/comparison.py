@@ -26,13 +26,14 @@ from skat.transport import (
 )
 
 NOMINAL, EXTENDED = "nominal simulation", "extended simulation"
-TRANSPORTS = (
-    "AffineTransport",
-    "ProcrustesAffineTransport",
-    "ConditionalAffineTransport",
-    "CORAL",
-    "ExactTransport",
-)
+# Made for so many columns of inputs, which come first.
+TRANSPORTS: Mapping[str, Callable[[int], Any]] = {
+    "AffineTransport": lambda _: AffineTransport(),
+    "ProcrustesAffineTransport": lambda _: ProcrustesAffineTransport(),
+    "ConditionalAffineTransport": lambda n: ConditionalAffineTransport(context=n),
+    "CORAL": lambda _: CORAL(),
+    "ExactTransport": lambda _: ExactTransport(),
+}
 # Exact transport takes time and memory with the square of the number of rows.
 MOST_EXACT_ROWS = 2_000
 # A map learned from noisy states averages some of their noise out, which the true simulation cannot: a
@@ -97,11 +98,11 @@ def compare_transports(
 
     .. math:: \mathrm{error} = \Bigl(\frac{1}{n m} \sum_{t, j} (y_{tj} - \hat y_{tj})^2 / s_j^2\Bigr)^{1/2}
 
-    so that 1 is the error of predicting the mean. The interval comes from a bootstrap over the same
-    episodes for both methods, or, where they are few, pieces of them. Orientations are compared as rotation vectors. Rows in which something was not measured
-    are left out. If channels were never measured, the rows are those of whole episodes simulated in open loop from
-    fitted initial states; their inputs are the step and the actions, and the bootstrap is over episodes. Fewer than
-    five blocks or episodes give no interval.
+    so that 1 is the error of predicting the mean. The interval comes from a bootstrap over the same episodes for both
+    methods, or, where they are few, pieces of them. Orientations are compared as rotation vectors. Rows in which
+    something was not measured are left out. If channels were never measured, the rows are those of whole episodes
+    simulated in open loop from fitted initial states; their inputs are the step and the actions, and the bootstrap is
+    over episodes. Fewer than five episodes or groups give no interval.
 
     If the simulated rows vary in fewer directions than the measured ones (a linear simulation), no linear map
     carries one onto the other; they are then fitted with noise of the size of what the extended simulation
@@ -224,14 +225,12 @@ class _Row:
 
 
 def _chosen(methods: Sequence[str] | Mapping[str, Any] | None) -> dict[str, Any]:
-    if methods is None:
-        methods = TRANSPORTS
     if isinstance(methods, Mapping):
         taken = [name for name in methods if name in (NOMINAL, EXTENDED)]
         if taken:
             raise ValueError(f"methods may not be called {taken[0]!r}: the simulations are always compared.")
         return dict(methods)
-    names = [methods] if isinstance(methods, str) else list(methods)
+    names = [methods] if isinstance(methods, str) else list(TRANSPORTS if methods is None else methods)
     unknown = [name for name in names if name not in TRANSPORTS]
     if unknown:
         raise ValueError(
@@ -239,17 +238,6 @@ def _chosen(methods: Sequence[str] | Mapping[str, Any] | None) -> dict[str, Any]
             "to estimators."
         )
     return dict.fromkeys(names)
-
-
-def _made(name: str, n_context: int) -> Any:
-    kinds: dict[str, Callable[[], Any]] = {
-        "AffineTransport": AffineTransport,
-        "ProcrustesAffineTransport": ProcrustesAffineTransport,
-        "ConditionalAffineTransport": lambda: ConditionalAffineTransport(context=n_context),
-        "CORAL": CORAL,
-        "ExactTransport": ExactTransport,
-    }
-    return kinds[name]()
 
 
 def _log(diagnosis: Any, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None, what: str) -> Log:
@@ -390,7 +378,7 @@ def _transported(
         chosen = random_state.permutation(len(source))[:MOST_EXACT_ROWS]
         notes.append(f"fitted to {MOST_EXACT_ROWS} of {len(source)} rows, drawn at random")
         source, target = source[chosen], target[chosen]
-    estimator = _made(name, n_context) if transport is None else clone(transport)
+    estimator = TRANSPORTS[name](n_context) if transport is None else clone(transport)
     carried = (np.column_stack([test.inputs, test.nominal]) - mean) / spread
     try:
         with warnings.catch_warnings(record=True) as caught:
@@ -417,13 +405,8 @@ def _table(
     enough = len(draws[0]) >= FEWEST_PIECES
     records = []
     for row in rows:
-        record: dict[str, Any] = {
-            "method": row.method,
-            "error": np.nan,
-            "ratio": np.nan,
-            "ratio_low": np.nan,
-            "ratio_high": np.nan,
-        }
+        record: dict[str, Any] = {"method": row.method}
+        record |= dict.fromkeys(("error", "ratio", "ratio_low", "ratio_high"), np.nan)
         if row.errors is not None:
             own = sums[row.method]
             sampled = _ratio(own[draws].sum(axis=1), reference[draws].sum(axis=1))
