@@ -26,10 +26,18 @@ from skat.diagnosis.chains import Array
 COARSE_ROWS = 10_000
 # Of the largest eigenvalue of a scaled Gram matrix: below it there is rounding.
 RANK = 1e-12
+# A bound that a value comes this near to, as a share of the range, holds it.
+AT_BOUND = 1e-6
 # Of a normal law within its 95 % interval, in standard deviations.
 WIDTH_95 = 1.96
 # Steps of a posterior mode, each with a normal law in the place of each prior.
 STEPS = 30
+
+
+def at_bound(value: float, low: float, high: float) -> bool:
+    """Whether a value, from neutral, lies at a bound that is not neutral."""
+    width = AT_BOUND * (high - low)
+    return bool((value > high - width and high > 0) or (value < low + width and low < 0))
 
 
 def coarsened(n_rows: int) -> float:
@@ -57,6 +65,10 @@ class Priors:
     log_odds: Array
     low: Array
     high: Array
+
+    def is_held(self, one: int, value: float) -> bool:
+        """Whether a value lies at a bound that is not neutral."""
+        return at_bound(value, self.low[one], self.high[one])
 
     def part(self, members: Sequence[int]) -> "Priors":
         """Return the priors of some effects."""

@@ -6,14 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skat.diagnosis.evidence import Gram, Priors, Weighed, Weigher, weigh
+from skat.diagnosis.evidence import Gram, Priors, Weighed, Weigher, at_bound, weigh
 from skat.diagnosis.fits import Fit, Fits
 from skat.diagnosis.fitting import Fitted, around, coordinate, value_at
 from skat.diagnosis.search import ALIAS_FACTOR, Ranked, without_weak
 from skat.effects import Effect
-
-# A bound that an estimate comes this near to, as a share of the range, holds it.
-AT_BOUND = 1e-6
 
 
 @dataclass(frozen=True)
@@ -232,6 +229,4 @@ def exchanged(members: Sequence[int], cause: int, other: int) -> tuple[int, ...]
 def is_held(effect: Effect, value: float) -> bool:
     """Whether an estimate lies at a bound that is not neutral, but for the finest time step: reality has none."""
     low, high = (coordinate(effect, bound) for bound in effect.bounds)
-    place, width = coordinate(effect, value), AT_BOUND * (high - low)
-    finest = effect.family == "timestep"
-    return (place > high - width and high > 0) or (place < low + width and low < 0 and not finest)
+    return at_bound(coordinate(effect, value), 0.0 if effect.family == "timestep" else low, high)

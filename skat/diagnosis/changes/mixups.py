@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from skat.diagnosis.chains import Array, Mask
 from skat.diagnosis.changes.question import Question
 from skat.diagnosis.changes.strengths import Logs
-from skat.diagnosis.changes.windows import Quadratic, Windows
+from skat.diagnosis.changes.windows import Quadratic, total, windows_of
 from skat.diagnosis.forces.force_space import Rows
 from skat.diagnosis.forces.machines import Model
 from skat.diagnosis.forces.motions import Half, lacking_forces, rows_about, whole_coefficients_of
@@ -76,9 +76,9 @@ def mistake_of(question: Question, differences: Array, *, price: float, needed: 
     given = replace(rows, target=rows.target - explained, columns=rows.columns[:, : len(question.effects)])
 
     def whole(side: int, some: Rows, seen: Mask) -> Quadratic:
-        return Windows.of(some.part(seen), law.noise[side][seen]).without(law.spread).whole()
+        return total(windows_of(some.part(seen), law.noise[side][seen], law.spread))
 
-    first = Windows.of(question.sides[0], law.noise[0]).without(law.spread).whole()
+    first = total(windows_of(question.sides[0], law.noise[0], law.spread))
     mended_second = whole(1, otherwise, seen & kept)
     odds = Logs(first, mended_second, law).level() - Logs(first, whole(1, given, seen & kept), law).level()
     if odds + price + np.log(MIXED_UP / len(mixed)) <= needed:

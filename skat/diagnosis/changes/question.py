@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from skat.diagnosis.chains import Array, Mask
 from skat.diagnosis.changes.candidates import distinct, offered_candidates, units_of
 from skat.diagnosis.changes.law import Law, settled_law, with_misfit
-from skat.diagnosis.changes.windows import Windows
+from skat.diagnosis.changes.windows import total, windows_of
 from skat.diagnosis.forces.force_space import Rows, joined
 from skat.diagnosis.forces.machines import MOTORS, UNSEEN, WEAKEST, Candidate, Model
 from skat.diagnosis.forces.motions import (
@@ -340,7 +340,7 @@ def _squares(rows: Rows, left: Array, law: Law, noise: Array) -> Array:
     """Return the squares of what is left of rows, (n_rows, n), over the noise and what windows have of their own."""
     k = len(law.spread)
     stacked = replace(rows, target=np.zeros(len(left)), columns=np.column_stack([rows.columns[:, :k], left]))
-    return np.diag(Windows.of(stacked, noise).without(law.spread).whole().products)[k:]
+    return np.diag(total(windows_of(stacked, noise, law.spread)).products)[k:]
 
 
 def _bases(
@@ -400,7 +400,7 @@ def _told(
     # As columns behind those of effects all targets are integrated over at once.
     columns = np.column_stack([rows.columns, targets])
     stacked = replace(rows, target=np.zeros(len(rows.target)), columns=columns)
-    whole = Windows.of(stacked, law.noise[0]).without(law.spread).whole()
+    whole = total(windows_of(stacked, law.noise[0], law.spread))
     left = whole.integrated(weights).products
     values = np.linalg.solve(whole.products[:k, :k] + np.diag(weights), whole.products[:k, k:])
     return np.asarray(-0.5 * np.diag(left)[k:]), np.asarray(values.T)

@@ -11,7 +11,7 @@ from skat.diagnosis.changes.mixups import mistake_of
 from skat.diagnosis.changes.question import MOST, TURNS, Question, possible, question_of
 from skat.diagnosis.changes.strengths import Logs, OverStrengths
 from skat.diagnosis.changes.telling import Changes, causes_of, detectable_of, gain_of, sizes_of
-from skat.diagnosis.changes.windows import Windows
+from skat.diagnosis.changes.windows import total, windows_of
 from skat.diagnosis.evidence import Priors, Weighed, bounded_solution
 from skat.diagnosis.findings import Cause, Gain
 from skat.diagnosis.forces.machines import MOTORS, WEAKEST, Candidate
@@ -20,8 +20,6 @@ from skat.diagnosis.search import without_weak
 from skat.effects import Effect
 from skat.simulators import MujocoSimulator, Simulator
 
-# Log odds of what is not named, and the share of its range from neutral that a value keeps to.
-NEVER, INSIDE = -1e6, 1 - 1e-6
 BEYOND_MISFIT = (
     "The logs differ by more than what the model misses in both, and by no effect that was asked about."
 )
@@ -173,7 +171,7 @@ def _searched(question: Question, needed: float) -> _Found:
         if not absurd:
             return _Found(best, worth, nats, differences, common)
         log_odds = priors.log_odds.copy()
-        log_odds[absurd] = NEVER
+        log_odds[absurd] = -np.inf
         priors = replace(priors, log_odds=log_odds)
 
 
@@ -195,8 +193,8 @@ def _logs(question: Question) -> Logs:
     """Return both logs without the windows that are held out."""
     law, kept = question.law, ~question.held_out
     sides = (question.sides[0], law.noise[0]), (question.sides[1].part(kept), law.noise[1][kept])
-    first, second = (Windows.of(*side).without(law.spread) for side in sides)
-    return Logs(first.whole(), second.whole(), law, first.parts, second.parts)
+    first, second = (windows_of(*side, law.spread) for side in sides)
+    return Logs(total(first), total(second), law, first, second)
 
 
 def _common(logs: Logs, strength: float, differences: Array, ends: tuple[Array, Array]) -> _Common:
@@ -216,7 +214,7 @@ def _at_bounds(best: Weighed, candidates: Sequence[Candidate], priors: Priors) -
     return [
         place
         for place, value in zip(best.members, best.values)
-        if not candidates[place].late and not priors.low[place] * INSIDE < value < priors.high[place] * INSIDE
+        if not candidates[place].late and priors.is_held(place, value)
     ]
 
 

@@ -1,6 +1,9 @@
 """Log likelihoods of rows as quadratics in effects, window by window, with what follows a normal law integrated out."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
+from operator import add
 
 import numpy as np
 
@@ -70,30 +73,22 @@ class Quadratic:
         return Quadratic(self.products[m:, m:], self.projections[m:], self.level)
 
 
-@dataclass(frozen=True)
-class Windows:
-    """Windows of a log."""
+def windows_of(rows: Rows, noise: Array, spread: Array) -> tuple[Quadratic, ...]:
+    """Return the windows of rows, with what each has of its own integrated out.
 
-    parts: tuple[Quadratic, ...]
+    Parameters
+    ----------
+    rows : Rows
+    noise : ndarray of shape (n_rows,)
+        Deviations, in the rows' units.
+    spread : ndarray of shape (n_effects,)
+        Variances by which the first effects differ from window to window.
+    """
+    z, N = rows.whitened(noise)
+    own = [rows.stretch == one for one in np.unique(rows.stretch)]
+    return tuple(Quadratic.of(z[one], N[one]).integrated(1 / spread) for one in own)
 
-    @classmethod
-    def of(cls, rows: Rows, noise: Array) -> "Windows":
-        """Return the windows of rows whose noise has these deviations, (n_rows,), in the rows' units."""
-        z, N = rows.whitened(noise)
-        own = [rows.stretch == one for one in np.unique(rows.stretch)]
-        return cls(tuple(Quadratic.of(z[one], N[one]) for one in own))
 
-    def without(self, spread: Array) -> "Windows":
-        """Return these with what each has of its own integrated out.
-
-        ``spread`` (n_effects,) holds the variances by which the first effects differ from window to window.
-        """
-        return Windows(tuple(one.integrated(1 / spread) for one in self.parts))
-
-    def whole(self) -> Quadratic:
-        """Return the log."""
-        return Quadratic(
-            np.sum([one.products for one in self.parts], axis=0),
-            np.sum([one.projections for one in self.parts], axis=0),
-            sum(one.level for one in self.parts),
-        )
+def total(windows: Sequence[Quadratic]) -> Quadratic:
+    """Return the log that has these windows."""
+    return reduce(add, windows)

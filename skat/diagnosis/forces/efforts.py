@@ -49,7 +49,7 @@ from skat.diagnosis.forces.motions import (
     shares_of,
     units_by,
 )
-from skat.diagnosis.found import AT_BOUND, Found, also_seen, told
+from skat.diagnosis.found import Found, also_seen, told
 from skat.diagnosis.noise import TOLERANCE
 from skat.diagnosis.remainder import Remainder
 from skat.diagnosis.search import Ranked, families_of, rivals_of, search
@@ -330,7 +330,7 @@ class _Question:
             # A cause that is not there yet is noise, unless all that effects explain is taken out of it.
             moved = self.better(now, self.dense(now), banned) or self.better(now, now.gram, banned)
             if moved is None:
-                held = {one for one, at in zip(now.members, now.at) if self._is_held(one, at)}
+                held = {one for one, at in zip(now.members, now.at) if self.priors.is_held(one, at)}
                 if not held:
                     return now, True
                 banned |= held
@@ -380,11 +380,6 @@ class _Question:
         """Return Gram matrices about a set's values at the noise that is left when all effects act."""
         columns, _ = _columns(now.rows, noise_beside(now.rows))
         return _trusted(columns, columns.dense(self.priors.scales))
-
-    def _is_held(self, one: int, at: float) -> bool:
-        low, high = self.priors.low[one], self.priors.high[one]
-        width = AT_BOUND * (high - low)
-        return bool((at > high - width and high > 0) or (at < low + width and low < 0))
 
 
 @dataclass(frozen=True)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from skat.diagnosis.changes.windows import Quadratic, Windows
+from skat.diagnosis.changes.windows import Quadratic, total, windows_of
 from skat.diagnosis.forces.force_space import Rows
 
-SPREAD = np.array([0.3, 2.0])
+SPREAD, NONE = np.array([0.3, 2.0]), np.zeros(0)
 
 
 def rows_of(seed, *, windows=4, n=12, k=3):
@@ -97,7 +97,7 @@ def test_without_the_first_effects_these_are_zero():
 
 def test_windows_are_quadratics_of_their_own_whitened_rows():
     rows, noise = rows_of(0)
-    parts = Windows.of(rows, noise).parts
+    parts = windows_of(rows, noise, NONE)
     assert len(parts) == 4
     for place, part in enumerate(parts):
         own = rows.stretch == place
@@ -106,12 +106,12 @@ def test_windows_are_quadratics_of_their_own_whitened_rows():
 
 def test_a_log_is_all_of_its_windows():
     rows, noise = rows_of(0)
-    assert_same(Windows.of(rows, noise).whole(), Quadratic.of(*rows.whitened(noise)))
+    assert_same(total(windows_of(rows, noise, NONE)), Quadratic.of(*rows.whitened(noise)))
 
 
 def test_without_effects_of_their_own_windows_have_the_covariance_that_these_make():
     rows, noise = rows_of(1)
-    found = Windows.of(rows, noise).without(SPREAD).whole()
+    found = total(windows_of(rows, noise, SPREAD))
     z, N = rows.whitened(noise)
     own = (N[:, :2] * SPREAD) @ N[:, :2].T * (rows.stretch[:, None] == rows.stretch)
     covariance = np.eye(len(z)) + own
