@@ -254,7 +254,7 @@ def bends(space: StateSpace, fitted: Fitted) -> bool:
         return False
     chains, places = fitted.linear.chains, space.places
     covariances = _so_far(fitted)[1][..., : space.d, : space.d]
-    bent = is_bent(chains.transitions[places], fitted.linear.bends(places), covariances[:, :-1][places])
+    bent = is_bent(chains.transitions[places], fitted.linear.by_row.bends, covariances[:, :-1][places])
     return bool(bent.any())
 
 

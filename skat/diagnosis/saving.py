@@ -2,18 +2,18 @@
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from os import PathLike
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from skat.diagnosis.archive import EffectRecord, digest, opened, skat_version, write_archive
 from skat.diagnosis.causes import Search
 from skat.diagnosis.chains import Array, Places
-from skat.diagnosis.fitting import Fitted
 from skat.diagnosis.log import Log
+from skat.diagnosis.noise import Noise
 from skat.diagnosis.report.from_diagnosis import DiagnosisReport
 from skat.effects import Effect
 from skat.files import writable
@@ -29,7 +29,6 @@ PROBES, SAME = 20, 1e-6
 REMADE = ("report_", "extended_simulator_")
 # Parameters on which no answer depends.
 IDLE = ("simulator", "n_jobs")
-Part = TypeVar("Part")
 
 
 # -- a diagnosis -----------------------------------------------------------------------------------------------------
@@ -44,7 +43,7 @@ def write_diagnosis(diagnosis: Any, path: str | PathLike[str], *, force: bool) -
     left_out = {*parameters, "simulator", "_metadata_request", *REMADE}
     attributes = {name: value for name, value in vars(diagnosis).items() if name not in left_out}
     found = attributes["_found"]
-    attributes["_found"] = replace(found, fitted=_of_no_rows(found.fitted))
+    attributes["_found"] = replace(found, fitted=_without_rows(found.fitted))
     parts = {
         "simulator": vars(SavedSimulator.of(simulator, report.log)),
         "parameters": parameters,
@@ -72,33 +71,15 @@ def read_diagnosis(kind: type, path: str | PathLike[str], given: Simulator | Non
     return diagnosis
 
 
-def _of_no_rows(fitted: Fitted) -> Fitted:
-    """Return the same fit of no row: the laws of its noise, which are all that other logs ask for."""
-    linear, estimate = fitted.linear, fitted.estimate
-    return replace(
-        fitted,
-        linear=replace(_without_rows(linear), chains=_without_rows(linear.chains), valid=linear.valid[:0]),
-        chains=_without_rows(fitted.chains),
-        estimate=replace(
-            estimate,
-            noise=estimate.noise.unseen(),
-            filtered=_without_rows(estimate.filtered),
-            smoothed=_without_rows(estimate.smoothed),
-        ),
-    )
-
-
-def _without_rows(part: Part) -> Part:
-    """Return a record whose arrays, those of more than one dimension, have no entry along the first."""
-    arrays = {one.name: getattr(part, one.name) for one in fields(part)}  # type: ignore[arg-type]
-    return replace(  # type: ignore[type-var]
-        part,
-        **{
-            name: array[:0]
-            for name, array in arrays.items()
-            if isinstance(array, np.ndarray) and array.ndim > 1
-        },
-    )
+def _without_rows(part: Any) -> Any:
+    """Return a fit of no row, with the laws of its noise, which are all that other logs ask for: no path and slopes."""
+    if isinstance(part, Noise):
+        return part.unseen()
+    if isinstance(part, np.ndarray):
+        return part[:0] if part.ndim > 1 else part
+    if not is_dataclass(part) or isinstance(part, type):
+        return part
+    return replace(part, **{one.name: _without_rows(getattr(part, one.name)) for one in fields(part)})
 
 
 def _with_plain_labels(log: Log) -> Log:

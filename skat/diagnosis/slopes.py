@@ -94,7 +94,7 @@ def derivatives(
                     slopes[:, own, column] = change[:, own] / width
     if known is not None and simulator.state_names:
         chains, places = linear.chains, space.places
-        bent = is_bent(chains.transitions[places], linear.bends(places), known)
+        bent = is_bent(chains.transitions[places], linear.by_row.bends, known)
         for start in range(0, len(names) if bent.any() else 0, together):
             ends = {name: (wide or steps)[name] for name in names[start : start + together]}
             centres = columns[bent, :, start : start + together]

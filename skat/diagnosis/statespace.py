@@ -160,6 +160,49 @@ class Forces:
 
 
 @dataclass(frozen=True)
+class ByRow:
+    """The simulation about a path, row by row.
+
+    Attributes
+    ----------
+    outputs : ndarray of shape (n_rows, n_outputs)
+        On the path.
+    transitions, bends : ndarray of shape (n_rows, d, d)
+        As in `Chains`, but for what forces bend.
+    beyond : ndarray of shape (n_rows, d)
+        By how much the mean over what is not known of a row's state is beyond the simulation on the path.
+    origins, ends : ndarray of shape (n_rows, n_states), (n_rows, n_outputs)
+        States about which the slopes of each row were taken, and what the simulation made of them.
+    about : ndarray of shape (n_rows, n_forces)
+        Random forces with which slopes by the state were taken.
+    kinks : ndarray of shape (n_rows, d, n_forces)
+        Second differences by each force over what is not known of it.
+    carrier : ndarray of shape (n_rows, d, n_forces) or None
+        As in `Chains`; None where the simulator has no forces on joints.
+    """
+
+    outputs: Array
+    transitions: Array
+    bends: Array
+    beyond: Array
+    origins: Array
+    ends: Array
+    about: Array
+    kinks: Array
+    carrier: Array | None
+
+    def with_rows(self, chosen: Mask, other: "ByRow") -> "ByRow":
+        """Return these rows with some of them replaced: `other` holds these alone."""
+        filled = {}
+        for name in self.__dataclass_fields__:
+            whole, part = getattr(self, name), getattr(other, name)
+            if whole is not None:
+                filled[name] = whole.copy()
+                filled[name][chosen] = part
+        return replace(self, **filled)
+
+
+@dataclass(frozen=True)
 class Linear:
     """The simulation about a path.
 
@@ -167,36 +210,23 @@ class Linear:
     ----------
     path : ndarray of shape (n_chains, n_steps + 1, n_states)
     chains : Chains
-    outputs : ndarray of shape (n_rows, n_outputs)
-        Of the simulation on the path.
     valid : ndarray of bool of shape (n_rows,)
         Rows in which it did not diverge.
-    beyond : ndarray of shape (n_rows, d)
-        By how much the mean over what is not known of a row's state is beyond the simulation on the path.
-    origins, ends : ndarray of shape (n_rows, n_states), (n_rows, n_outputs)
-        States about which the slopes of each row were taken, and what the simulation made of them.
     forces : Forces
         With whose means rows are simulated.
-    about : ndarray of shape (n_rows, n_forces)
-        Random forces with which slopes by the state were taken.
-    kinks : ndarray of shape (n_rows, d, n_forces)
-        Second differences by each force over what is not known of it.
+    by_row : ByRow
     """
 
     path: Array
     chains: Chains
-    outputs: Array
     valid: Mask
-    beyond: Array
-    origins: Array
-    ends: Array
     forces: Forces
-    about: Array
-    kinks: Array
+    by_row: ByRow
 
-    def bends(self, places: tuple[Places, Places]) -> Array:
-        """Return the covariance of what is left where slopes by the state are taken, row by row, (n_rows, d, d)."""
-        return self.chains.bends[places] - _left_by(self.kinks)
+    @property
+    def outputs(self) -> Array:
+        """Of the simulation on the path, (n_rows, n_outputs)."""
+        return self.by_row.outputs
 
 
 def state_space(
@@ -363,7 +393,7 @@ def linearise(
     (outputs,) = simulator.predict_many(rows, [values], past=past)
     if not simulator.state_names or slopes is None:
         return _assembled(space, path, forces, _without_states(outputs, space.d))
-    found = _kept(space, slopes, np.where(slopes.valid[:, None], outputs, np.nan))
+    found = replace(slopes.by_row, outputs=np.where(slopes.valid[:, None], outputs, np.nan))
     if not renewed or covariances is None:
         return _assembled(space, path, forces, found)
     anew = ~(slopes.valid & _as_expected(space, slopes, path, acting, outputs, covariances))
@@ -385,36 +415,8 @@ def about_forces(space: StateSpace, linear: Linear, values: Mapping[str, float],
     (outputs,) = space.simulator.predict_many(rows, [values], past=past)
     outputs = np.where(linear.valid[:, None], outputs, np.nan)
     carrier, kinks = _joint_carrier(space, rows, values, outputs, after, forces.deviations, past)
-    found = replace(_kept(space, linear, outputs), carrier=carrier, kinks=kinks)
+    found = replace(linear.by_row, outputs=outputs, carrier=carrier, kinks=kinks)
     return _assembled(space, linear.path, forces, found)
-
-
-@dataclass(frozen=True)
-class _ByRow:
-    """What `Linear` is made of, row by row: see there, and `Chains`.
-
-    ``carrier`` (n_rows, d, n_forces) is None where the simulator has no forces on joints.
-    """
-
-    outputs: Array
-    transitions: Array
-    bends: Array
-    beyond: Array
-    origins: Array
-    ends: Array
-    about: Array
-    kinks: Array
-    carrier: Array | None
-
-    def with_rows(self, chosen: Mask, other: "_ByRow") -> "_ByRow":
-        """Return these rows with some of them replaced: `other` holds these alone."""
-        filled = {}
-        for name in self.__dataclass_fields__:
-            whole, part = getattr(self, name), getattr(other, name)
-            if whole is not None:
-                filled[name] = whole.copy()
-                filled[name][chosen] = part
-        return replace(self, **filled)
 
 
 def _as_expected(
@@ -424,41 +426,24 @@ def _as_expected(
 
     The simulation is as good as linear between the states about which they were taken and those of the path.
     """
-    simulator, places = space.simulator, space.places
-    moved = simulator.residual(path[:, :-1][places], slopes.origins)
-    expected = (slopes.chains.transitions[places] @ moved[..., None])[..., 0]
-    if forces.shape[1]:
-        expected += (slopes.chains.carrier[places] @ (forces - slopes.about)[..., None])[..., 0]
-    safe = finite(slopes.ends, space.path_ends(path))
+    simulator, places, own = space.simulator, space.places, slopes.by_row
+    moved = simulator.residual(path[:, :-1][places], own.origins)
+    expected = (own.transitions @ moved[..., None])[..., 0]
+    if own.carrier is not None:
+        expected += (own.carrier @ (forces - own.about)[..., None])[..., 0]
+    safe = finite(own.ends, space.path_ends(path))
     off = np.abs(simulator.residual(finite(outputs, safe), safe) - expected)
-    left = np.diagonal(slopes.bends(places), axis1=-2, axis2=-1)
+    left = np.diagonal(own.bends, axis1=-2, axis2=-1)
     bent = np.sqrt(np.maximum(left, 0.0))
     unknown = np.sqrt(np.maximum(np.diagonal(covariances, axis1=-2, axis2=-1), 0.0))[:, 1:][places]
     as_said: Mask = np.all(np.maximum(off, bent) < UNSEEN * unknown, axis=1)
     return as_said & np.isfinite(outputs).all(axis=1)
 
 
-def _kept(space: StateSpace, slopes: Linear, outputs: Array) -> _ByRow:
-    """Return rows that have other slopes' own, and end where they do."""
-    chains, places = slopes.chains, space.places
-    carrier = chains.carrier[places] if space.simulator.joint_forces() else None
-    return _ByRow(
-        outputs,
-        chains.transitions[places],
-        slopes.bends(places),
-        slopes.beyond,
-        slopes.origins,
-        slopes.ends,
-        slopes.about,
-        slopes.kinks,
-        carrier,
-    )
-
-
-def _without_states(outputs: Array, d: int) -> _ByRow:
+def _without_states(outputs: Array, d: int) -> ByRow:
     n = len(outputs)
     flat, nothing, unbent = np.zeros((n, d, d)), np.zeros((n, 0)), np.zeros((n, d, 0))
-    return _ByRow(outputs, flat, flat, np.zeros((n, d)), nothing, nothing, nothing, unbent, None)
+    return ByRow(outputs, flat, flat, np.zeros((n, d)), nothing, nothing, nothing, unbent, None)
 
 
 def _sloped(
@@ -469,7 +454,7 @@ def _sloped(
     covariances: Array | None,
     unsure: Array,
     past: Past,
-) -> _ByRow:
+) -> ByRow:
     """Return rows with slopes taken over what is not known of the states that they start from, (n_rows, d, d)."""
     d, n, units, parts = space.d, len(rows), space.spread, space.parts
     roots = (
@@ -495,7 +480,7 @@ def _sloped(
             transitions[bent] = transitions[bent] @ inverse[bent]
     origins = rows[:, : len(space.simulator.state_names)]
     about = np.zeros((n, 0)) if past.forces is None else past.forces
-    return _ByRow(base, transitions, bends, beyond, origins, base, about, kinks, carrier)
+    return ByRow(base, transitions, bends, beyond, origins, base, about, kinks, carrier)
 
 
 def _mean_of(second: Array) -> Array:
@@ -664,7 +649,7 @@ def moved_path(space: StateSpace, path: Array, deviations: Array) -> Array:
     return space.simulator.displace(path, deviations)
 
 
-def _assembled(space: StateSpace, path: Array, forces: Forces, found: _ByRow) -> Linear:
+def _assembled(space: StateSpace, path: Array, forces: Forces, found: ByRow) -> Linear:
     after = space.path_ends(path)
     drive = (
         space.simulator.residual(finite(found.outputs, after), after) + found.beyond + _mean_of(found.kinks)
@@ -677,40 +662,31 @@ def _assembled(space: StateSpace, path: Array, forces: Forces, found: _ByRow) ->
         for one in (found.outputs, found.transitions, drive)
     ]
     valid: Mask = np.logical_and.reduce(sound)
-    wide = np.diag(space.spread**2)
-    transitions = np.where(valid[:, None, None], found.transitions, 0.0)
-    drive = np.where(valid[:, None], drive, 0.0)
-    kinks = np.where(valid[:, None, None], found.kinks, 0.0)
-    bends = np.where(valid[:, None, None], found.bends, wide) + _left_by(kinks)
-    measured = space.simulator.residual(space.measured, path)
+    there = valid[:, None, None]
+    found = replace(
+        found,
+        transitions=np.where(there, found.transitions, 0.0),
+        bends=np.where(there, found.bends, np.diag(space.spread**2)),
+        kinks=np.where(there, found.kinks, 0.0),
+        # What is not simulated is not pushed either: it may be anywhere.
+        carrier=None if found.carrier is None else np.where(there, found.carrier, 0.0),
+    )
+    whole = np.tile(np.eye(space.d), (*space.real.shape, 1, 1))
+    whole[space.places] = found.transitions
     if found.carrier is None:
         carrier = np.broadcast_to(space.carrier, (*space.real.shape, *space.carrier.shape))
     else:
-        # What is not simulated is not pushed either: it may be anywhere.
-        carrier = space.padded(np.where(valid[:, None, None], found.carrier, 0.0))
-    whole = np.tile(np.eye(space.d), (*space.real.shape, 1, 1))
-    whole[space.places] = transitions
+        carrier = space.padded(found.carrier)
     chains = Chains(
         whole,
-        space.padded(drive),
-        space.padded(bends),
+        space.padded(np.where(valid[:, None], drive, 0.0)),
+        space.padded(found.bends + _left_by(found.kinks)),
         carrier,
-        np.where(space.mask, measured, 0.0),
+        np.where(space.mask, space.simulator.residual(space.measured, path), 0.0),
         space.mask,
         space.spread**2,
     )
-    return Linear(
-        path,
-        chains,
-        found.outputs,
-        valid,
-        found.beyond,
-        found.origins,
-        found.ends,
-        forces,
-        found.about,
-        kinks,
-    )
+    return Linear(path, chains, valid, forces, found)
 
 
 def finite(values: Array, otherwise: Array) -> Array:

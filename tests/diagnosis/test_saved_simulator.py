@@ -8,7 +8,7 @@ import pytest
 from skat.diagnosis.archive import EffectRecord, digest
 from skat.diagnosis.fitting import first_fit
 from skat.diagnosis.log import Log
-from skat.diagnosis.saving import SavedSimulator, _of_no_rows, _with_plain_labels
+from skat.diagnosis.saving import SavedSimulator, _with_plain_labels, _without_rows
 from skat.diagnosis.statespace import state_space
 from skat.effects import Effect
 from skat.simulators import FunctionSimulator
@@ -160,7 +160,7 @@ def test_of_a_fit_the_laws_of_its_noise_are_kept_and_no_row():
     X = np.random.default_rng(0).normal(size=(30, 1))
     space = state_space(simulator, X, X + 0.1, np.arange(30), consecutive=False)
     fitted = first_fit(space, {})
-    kept = _of_no_rows(fitted)
+    kept = _without_rows(fitted)
     noise, own = kept.estimate.noise, fitted.estimate.noise
     for name in ("force", "error", "force_nu", "error_nu"):
         np.testing.assert_array_equal(getattr(noise, name), getattr(own, name))
@@ -168,6 +168,7 @@ def test_of_a_fit_the_laws_of_its_noise_are_kept_and_no_row():
     for part in (
         kept.linear,
         kept.linear.chains,
+        kept.linear.by_row,
         kept.chains,
         kept.estimate.filtered,
         kept.estimate.smoothed,
@@ -175,7 +176,5 @@ def test_of_a_fit_the_laws_of_its_noise_are_kept_and_no_row():
         arrays = [one for one in vars(part).values() if isinstance(one, np.ndarray) and one.ndim > 1]
         assert arrays
         assert all(len(one) == 0 for one in arrays)
-    assert all(
-        len(one) == 0 for one in (noise.law, noise.force_weights, noise.error_weights, kept.linear.valid)
-    )
+    assert all(len(one) == 0 for one in (noise.law, noise.force_weights, noise.error_weights))
     np.testing.assert_array_equal(kept.chains.prior, fitted.chains.prior)

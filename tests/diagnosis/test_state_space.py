@@ -296,8 +296,8 @@ def test_of_a_kink_mean_slope_and_bend_are_about_those_of_the_normal_law(d):
     covariances = np.broadcast_to(sigma**2 * np.eye(d), (30, 2, d, d))
     linear = linearise(space, space.measured, {}, covariances)
     # E max(z, 0) = 1 / sqrt(2 pi), its slope 1 / 2, and its variance 1 / 2 - 1 / (2 pi), of which the slope has 1 / 4.
-    np.testing.assert_allclose(linear.beyond[::2, 0], 4 * sigma / np.sqrt(2 * np.pi), rtol=0.03)
-    np.testing.assert_allclose(linear.beyond[::2, 1:], 0, atol=1e-12)
+    np.testing.assert_allclose(linear.by_row.beyond[::2, 0], 4 * sigma / np.sqrt(2 * np.pi), rtol=0.03)
+    np.testing.assert_allclose(linear.by_row.beyond[::2, 1:], 0, atol=1e-12)
     np.testing.assert_allclose(linear.chains.transitions[::2, 0, 0, 0], 1 - 2, atol=0.02)
     bend = 16 * sigma**2 * (1 / 4 - 1 / (2 * np.pi))
     np.testing.assert_allclose(linear.chains.bends[::2, 0, 0, 0], bend, rtol=0.15)
@@ -458,13 +458,14 @@ def test_slopes_are_taken_anew_only_in_rows_that_do_not_go_as_they_say(monkeypat
     kept = linearise(space, moved, {}, covariances, slopes=before, renewed=True)
     assert rows == [60, 5 * 2]
     fresh = linearise(space, moved, {}, covariances)
-    for name in ("outputs", "valid", "beyond"):
-        np.testing.assert_allclose(getattr(kept, name), getattr(fresh, name), atol=1e-12)
+    for name in ("outputs", "beyond"):
+        np.testing.assert_allclose(getattr(kept.by_row, name), getattr(fresh.by_row, name), atol=1e-12)
+    np.testing.assert_array_equal(kept.valid, fresh.valid)
     for name in ("transitions", "drive", "bends", "measured"):
         np.testing.assert_allclose(getattr(kept.chains, name), getattr(fresh.chains, name), atol=1e-9)
     at_crossing = crossing[space.places]
-    np.testing.assert_array_equal(kept.origins[~at_crossing], before.origins[~at_crossing])
-    np.testing.assert_array_equal(kept.origins[at_crossing], fresh.origins[at_crossing])
+    np.testing.assert_array_equal(kept.by_row.origins[~at_crossing], before.by_row.origins[~at_crossing])
+    np.testing.assert_array_equal(kept.by_row.origins[at_crossing], fresh.by_row.origins[at_crossing])
 
 
 def test_slopes_of_another_fit_are_kept_where_they_are_not_to_be_renewed():
