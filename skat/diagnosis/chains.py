@@ -12,8 +12,9 @@ with :math:`w_t \sim N(0, \mathrm{diag}(q_t))`, :math:`e_t \sim N(0, \mathrm{dia
 a robot's legs where its base is fixed, are parts.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,16 +108,9 @@ class Chains:
 
     def of(self, chosen: Mask | Places) -> "Chains":
         """Return some of the chains, by a mask of shape (n_chains,) or by their places."""
-        return Chains(
-            self.transitions[chosen],
-            self.drive[chosen],
-            self.bends[chosen],
-            self.carrier[chosen],
-            self.measured[chosen],
-            self.mask[chosen],
-            self.prior,
-            None if self.before is None else self.before[chosen],
-        )
+        whole = (getattr(self, one.name) for one in fields(self))
+        own: list[Any] = [one if one is None or one is self.prior else one[chosen] for one in whole]
+        return Chains(*own)
 
     def with_memory(self, memory: Memory) -> "Chains":
         """Return these chains with a force of memory beside each random force, as further, hidden channels.

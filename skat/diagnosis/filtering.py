@@ -33,33 +33,24 @@ class Filtered:
         Predicted deviations.
     covariances : ndarray of shape (n_chains, n_steps + 1, d, d)
     innovations : ndarray of shape (n_chains, n_steps + 1, d)
-    precisions : ndarray of shape (n_chains, n_steps + 1, d, d)
-        Inverse covariances of the innovations, zero in rows and columns that were not measured.
     gains : ndarray of shape (n_chains, n_steps + 1, d, d)
         By which an innovation moves the mean of the state at the same time.
     factors : ndarray of shape (n_chains, n_steps + 1, d, d)
-        W with W' W = precisions: whitens innovations.
+        W with W' W the inverse covariances of innovations, zero where nothing was measured: whitens them.
     """
 
     log_likelihoods: Array
     means: Array
     covariances: Array
     innovations: Array
-    precisions: Array
     gains: Array
     factors: Array
 
     def part(self, channels: Places) -> "Filtered":
         """Return what a pass leaves of some channels."""
-        return Filtered(
-            self.log_likelihoods,
-            self.means[..., channels],
-            block(self.covariances, channels),
-            self.innovations[..., channels],
-            block(self.precisions, channels),
-            block(self.gains, channels),
-            block(self.factors, channels),
-        )
+        others = [getattr(self, one.name) for one in fields(self)[1:]]
+        own = (one[..., channels] if one.ndim == 3 else block(one, channels) for one in others)
+        return Filtered(self.log_likelihoods, *own)
 
     @property
     def log_likelihood(self) -> float:
@@ -216,8 +207,7 @@ def _filtered(chains: Chains, force_variances: Array, error_variances: Array) ->
         gains = _spread_out(gains, read, (n, steps + 1, d, d))
         rows = _spread_out(factors.swapaxes(2, 3), read, (n, steps + 1, m, d))
         factors = _spread_out(rows.swapaxes(2, 3), read, (n, steps + 1, d, d))
-    precisions = factors.swapaxes(2, 3) @ factors
-    return Filtered(log_likelihoods, means, covariances, innovations, precisions, gains, factors)
+    return Filtered(log_likelihoods, means, covariances, innovations, gains, factors)
 
 
 def together(places: Sequence[Places], parts: Sequence[Array], size: int) -> Array:
@@ -350,7 +340,8 @@ def _smoothed(
     G = filtered.gains[..., read]
     back = np.zeros((n, steps + 1, d, d))
     back[:, :-1] = chains.transitions.swapaxes(2, 3)
-    weighed = (filtered.precisions @ filtered.innovations[..., None])[..., 0]
+    precisions = filtered.factors.swapaxes(2, 3) @ filtered.factors
+    weighed = (precisions @ filtered.innovations[..., None])[..., 0]
     # What later measurements say of the state before and after the one at t: a gradient and its information.
     r, N = np.zeros((n, d)), np.zeros((n, d, d))
     before, information = np.empty((n, steps + 1, d)), np.empty((n, steps + 1, d, d))
@@ -360,7 +351,7 @@ def _smoothed(
         B, gained = back[:, t].copy(), G[:, t].swapaxes(1, 2)
         B[:, read] -= gained @ back[:, t]
         r = weighed[:, t] + (B @ r[..., None])[..., 0]
-        N = filtered.precisions[:, t] + B @ N @ B.swapaxes(1, 2)
+        N = precisions[:, t] + B @ N @ B.swapaxes(1, 2)
         before[:, t], information[:, t] = r, N
     q = force_variances
     u, D = _scores(F, after[:, :-1], later[:, :-1])
@@ -374,9 +365,7 @@ def _smoothed(
     ahead[:, :-1] = chains.transitions @ G[:, :-1]
     errors, error_spreads = np.zeros(error_variances.shape), error_variances.copy()
     errors[..., read] = r_of_noise * (weighed[..., read] - (ahead.swapaxes(2, 3) @ after[..., None])[..., 0])
-    of_errors = np.diagonal(filtered.precisions, axis1=2, axis2=3)[..., read] + np.sum(
-        ahead * (later @ ahead), axis=2
-    )
+    of_errors = np.diagonal(precisions, axis1=2, axis2=3)[..., read] + np.sum(ahead * (later @ ahead), axis=2)
     errors_known = np.zeros(error_variances.shape)
     errors_known[..., read] = r_of_noise * of_errors
     error_spreads -= error_variances * errors_known

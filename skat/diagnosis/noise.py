@@ -124,30 +124,20 @@ class Noise:
         mixing = self.mixing
         if mixing is not None:
             mixing = block(mixing, forces[forces < mixing.shape[-1]])
-        return Noise(
-            self.force[:, forces],
-            self.error[:, channels],
-            self.force_nu[:, forces],
-            self.error_nu[:, channels],
-            self.law,
-            self.force_weights[..., forces],
-            self.error_weights[..., channels],
-            mixing,
-        )
+        own = {one: getattr(self, one)[..., forces if "force" in one else channels] for one in self.names()}
+        return replace(self, **own, mixing=mixing)
 
     def alone(self, law: int) -> "Noise":
         """Return one law, of the chains that have it."""
         own, one = self.law == law, slice(law, law + 1)
-        return Noise(
-            self.force[one],
-            self.error[one],
-            self.force_nu[one],
-            self.error_nu[one],
-            np.zeros(int(own.sum()), dtype=int),
-            self.force_weights[own],
-            self.error_weights[own],
-            None if self.mixing is None else self.mixing[one],
-        )
+        mine = {name: getattr(self, name)[own if "weights" in name else one] for name in self.names()}
+        mixing = None if self.mixing is None else self.mixing[one]
+        return replace(self, **mine, mixing=mixing, law=np.zeros(int(own.sum()), dtype=int))
+
+    @staticmethod
+    def names() -> tuple[str, ...]:
+        """Return the names of what each force has, and each channel."""
+        return ("force", "error", "force_nu", "error_nu", "force_weights", "error_weights")
 
     def unseen(self) -> "Noise":
         """Return the laws of no chain."""
@@ -312,14 +302,13 @@ def estimate_noise(
     }
     order = np.argsort(np.concatenate(members))
     laws = [parts[law].noise if law in parts else noise.alone(law) for law in range(n_laws)]
-    force, error, force_nu, error_nu, force_weights, error_weights = (
-        np.concatenate([getattr(one, name) for one in laws])
-        for name in ("force", "error", "force_nu", "error_nu", "force_weights", "error_weights")
-    )
-    weights = force_weights[order], error_weights[order]
+    own = {name: np.concatenate([getattr(one, name) for one in laws]) for name in noise.names()}
     mixings = [one.mixing for one in laws if one.mixing is not None]
-    mixing = np.concatenate(mixings) if mixings else None
-    whole = Noise(force, error, force_nu, error_nu, noise.law, *weights, mixing)
+    whole = Noise(
+        **{name: one[order] if "weights" in name else one for name, one in own.items()},
+        law=noise.law,
+        mixing=np.concatenate(mixings) if mixings else None,
+    )
     read = np.stack([chains.mask[own].any(axis=(0, 1)) for own in members])
     return Estimate(
         whole.with_unread(read),
@@ -335,18 +324,17 @@ def _of_parts(chains: Chains, noise: Noise, parts: Sequence[Estimate]) -> Estima
     def filled(name: str) -> Array:
         values: Array = getattr(noise, name).copy()
         for (channels, forces), one in zip(chains.parts, parts):
-            values[..., forces if name.startswith("force") else channels] = getattr(one.noise, name)
+            values[..., forces if "force" in name else channels] = getattr(one.noise, name)
         return values
 
-    force, error, force_nu, error_nu = map(filled, ("force", "error", "force_nu", "error_nu"))
-    weights, mixing = (filled("force_weights"), filled("error_weights")), noise.mixing
+    mixing = noise.mixing
     if mixing is not None:
         k = mixing.shape[-1]
         mixing = np.tile(np.eye(k), (len(mixing), 1, 1))
         for (_, forces), one in zip(chains.parts, parts):
             own = forces[forces < k]
             mixing[:, own[:, None], own] = one.noise.mixing
-    whole = Noise(force, error, force_nu, error_nu, noise.law, *weights, mixing)
+    whole = Noise(**{name: filled(name) for name in noise.names()}, law=noise.law, mixing=mixing)
     return Estimate(
         whole,
         sum(one.bound for one in parts),
