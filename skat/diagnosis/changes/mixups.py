@@ -12,7 +12,7 @@ from skat.diagnosis.changes.strengths import Logs
 from skat.diagnosis.changes.windows import Quadratic, total, windows_of
 from skat.diagnosis.forces.force_space import Rows
 from skat.diagnosis.forces.machines import Model
-from skat.diagnosis.forces.motions import Half, lacking_forces, rows_about, whole_coefficients_of
+from skat.diagnosis.forces.motions import Half, lacking_forces, whole_coefficients_of
 from skat.simulators import MujocoSimulator
 
 # Odds that two columns of a log were mixed up, or that one has its sign turned.
@@ -98,15 +98,7 @@ def _in_another_order(question: Question, side: int, half: Half, machine: Model)
     own, rows = question.halves[side], question.sides[side]
     cutoff = half.motion.cutoff
     half = replace(half, motion=replace(half.motion, cutoff=own.motion.cutoff))
-    found = rows_about(
-        question.simulator,
-        half,
-        question.base,
-        question.effects,
-        question.sizes,
-        machine=machine,
-        driven_by=machine,
-    )
+    found = replace(question, halves=(half, half)).rows(side, machine, machine)
     here, there = (
         np.isfinite(whole_coefficients_of(one, lacking_forces(question.simulator, one, [Model({})]))[0][:, 0])
         for one in (own, half)

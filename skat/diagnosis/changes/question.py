@@ -39,8 +39,8 @@ SHARES = np.r_[0.0, np.power(2.0, np.arange(-5, 1))]
 
 
 @dataclass(frozen=True)
-class Question:
-    """The regression of two logs of a machine.
+class Machines:
+    """The machines of two logs, and effects in which they differ from a base.
 
     Attributes
     ----------
@@ -51,10 +51,62 @@ class Question:
         From which effects are counted.
     effects : tuple of Effect
         That may be wrong in both logs.
+    sizes : ndarray of shape (n_effects,)
+        Typical ones, each in its effect's unit: units of values and columns.
+    """
+
+    simulator: MujocoSimulator
+    halves: tuple[Half, ...]
+    base: Model
+    effects: tuple[Effect, ...]
+    sizes: Array
+
+    def model(self, value: Array) -> Model:
+        """Return a machine with what is common, (n_effects,), in it, as far as it may have that."""
+        values = dict(self.base.values)
+        for effect, size, one in zip(self.effects, self.sizes, value):
+            whole = values.get(effect.name, effect.neutral) + size * one
+            values[effect.name] = float(np.clip(whole, *_bounds(effect)))
+        return replace(self.base, values=values)
+
+    def possible(self) -> tuple[Array, Array]:
+        """Return between which values, (n_effects,), a machine may have effects."""
+        ends = np.array([_bounds(effect) for effect in self.effects])
+        here = np.array([self.base.values.get(effect.name, effect.neutral) for effect in self.effects])
+        low, high = (ends - here[:, None]).T / self.sizes
+        return low, high
+
+    def rows(self, log: int, machine: Model, driven_by: Model) -> Rows:
+        """Return the rows of a log about a machine that moves by a model."""
+        more = {"machine": machine, "driven_by": driven_by}
+        return rows_about(self.simulator, self.halves[log], self.base, self.effects, self.sizes, **more)
+
+    def squares_lacking(self, log: int, rows: Rows, law: Law, machines: Sequence[Model]) -> Array:
+        """Return the squares of what machines lack in a log, over the noise and what windows have of their own.
+
+        Of shape (n_machines,), in units of what their motors exert: else those lacked least whose motors do nothing.
+        """
+        left = coefficients_of(self.halves[log], lacking_forces(self.simulator, self.halves[log], machines))[
+            0
+        ]
+        for place, effect in enumerate(self.effects):
+            if effect.family in MOTORS:
+                driven = np.isin(rows.joint, rows.joint[rows.columns[:, place] != 0])
+                factors = np.abs([machine.values.get(effect.name, 1.0) for machine in machines])
+                left[driven] /= np.maximum(factors, WEAKEST)
+        return _squares(rows, left, law, law.noise[log])
+
+
+@dataclass(frozen=True)
+class Question(Machines):
+    """The regression of two logs of a machine.
+
+    Attributes
+    ----------
     candidates : tuple of Candidate
         That may have changed.
-    sizes, scales : ndarray of shape (n_effects,) and (n_candidates,)
-        Typical sizes of effects and of candidates, each in its effect's unit: units of the columns.
+    scales : ndarray of shape (n_candidates,)
+        Their typical sizes, each in its effect's unit: units of the columns.
     here : ndarray of shape (n_effects,)
         The first log's machine, about which its forces are linear, in units of sizes from the base.
     sides : tuple of Rows
@@ -66,12 +118,7 @@ class Question:
         Effects of motors that do next to nothing in the second log, by which rows are about machines without them.
     """
 
-    simulator: MujocoSimulator
-    halves: tuple[Half, ...]
-    base: Model
-    effects: tuple[Effect, ...]
     candidates: tuple[Candidate, ...]
-    sizes: Array
     scales: Array
     here: Array
     sides: tuple[Rows, Rows]
@@ -82,7 +129,7 @@ class Question:
     @property
     def machine(self) -> Model:
         """The first log's machine, of which factors are told as multiples."""
-        return model_about(self.base, self.effects, self.sizes, self.here)
+        return self.model(self.here)
 
     def about(self, value: Array, differences: Array) -> "Question":
         """Return the same regression, linear about what the second log's machine is with such differences in it.
@@ -94,26 +141,26 @@ class Question:
         differences : ndarray of shape (n_candidates,)
             In units of scales.
         """
-        simulator, half, rows = self.simulator, self.halves[1], self.sides[1]
         scales = self.scales * units_of(self.candidates, self.machine)
         path = self.here + np.multiply.outer(SHARES, value - self.here)
-        starts = [model_about(self.base, self.effects, self.sizes, one) for one in path]
+        starts = [self.model(one) for one in path]
         ends = [self._moved(start, differences) for start in starts]
-        lacking = self._lacking_of(0, starts) + self._lacking_of(1, ends)
+        lacking = sum(
+            self.squares_lacking(log, self.sides[log], self.law, machines)
+            for log, machines in enumerate((starts, ends))
+        )
         best = np.argmin(lacking + np.sum(self.law.weights * path**2, axis=1))
         # Forces are linear in a weight; of how late commands come a chord tells, no slope.
         bent = np.array([not one.late and not one.beside for one in self.candidates], dtype=bool)
         machine = self._moved(starts[best], differences * bent)
-        new = rows_about(
-            simulator, half, self.base, self.effects, self.sizes, machine=machine, driven_by=ends[best]
-        )
+        new, simulator, half = self.rows(1, machine, ends[best]), self.simulator, self.halves[1]
         columns = columns_of(simulator, half, machine, self.candidates, scales, driven_by=ends[best])
         # Of effects that may be wrong in both logs it is counted from the base already.
         further = [
             one.effect not in self.effects and one.effect.name in machine.values for one in self.candidates
         ]
         target = new.target + columns @ (differences * bent * further)
-        second = replace(rows, target=target, columns=np.column_stack([new.columns, columns]))
+        second = replace(self.sides[1], target=target, columns=np.column_stack([new.columns, columns]))
         return replace(self, sides=(self.sides[0], second))
 
     def _moved(self, machine: Model, differences: Array) -> Model:
@@ -125,13 +172,9 @@ class Question:
         return machine
 
     def lacking(self, sets: Sequence[tuple[Array, Array]]) -> Array:
-        """Return what the second log's machine lacks at values and differences, (n_sets,), see `_squares_lacking`."""
-        starts = [model_about(self.base, self.effects, self.sizes, value) for value, _ in sets]
-        return self._lacking_of(1, [self._moved(one, step) for one, (_, step) in zip(starts, sets)])
-
-    def _lacking_of(self, log: int, machines: Sequence[Model]) -> Array:
-        half, rows, law = self.halves[log], self.sides[log], self.law
-        return _squares_lacking(self.simulator, half, rows, law, law.noise[log], self.effects, machines)
+        """Return what the second log's machine lacks at values and differences, (n_sets,), see `squares_lacking`."""
+        models = [self._moved(self.model(value), step) for value, step in sets]
+        return self.squares_lacking(1, self.sides[1], self.law, models)
 
     def left(self, value: Array, differences: Array) -> tuple[Array, Array]:
         """Return what values (n_effects,) and differences (n_candidates,) leave of the rows of both logs, (n_rows,)."""
@@ -176,9 +219,11 @@ def question_of(
     sizes = sizes * units
     sides = [replace(side, columns=side.columns[:, shown] * units) for side in sides]
     sides = [with_friction(simulator, *one, common, sizes) for one in zip(halves, sides)]
-    base, late = _bases(simulator, halves, sides, common, sizes, needed)
-    (here, there), sides, law, weak = _about_machines(simulator, halves, base, late, common, sizes, needed)
-    first, second = (model_about(base, common, sizes, value) for value in (here, there))
+    logs = Machines(simulator, tuple(halves), Model({}), tuple(common), sizes)
+    base, late = _bases(logs, sides, needed)
+    logs = replace(logs, base=base)
+    (here, there), sides, law, weak = _about_machines(logs, late, needed)
+    first, second = logs.model(here), logs.model(there)
     offered, scales = offered_candidates(simulator, effects, common, sizes, typical)
     units = scales * units_of(offered, first)
     columns = columns_of(simulator, halves[1], second, offered, units, driven_by=second)
@@ -189,12 +234,8 @@ def question_of(
         sides[1], columns=np.column_stack([sides[1].columns, whitened[:, kept] * noise[:, None]])
     )
     return Question(
-        simulator=simulator,
-        halves=tuple(halves),
-        base=base,
-        effects=tuple(common),
+        **vars(logs),
         candidates=tuple(offered),
-        sizes=sizes,
         scales=scales[kept],
         here=here,
         sides=(sides[0], sides[1]),
@@ -205,13 +246,7 @@ def question_of(
 
 
 def _about_machines(
-    simulator: MujocoSimulator,
-    halves: Sequence[Half],
-    base: Model,
-    late: float,
-    effects: Sequence[Effect],
-    sizes: Array,
-    needed: float,
+    logs: Machines, late: float, needed: float
 ) -> tuple[tuple[Array, Array], list[Rows], Law, tuple[str, ...]]:
     """Return machines of the first log and the second, (n_effects,) in units of sizes, rows about them, and their law.
 
@@ -221,22 +256,16 @@ def _about_machines(
     """
     weak: dict[int, float] = {}
     while True:
-        about, rows, law = _settled_machines(simulator, halves, base, late, effects, sizes, weak)
+        about, rows, law = _settled_machines(logs, late, weak)
         own = [rows[0], rows[-1]]
-        found = _weak_motor(simulator, halves, own, law, base, late, effects, sizes, about, weak, needed)
+        found = _weak_motor(logs, own, law, late, about, weak, needed)
         if not found:
-            return about, rows[:2], with_misfit(own, law), tuple(effects[place].name for place in weak)
+            return about, rows[:2], with_misfit(own, law), tuple(logs.effects[place].name for place in weak)
         weak |= found
 
 
 def _settled_machines(
-    simulator: MujocoSimulator,
-    halves: Sequence[Half],
-    base: Model,
-    late: float,
-    effects: Sequence[Effect],
-    sizes: Array,
-    weak: Mapping[int, float],
+    logs: Machines, late: float, weak: Mapping[int, float]
 ) -> tuple[tuple[Array, Array], list[Rows], Law]:
     """Return machines of both logs by turns, rows about them, and their law.
 
@@ -244,42 +273,31 @@ def _settled_machines(
     are ``weak`` there, values by places of their effects, nothing known drives the second log's machine, whose forces
     scale with what it weighs: it is the first log's with these motors.
     """
-    values = np.zeros((2, len(effects)))
-    lates, ends = (base.late, late), possible(base, effects, sizes)
+    values = np.zeros((2, len(logs.effects)))
+    lates, ends = (logs.base.late, late), logs.possible()
     for _ in range(TURNS):
         if weak:
             values[1] = values[0]
             values[1, list(weak)] = list(weak.values())
         about = values.copy()
-        first, second = (model_about(base, effects, sizes, value) for value in about)
-        asked = [(halves[0], first), (halves[1], second), (halves[1], replace(second, late=late))]
-        rows = [
-            rows_about(simulator, half, base, effects, sizes, machine=machine, driven_by=machine)
-            for half, machine in asked[: 2 if second.late == late else 3]
-        ]
+        first, second = (logs.model(value) for value in about)
+        asked = [(0, first), (1, second), (1, replace(second, late=late))]
+        rows = [logs.rows(log, one, one) for log, one in asked[: 2 if second.late == late else 3]]
         own = [rows[0], rows[-1]]
         law = settled_law(own, ends)
-        for place, there in enumerate((law.value, law.second)):
-            path = values[place] + np.multiply.outer(SHARES, there - values[place])
-            machines = [
-                replace(model_about(base, effects, sizes, value), late=lates[place]) for value in path
-            ]
-            lacking = _squares_lacking(
-                simulator, halves[place], own[place], law, law.noise[place], effects, machines
-            )
-            values[place] = path[np.argmin(lacking + np.sum(law.weights * path**2, axis=1))]
+        for log, there in enumerate((law.value, law.second)):
+            path = values[log] + np.multiply.outer(SHARES, there - values[log])
+            machines = [replace(logs.model(value), late=lates[log]) for value in path]
+            lacking = logs.squares_lacking(log, own[log], law, machines)
+            values[log] = path[np.argmin(lacking + np.sum(law.weights * path**2, axis=1))]
     return (about[0], about[1]), rows, law
 
 
 def _weak_motor(
-    simulator: MujocoSimulator,
-    halves: Sequence[Half],
+    logs: Machines,
     sides: Sequence[Rows],
     law: Law,
-    base: Model,
     late: float,
-    effects: Sequence[Effect],
-    sizes: Array,
     about: tuple[Array, Array],
     known: Mapping[int, float],
     needed: float,
@@ -291,18 +309,17 @@ def _weak_motor(
     else it is the model's matter.
     """
     most, found = needed - np.log(BROKEN), {}
-    for place, effect in enumerate(effects):
+    for place, effect in enumerate(logs.effects):
         joints = sides[0].joint[sides[0].columns[:, place] != 0]
         if effect.family not in MOTORS or place in known or not len(joints):
             continue
         weak = np.tile(about[0], (3, 1))
         factors = np.clip([-WEAKEST, 0.0, WEAKEST], *effect.bounds)
-        weak[:, place] = (factors - base.values.get(effect.name, 1.0)) / sizes[place]
+        weak[:, place] = (factors - logs.base.values.get(effect.name, 1.0)) / logs.sizes[place]
         gains = []
-        for half, rows, noise, come in zip(halves, sides, law.noise, (base.late, late)):
-            machines = [model_about(base, effects, sizes, value) for value in (*about, *weak)]
-            machines = [replace(machine, late=come) for machine in machines]
-            left = coefficients_of(half, lacking_forces(simulator, half, machines))[0]
+        for half, rows, noise, come in zip(logs.halves, sides, law.noise, (logs.base.late, late)):
+            machines = [replace(logs.model(value), late=come) for value in (*about, *weak)]
+            left = coefficients_of(half, lacking_forces(logs.simulator, half, machines))[0]
             driven = np.isin(rows.joint, joints)
             squares = _squares(rows.part(driven), left[driven], law, noise[driven])
             # Of a noise that is not known: the law's has taken in what a motor that works lacks there.
@@ -313,29 +330,6 @@ def _weak_motor(
     return found
 
 
-def _squares_lacking(
-    simulator: MujocoSimulator,
-    half: Half,
-    rows: Rows,
-    law: Law,
-    noise: Array,
-    effects: Sequence[Effect],
-    machines: Sequence[Model],
-) -> Array:
-    """Return the squares of what machines lack, over the noise and what windows have of their own, (n_machines,).
-
-    In units of what their motors exert: else those lacked least whose motors do nothing. ``noise`` (n_rows,) is that of
-    this log.
-    """
-    left = coefficients_of(half, lacking_forces(simulator, half, machines))[0]
-    for place, effect in enumerate(effects):
-        if effect.family in MOTORS:
-            driven = np.isin(rows.joint, rows.joint[rows.columns[:, place] != 0])
-            factors = np.abs([machine.values.get(effect.name, 1.0) for machine in machines])
-            left[driven] /= np.maximum(factors, WEAKEST)
-    return _squares(rows, left, law, noise)
-
-
 def _squares(rows: Rows, left: Array, law: Law, noise: Array) -> Array:
     """Return the squares of what is left of rows, (n_rows, n), over the noise and what windows have of their own."""
     k = len(law.spread)
@@ -343,26 +337,20 @@ def _squares(rows: Rows, left: Array, law: Law, noise: Array) -> Array:
     return np.diag(total(windows_of(stacked, noise, law.spread)).products)[k:]
 
 
-def _bases(
-    simulator: MujocoSimulator,
-    halves: Sequence[Half],
-    sides: Sequence[Rows],
-    effects: Sequence[Effect],
-    sizes: Array,
-    needed: float,
-) -> tuple[Model, float]:
+def _bases(logs: Machines, sides: Sequence[Rows], needed: float) -> tuple[Model, float]:
     """Return a model with dry friction, and commands as late as in the first log; and how late they are in the second.
 
     Rows are not linear in either: MuJoCo's dry friction is softer the larger it is, and of how late commands come a
     slope tells little. Each log tells by its own rows, so that what differs between them is no noise. What makes them
     likelier by less than a name needs is left out: a joint that creeps shows no dry friction, but damping.
     """
+    effects = logs.effects
     prompt = np.array([effect.family != "delay" for effect in effects])
     prompted = [replace(rows, columns=rows.columns * prompt) for rows in sides]
     laws = [settled_law([rows, rows]) for rows in prompted]
 
     def told(place: int, models: Sequence[Model]) -> tuple[Array, Array]:
-        return _told(simulator, halves[place], prompted[place], laws[place], models)
+        return _told(logs.simulator, logs.halves[place], prompted[place], laws[place], models)
 
     lates = [Model({}, late) for late in LATE_IN_BOTH]
     (levels, values), (others, further) = told(0, lates), told(1, lates)
@@ -372,7 +360,7 @@ def _bases(
         own = alike, alike
     friction = {
         effect.name: float(np.clip(size * value, *effect.bounds))
-        for effect, size, value in zip(effects, sizes, 0.5 * (values[own[0]] + further[own[1]]))
+        for effect, size, value in zip(effects, logs.sizes, 0.5 * (values[own[0]] + further[own[1]]))
         if effect.family == "dry_friction"
     }
     # Of each joint against none, its column left out.
@@ -404,23 +392,6 @@ def _told(
     left = whole.integrated(weights).products
     values = np.linalg.solve(whole.products[:k, :k] + np.diag(weights), whole.products[:k, k:])
     return np.asarray(-0.5 * np.diag(left)[k:]), np.asarray(values.T)
-
-
-def model_about(base: Model, effects: Sequence[Effect], sizes: Array, value: Array) -> Model:
-    """Return a model with what is common, (n_effects,) in units of sizes, in it, as far as a machine may have it."""
-    values = dict(base.values)
-    for effect, size, one in zip(effects, sizes, value):
-        whole = values.get(effect.name, effect.neutral) + size * one
-        values[effect.name] = float(np.clip(whole, *_bounds(effect)))
-    return replace(base, values=values)
-
-
-def possible(base: Model, effects: Sequence[Effect], sizes: Array) -> tuple[Array, Array]:
-    """Return between which values, (n_effects,) in units of sizes from a model, a machine may have effects."""
-    ends = np.array([_bounds(effect) for effect in effects])
-    here = np.array([base.values.get(effect.name, effect.neutral) for effect in effects])
-    low, high = (ends - here[:, None]).T / sizes
-    return low, high
 
 
 def _bounds(effect: Effect) -> tuple[float, float]:

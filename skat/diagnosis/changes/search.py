@@ -8,7 +8,7 @@ import numpy as np
 from skat.diagnosis.chains import Array
 from skat.diagnosis.changes.candidates import priors_of, rivals_of, units_of
 from skat.diagnosis.changes.mixups import mistake_of
-from skat.diagnosis.changes.question import MOST, TURNS, Question, possible, question_of
+from skat.diagnosis.changes.question import MOST, TURNS, Question, question_of
 from skat.diagnosis.changes.strengths import Logs, OverStrengths
 from skat.diagnosis.changes.telling import Changes, causes_of, detectable_of, gain_of, sizes_of
 from skat.diagnosis.changes.windows import total, windows_of
@@ -165,8 +165,7 @@ def _searched(question: Question, needed: float) -> _Found:
         best, nats = without_weak(worth.best(needed), worth, needed)
         differences = np.zeros(len(question.candidates))
         differences[list(best.members)] = best.values
-        ends = possible(question.base, question.effects, question.sizes)
-        common = _common(logs, worth.strength(best.members), differences, ends)
+        common = _common(logs, worth.strength(best.members), differences, question.possible())
         absurd = [*_at_bounds(best, question.candidates, priors), *_impossible(best, question, common.value)]
         if not absurd:
             return _Found(best, worth, nats, differences, common)
@@ -198,7 +197,7 @@ def _logs(question: Question) -> Logs:
 
 
 def _common(logs: Logs, strength: float, differences: Array, ends: tuple[Array, Array]) -> _Common:
-    """Return what is common where logs differ by a strength and by differences; ``ends`` as of `possible`."""
+    """Return what is common where logs differ by a strength and by differences; ``ends`` as of `Machines.possible`."""
     weights, both = logs.law.weights, logs.both(strength)
     k = len(weights)
     H, given = both.products[:k, :k] + np.diag(weights), both.products[:k, k:] @ differences

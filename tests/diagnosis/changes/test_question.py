@@ -7,11 +7,10 @@ import pytest
 
 from skat.diagnosis.changes.law import settled_law
 from skat.diagnosis.changes.question import (
+    Machines,
     _about_machines,
     _bases,
     _held_out,
-    _squares_lacking,
-    model_about,
     question_of,
 )
 from skat.diagnosis.forces.force_space import Rows
@@ -66,7 +65,7 @@ def bases_of(simulator, lates, *, needed, names=WHOLE, **truth):
     effects, sizes = [effect_of(simulator, name) for name in names], np.full(len(names), 0.3)
     sides = [rows_about(simulator, half, Model({}), effects, sizes) for half in halves]
     sides = [with_friction(simulator, *one, effects, sizes) for one in zip(halves, sides, strict=True)]
-    return _bases(simulator, halves, sides, effects, sizes, needed)
+    return _bases(Machines(simulator, halves, Model({}), effects, sizes), sides, needed)
 
 
 @pytest.mark.parametrize("lates", [(0.0, 0.0), (1.5, 1.5), (0.0, 2.0), (2.5, 0.5)])
@@ -175,7 +174,8 @@ def test_windows_that_are_held_out_are_spread_and_leave_two(n, share, held):
     ],
 )
 def test_a_model_about_what_is_common_is_one_that_a_machine_may_have(simulator, name, value, has):
-    found = model_about(Model({}, 2.0), [effect_of(simulator, name)], np.array([0.5]), np.array([2 * value]))
+    machines = Machines(simulator, (), Model({}, 2.0), (effect_of(simulator, name),), np.array([0.5]))
+    found = machines.model(np.array([2 * value]))
     assert found == Model({name: pytest.approx(has)}, 2.0)
 
 
@@ -262,7 +262,7 @@ def test_a_machine_goes_as_far_as_slopes_lead_to_where_less_is_lacking(simulator
 
     monkeypatch.setattr("skat.diagnosis.changes.question.settled_law", led_there)
     monkeypatch.setattr("skat.diagnosis.changes.question.TURNS", 2)
-    about, _, _, _ = _about_machines(simulator, halves, base, 0.0, effects, sizes, np.log(100))
+    about, _, _, _ = _about_machines(Machines(simulator, halves, base, effects, sizes), 0.0, np.log(100))
     np.testing.assert_allclose(about, [found * values] * 2)
 
 
@@ -281,7 +281,8 @@ def test_what_is_lacking_is_over_what_windows_have_of_their_own_in_units_of_what
         left = coefficients_of(half, lacking_forces(simulator, half, [model]))[0][:, 0]
         left = np.where(rows.joint == 0, left / max(abs(gain), WEAKEST), left)
         expected.append(left @ np.linalg.solve(covariance, left))
-    found = _squares_lacking(simulator, half, rows, law, noise, effects, models)
+    machines = Machines(simulator, (half,), Model({}), effects, sizes)
+    found = machines.squares_lacking(0, rows, replace(law, noise=(noise, noise)), models)
     np.testing.assert_allclose(found, expected)
 
 
