@@ -188,20 +188,16 @@ def _shared(
     moves, covariance = (covariance @ b)[k:], covariance[k:, k:]
     deviations = np.sqrt(np.diag(covariance))
     told = np.flatnonzero(deviations < FAR / 10 * scales[place])
-    row: dict[str, Any] = {"cause": effect.name, "unit": effect.unit}
+    said, chi_square = {}, math.nan
     for log, name in enumerate(names):
         value = value_at(effect, grams[log].origin[place] + moves[log])
         low, high = around(effect, value, WIDTH_95 * deviations[log])
-        one = _Said(status, value, low, high) if log in told else _Said(NO_INTERVAL)
-        row |= {f"value in {name}": one.value, f"low in {name}": one.low, f"high in {name}": one.high}
-        row[f"status in {name}"] = one.status
-    row |= {"n_compared": len(told), "chi_square": math.nan, "p_value": math.nan}
+        said[name] = _Said(status, value, low, high) if log in told else _Said(NO_INTERVAL)
     if len(told) > 1:
         apart = np.eye(len(told))[1:] - np.eye(len(told))[0]
         off, spread = apart @ moves[told], apart @ covariance[np.ix_(told, told)] @ apart.T
-        row["chi_square"] = float(off @ np.linalg.solve(spread, off))
-        row["p_value"] = float(chi2.sf(row["chi_square"], len(told) - 1))
-    return row
+        chi_square = float(off @ np.linalg.solve(spread, off))
+    return _row_of(effect.name, effect.unit, said, chi_square)
 
 
 def differing(table: pd.DataFrame) -> list[str]:
@@ -327,17 +323,20 @@ def _units(logs: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
 
 
 def _row(cause: str, unit: str, logs: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    row: dict[str, Any] = {"cause": cause, "unit": unit}
     said = {name: _said(cause, one) for name, one in logs.items()}
+    compared = [one for one in said.values() if one.status == NAMED]
+    return _row_of(cause, unit, said, _chi_square(compared, unit) if len(compared) > 1 else math.nan)
+
+
+def _row_of(cause: str, unit: str, said: Mapping[str, _Said], chi_square: float) -> dict[str, Any]:
+    """Return the row of a cause: what each log says of it, and by how much they differ."""
+    row: dict[str, Any] = {"cause": cause, "unit": unit}
     for name, one in said.items():
         row |= {f"value in {name}": one.value, f"low in {name}": one.low, f"high in {name}": one.high}
         row[f"status in {name}"] = one.status
-    compared = [one for one in said.values() if one.status == NAMED]
-    row |= {"n_compared": len(compared), "chi_square": math.nan, "p_value": math.nan}
-    if len(compared) > 1:
-        row["chi_square"] = _chi_square(compared, unit)
-        row["p_value"] = float(chi2.sf(row["chi_square"], len(compared) - 1))
-    return row
+    n = sum(one.status in (NAMED, ESTIMATED) for one in said.values())
+    p_value = float(chi2.sf(chi_square, n - 1)) if n > 1 else math.nan
+    return row | {"n_compared": n, "chi_square": chi_square, "p_value": p_value}
 
 
 def _said(cause: str, findings: Mapping[str, Any]) -> _Said:
