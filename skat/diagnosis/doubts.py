@@ -43,7 +43,6 @@ LARGEST_MISS = 5.0
 FEW = 0.02
 # Of a channel's spread: what a solver may leave open in a channel without noise.
 UNSEEN = 1e-3
-DEGREE = np.pi / 180
 HINGE, SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 
 
@@ -239,7 +238,7 @@ def _degrees(look: Look) -> Iterator[Sign]:
     if not positions:
         return
     columns = [simulator.input_names.index(name) for name in positions]
-    beyond = [sign for sign in _beyond(look) if sign.size > BEYOND and sign.names[0] in positions]
+    beyond = [sign for sign in _beyond(look) if sign.size > 1 and sign.names[0] in positions]
     if np.nanmax(np.abs(log.X[:, columns]), initial=0.0) < 2 * np.pi and not beyond:
         return
     rates = [name for name in angles if name not in positions]
@@ -274,8 +273,7 @@ def _typical_miss(look: Look, in_degrees: Iterable[str], angles: list[str]) -> f
     scaled = [simulator.input_names.index(name) for name in in_degrees]
     states = [simulator.output_names.index(name) for name in in_degrees if name in simulator.output_names]
     X, y = look.few.X.copy(), look.few.y.copy()
-    X[:, scaled] *= DEGREE
-    y[:, states] *= DEGREE
+    X[:, scaled], y[:, states] = np.deg2rad(X[:, scaled]), np.deg2rad(y[:, states])
     read = Log(X, y, look.few.episodes, look.few.consecutive, None, simulator)
     columns = [simulator.output_names.index(name) for name in angles]
     errors = np.abs(look.simulate(read.filled) - y)[:, columns]
@@ -577,7 +575,6 @@ LATE_PLACES = {
     "how": "as if a filter or another clock delayed them: that passes for effects that the robot does not have. Log "
     "positions and velocities at the same moments, or move the velocities back by that time",
 }
-BEYOND = 1.0
 DOUBTS = (
     Doubt(
         "random",
@@ -616,7 +613,7 @@ DOUBTS = (
     Doubt(
         "beyond",
         _beyond,
-        BEYOND,
+        1.0,
         "{names} reaches {value} where the joint allows {low:.3g} to {high:.3g} {unit}: another unit, another joint's "
         "column, or a range that the robot does not have?",
         unless=("degrees",),

@@ -11,7 +11,7 @@ from skat.diagnosis.causes import typical_biases
 from skat.diagnosis.chains import Array
 from skat.diagnosis.evidence import Gram, Priors, coarsened, weigh
 from skat.diagnosis.filtering import kalman_filter
-from skat.diagnosis.fitting import priors_of, response
+from skat.diagnosis.fitting import SMALL_SHARE, priors_of, response
 from skat.diagnosis.log import Log, check_log, check_matrix, checked_episodes, without_channels
 from skat.diagnosis.slopes import derivatives
 from skat.diagnosis.statespace import StateSpace, linearise, state_space, tangents
@@ -30,8 +30,6 @@ NO_INPUT_SEPARATES = "no single input"
 NOTHING_SEPARATES = "nothing in these rows"
 # An effect of which the causes found leave a smaller share is not seen beside them.
 LEAST_SHARE = 1e-9
-# Of an effect's typical size, over which its derivative is taken.
-STEP = 0.05
 # Turns by which the smallest size is found, and as which share two are one: what a prior costs changes slowly with it.
 TURNS, CLOSE = 12, 1e-4
 
@@ -218,8 +216,14 @@ def preflight(
     space = state_space(simulator, log.X, log.y, log.episodes, consecutive=log.consecutive)
     priors = priors_of(effects, {**typical_biases(space, effects), **(typical or {})}, logarithmic=False)
     space = replace(space, mask=space.mask & without_channels(simulator, log, hidden).measured)
-    gram = Gram(*_expected(space, effects, priors, deviations), np.zeros(len(effects)))
-    table = identifiability(gram, priors, effects, {}, alpha=alpha, power=coarsened(len(log)))
+    table = identifiability(
+        _expected(space, effects, priors, deviations),
+        priors,
+        effects,
+        {},
+        alpha=alpha,
+        power=coarsened(len(log)),
+    )
     table["separating_excitation"] = _excitations(simulator, log, effects, priors, deviations, table)
     return table
 
@@ -254,14 +258,12 @@ def _steps(effects: Sequence[Effect], priors: Priors) -> dict[str, tuple[float, 
     steps = {}
     for effect, scale, low, high in zip(effects, priors.scales, priors.low, priors.high):
         up = high >= -low
-        end = effect.neutral + (min(STEP * scale, high) if up else max(-STEP * scale, low))
+        end = effect.neutral + (min(SMALL_SHARE * scale, high) if up else max(-SMALL_SHARE * scale, low))
         steps[effect.name] = (effect.neutral, end) if up else (end, effect.neutral)
     return steps
 
 
-def _expected(
-    space: StateSpace, effects: Sequence[Effect], priors: Priors, deviations: Array
-) -> tuple[Array, Array]:
+def _expected(space: StateSpace, effects: Sequence[Effect], priors: Priors, deviations: Array) -> Gram:
     """Return second moments of the derivatives of whitened innovations, and those with innovations of a right model."""
     linear = linearise(space, space.measured, {})
     slopes = derivatives(space, linear, {}, _steps(effects, priors))
@@ -270,7 +272,7 @@ def _expected(
     error = np.broadcast_to(deviations**2, chains.mask.shape)
     filtered = kalman_filter(chains, force, error)
     columns = response(space, chains, filtered, slopes)[chains.mask]
-    return columns.T @ columns, np.zeros(len(effects))
+    return Gram(columns.T @ columns, np.zeros(len(effects)), np.zeros(len(effects)))
 
 
 def _excitations(

@@ -19,11 +19,10 @@ from skat.simulators.tables import refuse_text
 
 # Rows, or groups of rows that have something in common: fewer tell nothing.
 FEWEST_ROWS = 4
-# A split leaves so many rows that are independent, or groups of rows.
+# A split leaves so many rows that are independent.
 FEWEST_FITTED_ROWS = 10
-FEWEST_FITTED_GROUPS = 4
-# A single episode is split into pieces of time of so many rows, if that makes neither fewer nor more than so many.
-ROWS_OF_PIECE, FEWEST_PIECES, MOST_PIECES = 20, 4, 20
+# A single episode is split into pieces of time of so many rows, if that makes no more than so many.
+ROWS_OF_PIECE, MOST_PIECES = 20, 20
 # Rows of which more than this share begin where the one before has ended are in time order.
 FOLLOWING = 0.9
 # Of a channel's spread, and in its unit: what rounding may put between the end of a row and the begin of the next.
@@ -223,12 +222,12 @@ class Log:
         held_out = self._held_out(test_size, random_state)
         left = self.rows(~held_out)
         by_rows = self.consecutive or self.n_episodes == len(self)
-        enough = len(left) >= FEWEST_FITTED_ROWS and (by_rows or left.n_episodes >= FEWEST_FITTED_GROUPS)
+        enough = len(left) >= FEWEST_FITTED_ROWS and (by_rows or left.n_episodes >= FEWEST_ROWS)
         if not held_out.any() or not enough:
             of = f"{len(self)} rows in {self.n_episodes} {'episodes' if self.consecutive else 'groups'}"
             warnings.warn(
                 f"Nothing of {of} is held out to measure the gain: at least {FEWEST_FITTED_ROWS} rows"
-                f"{'' if by_rows else f' in {FEWEST_FITTED_GROUPS} groups'} must be left to fit. Pass test_size=0, "
+                f"{'' if by_rows else f' in {FEWEST_ROWS} groups'} must be left to fit. Pass test_size=0, "
                 "measure the gain on another log with evaluate(), or measure longer.",
                 UserWarning,
                 stacklevel=3,
@@ -278,12 +277,12 @@ class Log:
             return drawn
         if self.n_episodes > 1 and not self._is_one_episode(test_size):
             sizes = np.bincount(self.episodes)
-            most = self.n_episodes - (1 if self.consecutive else FEWEST_FITTED_GROUPS)
+            most = self.n_episodes - (1 if self.consecutive else FEWEST_ROWS)
             episodes = drawn_episodes(sizes, test_size, random_state, most=most, stacklevel=5)
             if not episodes and most > 0:
                 episodes = [int(np.argmin(sizes))]
             return np.isin(self.episodes, episodes)
-        n_pieces = min(n, max(FEWEST_PIECES, min(MOST_PIECES, n // ROWS_OF_PIECE)))
+        n_pieces = min(n, max(FEWEST_ROWS, min(MOST_PIECES, n // ROWS_OF_PIECE)))
         piece = np.arange(n) * n_pieces // n
         fewest_fitted = -(-FEWEST_FITTED_ROWS * n_pieces // n)
         count = max(1, min(round(test_size * n_pieces), n_pieces - fewest_fitted))

@@ -35,9 +35,8 @@ from skat.diagnosis.noise import (
 from skat.diagnosis.statespace import StateSpace, linearise, moved_path, steps_of
 from skat.simulators import Simulator
 
-# By default the horizon is so long, and has at least so many rows.
+# By default the horizon is so long, and as long as a filter takes to settle.
 HORIZON_S = 0.25
-FEWEST_ROWS = 10
 # How often the path of a held-out log, and the weights of its samples, are taken anew.
 TURNS = 3
 # An error counts with at most this square, in units of the larger of its own variance and the nominal model's typical
@@ -118,7 +117,7 @@ def horizon_rows(simulator: Simulator, horizon: float | None = None) -> int:
         return 1
     dt = simulator.dt
     if horizon is None:
-        return max(FEWEST_ROWS, int(np.ceil(HORIZON_S / dt - 1e-9)) if dt else 0)
+        return max(SETTLED_ROWS, int(np.ceil(HORIZON_S / dt - 1e-9)) if dt else 0)
     return max(1, round(horizon / dt if dt else horizon))
 
 

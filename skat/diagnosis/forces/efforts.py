@@ -23,10 +23,10 @@ from functools import partial
 import mujoco
 import numpy as np
 
-from skat.diagnosis.causes import REFITTED, proposals, readable, typical_biases
+from skat.diagnosis.causes import REFITTED, TURNS, proposals, readable, typical_biases
 from skat.diagnosis.chains import Array, Mask
 from skat.diagnosis.evidence import Gram, Priors, Weighed, Weigher, coarsened, weigh
-from skat.diagnosis.fits import STANDS_STILL, Fit, Fits
+from skat.diagnosis.fits import FIT_TURNS, STANDS_STILL, Fit, Fits
 from skat.diagnosis.fitting import (
     NOTHING_KNOWN,
     Columns,
@@ -62,10 +62,6 @@ UNTOLD = (*(family for family in UNSEEN if family != "payload"), "delay")
 # Rows by which commands come late: an effort that was measured is that of the instant in which a row begins; in a row
 # acts the mean of it and the next.
 AT_INSTANT = -0.5
-# Moves from a set to a better one at most.
-MOVES = 16
-# Of a set that is fitted: rows are taken about its values anew until these stand still, so often at most.
-TURNS = 6
 
 
 @dataclass(frozen=True)
@@ -324,9 +320,9 @@ class _Question:
     def searched(self, progress: Callable[[str, int, int], None] | None) -> tuple[SetFit, bool]:
         """Return the set that no other is preferred to, and whether the search came to rest."""
         now, banned = self.fit((), np.zeros(0)), set[int]()
-        for turn in range(MOVES):
+        for turn in range(TURNS):
             if progress is not None:
-                progress("search", turn, MOVES)
+                progress("search", turn, TURNS)
             # A cause that is not there yet is noise, unless all that effects explain is taken out of it.
             moved = self.better(now, self.dense(now), banned) or self.better(now, now.gram, banned)
             if moved is None:
@@ -361,7 +357,8 @@ class _Question:
     def fit(self, members: Sequence[int], at: Array) -> SetFit:
         """Return the fit of a set from values that may be near."""
         members, at, late = tuple(members), np.asarray(at, dtype=float), 0.0
-        for _ in range(TURNS):
+        # Rows are taken about its values anew until these stand still.
+        for _ in range(FIT_TURNS):
             rows = self.regression.about(self.regression.values(members, at), late)
             noise = noise_beside(replace(rows, columns=rows.columns[:, [*members, -1]]))
             columns, timing = _columns(rows, noise)
