@@ -1,6 +1,7 @@
 """Columns of a log that were mixed up: two in each other's place, or one with its sign turned."""
 
 import itertools
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -111,52 +112,31 @@ def _in_another_order(question: Question, side: int, half: Half, machine: Model)
 def _mixed_up(simulator: MujocoSimulator, half: Half) -> list[tuple[str, Half]]:
     """Return halves with columns in the order, and with the sign, that they may have been meant to have."""
     motion, nv = half.motion, len(half.motion.slip)
-    joints = simulator.residual_names[:nv]
-    controls = simulator.input_names[len(simulator.state_names) :]
     found = []
-    for index, name in enumerate(controls):
-        signs = np.where(np.arange(len(controls)) == index, -1.0, 1.0)
-        found.append(
-            (
-                f"{name} has its sign turned",
-                replace(half, motion=replace(motion, commands=motion.commands * signs)),
-            )
-        )
-    for index, name in enumerate(joints):
-        signs = np.where(np.arange(nv) == index, -1.0, 1.0)
-        turned = replace(
-            motion,
-            states=motion.states * np.tile(signs, 2),
-            accelerations=motion.accelerations * signs,
-            velocities=motion.velocities * signs,
-        )
-        found.append(
-            (f"{name} has its sign turned", replace(half, motion=turned, speeds=half.speeds * signs))
-        )
-    for one, other in itertools.combinations(range(len(controls)), 2):
-        order = _swapped(len(controls), one, other)
-        swapped = replace(motion, commands=motion.commands[:, order])
-        found.append((f"{controls[one]} and {controls[other]} are swapped", replace(half, motion=swapped)))
-    for one, other in itertools.combinations(range(nv), 2):
-        if simulator.units[joints[one]] == simulator.units[joints[other]]:
-            order = _swapped(nv, one, other)
-            swapped = replace(
+    for name, order, signs in _mix_ups(simulator.input_names[len(simulator.state_names) :]):
+        mixed = replace(motion, commands=motion.commands[:, order] * signs)
+        found.append((name, replace(half, motion=mixed)))
+    joints = simulator.residual_names[:nv]
+    units = [simulator.units[joint] for joint in joints]
+    for name, order, signs in _mix_ups(joints):
+        if units == [units[place] for place in order]:
+            mixed = replace(
                 motion,
-                states=motion.states[:, np.r_[order, order + nv]],
-                accelerations=motion.accelerations[:, order],
-                velocities=motion.velocities[..., order],
+                states=motion.states[:, np.r_[order, order + nv]] * np.tile(signs, 2),
+                accelerations=motion.accelerations[:, order] * signs,
+                velocities=motion.velocities[..., order] * signs,
                 cutoff=np.minimum(motion.cutoff, motion.cutoff[order]),
             )
-            found.append(
-                (
-                    f"{joints[one]} and {joints[other]} are swapped",
-                    replace(half, motion=swapped, speeds=half.speeds[:, order]),
-                )
-            )
+            found.append((name, replace(half, motion=mixed, speeds=half.speeds[:, order] * signs)))
     return found
 
 
-def _swapped(n: int, one: int, other: int) -> NDArray[np.intp]:
-    order = np.arange(n)
-    order[[one, other]] = other, one
-    return order
+def _mix_ups(names: Sequence[str]) -> Iterator[tuple[str, NDArray[np.intp], Array]]:
+    """Yield what may be mixed up among columns, and their order and signs then."""
+    places, plain = np.arange(len(names)), np.ones(len(names))
+    for index, name in enumerate(names):
+        yield f"{name} has its sign turned", places, np.where(places == index, -1.0, 1.0)
+    for one, other in itertools.combinations(range(len(names)), 2):
+        order = places.copy()
+        order[[one, other]] = other, one
+        yield f"{names[one]} and {names[other]} are swapped", order, plain

@@ -80,21 +80,21 @@ def find_changes(
     price = found.worth.price(found.best.members)
     mistake = mistake_of(question, found.differences, price=price, needed=needed)
     if mistake:
-        return _unexplained(question, found.common.level, None, _as_if(mistake), mistake)
+        return _unexplained(question, found.level, None, _as_if(mistake), mistake)
     for _ in range(TURNS):
         if not found.best.members:
             break
-        about = question.about(found.common.value, found.differences)
+        about = question.about(found.value, found.differences)
         last, again = found, _searched(about, needed)
         if not set(again.best.members) <= set(last.best.members):
-            now, then = question.lacking([(one.common.value, one.differences) for one in (again, last)])
+            now, then = question.lacking([(one.value, one.differences) for one in (again, last)])
             if now > then:
                 # Another set, with which the machine lacks more.
                 break
         question, found = about, again
         if again.best.members == last.best.members:
             break
-    best, worth, differences, value = found.best, found.worth, found.differences, found.common.value
+    best, worth, differences, value = found.best, found.worth, found.differences, found.value
     causes = causes_of(question, best, worth, found.nats)
     gain = gain_of(question, value, differences)
     reason = ""
@@ -147,14 +147,16 @@ class _Found:
         What each member is worth.
     differences : ndarray of shape (n_candidates,)
         In units of scales.
-    common : _Common
+    level, value : ndarray of shape (n_effects,)
+        What is common if nothing changed, and beside the differences, of what a machine may have, in units of sizes.
     """
 
     best: Weighed
     worth: OverStrengths
     nats: Mapping[int, float]
     differences: Array
-    common: "_Common"
+    level: Array
+    value: Array
 
 
 def _searched(question: Question, needed: float) -> _Found:
@@ -165,27 +167,13 @@ def _searched(question: Question, needed: float) -> _Found:
         best, nats = without_weak(worth.best(needed), worth, needed)
         differences = np.zeros(len(question.candidates))
         differences[list(best.members)] = best.values
-        common = _common(logs, worth.strength(best.members), differences, question.possible())
-        absurd = [*_at_bounds(best, question.candidates, priors), *_impossible(best, question, common.value)]
+        level, value = _common(logs, worth.strength(best.members), differences, question.possible())
+        absurd = [*_at_bounds(best, question.candidates, priors), *_impossible(best, question, value)]
         if not absurd:
-            return _Found(best, worth, nats, differences, common)
+            return _Found(best, worth, nats, differences, level, value)
         log_odds = priors.log_odds.copy()
         log_odds[absurd] = -np.inf
         priors = replace(priors, log_odds=log_odds)
-
-
-@dataclass(frozen=True)
-class _Common:
-    """What is common, of what a machine may have, in units of typical sizes.
-
-    Attributes
-    ----------
-    level, value : ndarray of shape (n_effects,)
-        If nothing changed, and beside the differences.
-    """
-
-    level: Array
-    value: Array
 
 
 def _logs(question: Question) -> Logs:
@@ -196,8 +184,13 @@ def _logs(question: Question) -> Logs:
     return Logs(total(first), total(second), law, first, second)
 
 
-def _common(logs: Logs, strength: float, differences: Array, ends: tuple[Array, Array]) -> _Common:
-    """Return what is common where logs differ by a strength and by differences; ``ends`` as of `Machines.possible`."""
+def _common(
+    logs: Logs, strength: float, differences: Array, ends: tuple[Array, Array]
+) -> tuple[Array, Array]:
+    """Return what is common where logs differ by a strength: if nothing changed, and beside differences.
+
+    ``ends`` as of `Machines.possible`.
+    """
     weights, both = logs.law.weights, logs.both(strength)
     k = len(weights)
     H, given = both.products[:k, :k] + np.diag(weights), both.products[:k, k:] @ differences
@@ -205,7 +198,7 @@ def _common(logs: Logs, strength: float, differences: Array, ends: tuple[Array, 
         bounded_solution(H, right, *ends, np.zeros(k))
         for right in (both.projections[:k], both.projections[:k] - given)
     )
-    return _Common(level, value)
+    return level, value
 
 
 def _at_bounds(best: Weighed, candidates: Sequence[Candidate], priors: Priors) -> list[int]:

@@ -31,12 +31,12 @@ def test_what_is_common_is_likeliest_given_the_differences_of_what_a_machine_may
     z, D, N, covariance, _ = dense(question, apart)
     over = np.linalg.solve(covariance, N)
     H = over.T @ N + np.diag(WEIGHTS)
-    common = _common(_logs(question), strength, steps, ends)
-    for found, target in ((common.level, z), (common.value, z - D @ steps)):
+    level, value = _common(_logs(question), strength, steps, ends)
+    for found, target in ((level, z), (value, z - D @ steps)):
         root = np.linalg.cholesky(H)
         expected = optimize.lsq_linear(root.T, np.linalg.solve(root, over.T @ target), bounds=ends, tol=1e-14)
         np.testing.assert_allclose(found, expected.x, atol=1e-6)
-    assert (np.abs(common.value).max() == most) == np.isfinite(most)
+    assert (np.abs(value).max() == most) == np.isfinite(most)
 
 
 def test_windows_that_are_held_out_tell_nothing(simulator):

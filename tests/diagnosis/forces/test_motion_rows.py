@@ -293,9 +293,9 @@ def test_columns_may_have_their_sign_turned_or_be_in_each_other_s_place():
     expected = {
         "ctrl.a has its sign turned": (list(range(10)), np.ones(10), [0, 1], [-1, 1]),
         "ctrl.b has its sign turned": (list(range(10)), np.ones(10), [0, 1], [1, -1]),
+        "ctrl.a and ctrl.b are swapped": (list(range(10)), np.ones(10), [1, 0], [1, 1]),
         "qpos.a has its sign turned": (list(range(10)), np.tile([-1, 1], 5), [0, 1], [1, 1]),
         "qpos.b has its sign turned": (list(range(10)), np.tile([1, -1], 5), [0, 1], [1, 1]),
-        "ctrl.a and ctrl.b are swapped": (list(range(10)), np.ones(10), [1, 0], [1, 1]),
         "qpos.a and qpos.b are swapped": ([1, 0, 3, 2, 5, 4, 7, 6, 9, 8], np.ones(10), [0, 1], [1, 1]),
     }
     found = _mixed_up(machine(), half)
