@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -284,42 +285,35 @@ def _excitations(
     table: pd.DataFrame,
 ) -> list[str]:
     """Return for each effect the input at whose large or small values it differs most from its nearest alias."""
-    X, by_name = log.filled.X, {effect.name: effect for effect in effects}
-    hints = []
-    for k, effect in enumerate(effects):
-        alias = str(table["nearest_alias"].iloc[k])
+    X, by_name, hints = log.filled.X, {effect.name: effect for effect in effects}, []
+    for k, (effect, alias) in enumerate(zip(effects, table["nearest_alias"])):
         if not alias or table["similarity"].iloc[k] < NEARLY_ALIKE:
             hints.append("")
             continue
-        pair = (effect, by_name[alias])
-
-        def of_rows(rows: Array, pair: tuple[Effect, Effect] = pair) -> tuple[Array, Array]:
-            slopes = _one_step(simulator, rows, log, pair, priors) / deviations[:, None]
-            return slopes[..., 0], slopes[..., 1]
-
-        one, other = of_rows(X)
+        slopes = partial(_one_step, simulator, log, (effect, by_name[alias]), priors, deviations)
+        one, other = slopes(X)
         share = np.sum(one * other) / max(float(np.sum(other**2)), 1e-300)
         apart = np.sum((one - share * other) ** 2, axis=-1)
-        farthest = max(-priors.low[k], priors.high[k])
-        if np.sqrt(apart.sum()) * farthest < LEAST_APART:
-            hints.append(NOTHING_SEPARATES)
-            continue
-        hints.append(
-            _separating(simulator, X, apart, _cosine(one, other), lambda rows: _cosine(*of_rows(rows)))
-        )
+        hint = NOTHING_SEPARATES
+        if np.sqrt(apart.sum()) * max(-priors.low[k], priors.high[k]) >= LEAST_APART:
+            like = lambda rows, of=slopes: _cosine(*of(rows))  # noqa: E731
+            hint = _separating(simulator, X, apart, _cosine(one, other), like)
+        hints.append(hint)
     return hints
 
 
-def _one_step(simulator: Simulator, rows: Array, log: Log, pair: Sequence[Effect], priors: Priors) -> Array:
-    """Return the derivative of each row's outcome by two effects, (n_rows, d, 2)."""
+def _one_step(
+    simulator: Simulator, log: Log, pair: Sequence[Effect], priors: Priors, deviations: Array, rows: Array
+) -> Array:
+    """Return the derivative of each row's outcome over its noise by two effects, (2, n_rows, d)."""
     ends = _steps(pair, priors.part([priors.names.index(effect.name) for effect in pair]))
     candidates = [{name: end} for name, both in ends.items() for end in both]
     outputs = np.nan_to_num(simulator.predict_many(rows, candidates, groups=log.groups))
     columns = [
-        simulator.residual(high, low) / (both[1] - both[0])
+        simulator.residual(high, low) / (both[1] - both[0]) / deviations
         for low, high, both in zip(outputs[::2], outputs[1::2], ends.values())
     ]
-    return np.stack(columns, axis=-1)
+    return np.stack(columns)
 
 
 def _cosine(one: Array, other: Array) -> float:
