@@ -16,7 +16,7 @@ import numpy as np
 from skat.diagnosis.chains import Array
 from skat.diagnosis.log import Log
 from skat.diagnosis.smoothing import SMOOTHED, smoothed_positions
-from skat.diagnosis.statespace import QUATERNION, tangent_mask, tangents
+from skat.diagnosis.statespace import quaternions, tangent_mask, tangents
 from skat.diagnosis.velocities import motions, noise_variance
 from skat.simulators import MujocoSimulator, Simulator
 from skat.simulators.base import HALF_TURNS
@@ -367,18 +367,9 @@ def _jumps(look: Look) -> Iterator[Sign]:
         yield Sign(len(rows), (), {"rows": f"{'row' if len(rows) == 1 else 'rows'} {some}"})
 
 
-def _quaternions(simulator: Simulator) -> Iterator[tuple[str, list[int]]]:
-    """Yield each joint with a quaternion, and its columns in the state."""
-    names = simulator.state_names
-    for name in names:
-        if name.endswith(".qw"):
-            joint = name[: -len(".qw")]
-            yield joint, [names.index(f"{joint}.{part}") for part in QUATERNION]
-
-
 def _lengths(look: Look) -> Iterator[Sign]:
     """By how much a quaternion's length differs from 1 in a typical row."""
-    for joint, columns in _quaternions(look.simulator):
+    for joint, columns in quaternions(look.simulator.state_names):
         lengths = np.linalg.norm(look.log.y[:, columns], axis=1)
         lengths = lengths[np.isfinite(lengths)]
         if len(lengths):
@@ -389,7 +380,7 @@ def _lengths(look: Look) -> Iterator[Sign]:
 def _orders(look: Look) -> Iterator[Sign]:
     """How many times better the simulation turns a quaternion whose real part is taken to come last."""
     simulator, few = look.simulator, look.few.filled
-    for joint, columns in _quaternions(simulator):
+    for joint, columns in quaternions(simulator.state_names):
         seen = np.isfinite(look.few.y[:, columns]).all(axis=1) & np.isfinite(look.few.X[:, columns]).all(
             axis=1
         )

@@ -12,7 +12,15 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.utils import check_array
 
 from skat.diagnosis.chains import Array, Mask, Places
-from skat.diagnosis.statespace import QUATERNION, filled_in, in_chains, steps_of, tangent_mask, tangents
+from skat.diagnosis.statespace import (
+    QUATERNION,
+    filled_in,
+    in_chains,
+    quaternions,
+    steps_of,
+    tangent_mask,
+    tangents,
+)
 from skat.episodes import LEAST_TESTED, drawn_episodes
 from skat.simulators import Simulator
 from skat.simulators.tables import refuse_text
@@ -542,12 +550,9 @@ def _where_missing(values: Array, others: Array) -> Array:
 def _whole_quaternions(names: Sequence[str], values: Array) -> Array:
     """Return values with quaternions of which a part is missing missing as a whole."""
     values = values.copy()
-    for name in names:
-        if name.endswith(".qw"):
-            joint = name[: -len(".qw")]
-            parts = [names.index(f"{joint}.{part}") for part in QUATERNION]
-            lost = np.isnan(values[:, parts]).any(axis=1, keepdims=True)
-            values[:, parts] = np.where(lost, np.nan, values[:, parts])
+    for _, parts in quaternions(names):
+        lost = np.isnan(values[:, parts]).any(axis=1, keepdims=True)
+        values[:, parts] = np.where(lost, np.nan, values[:, parts])
     return values
 
 

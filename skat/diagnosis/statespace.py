@@ -1,6 +1,6 @@
 """A simulator and a log as linear dynamics about a path: chains of states, means and slopes over what is not known."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import zip_longest
@@ -695,6 +695,14 @@ def finite(values: Array, otherwise: Array) -> Array:
     return np.where(bad[..., None], otherwise, values) if bad.any() else values
 
 
+def quaternions(names: Sequence[str]) -> Iterator[tuple[str, list[int]]]:
+    """Yield each joint that has a quaternion among columns, and its columns."""
+    for name in names:
+        if name.endswith(".qw"):
+            joint = name[: -len(".qw")]
+            yield joint, [names.index(f"{joint}.{part}") for part in QUATERNION]
+
+
 def tangents(simulator: Simulator, states: Array) -> Array:
     """Return states (n, n_outputs) in the channels of a residual, from the first of them, (n, d)."""
     return simulator.residual(states, np.broadcast_to(states[:1], states.shape))
@@ -772,10 +780,8 @@ def guessed(simulator: Simulator, states: Array) -> Array:
     names = simulator.output_names
     rest = simulator.reference_state if simulator.state_names else np.zeros(len(names))
     times = np.arange(states.shape[1])
-    for name in names:
-        if name.endswith(".qw"):
-            columns = [names.index(f"{name[: -len('qw')]}{part}") for part in QUATERNION]
-            filled[..., columns] = _turns_between(states[..., columns])
+    for _, columns in quaternions(names):
+        filled[..., columns] = _turns_between(states[..., columns])
     for column in range(states.shape[2]):
         for chain in range(states.shape[0]):
             series = filled[chain, :, column]

@@ -59,19 +59,9 @@ def is_computed(
     >>> is_computed(read, 5 * np.cos(0.05 * np.arange(400)) + 0.05 * rng.normal(size=400), np.zeros(400))
     False
     """
-    windows, targets = [], []
-    for episode in np.unique(episodes):
-        q, v = positions[episodes == episode], velocities[episodes == episode]
-        if len(q) <= 2 * POSITIONS + 1:
-            continue
-        around_q = np.lib.stride_tricks.sliding_window_view(q, 2 * POSITIONS + 1)
-        inner = v[POSITIONS - VELOCITIES : len(v) - (POSITIONS - VELOCITIES)]
-        around_v = np.lib.stride_tricks.sliding_window_view(inner, 2 * VELOCITIES + 1)
-        targets.append(around_v[:, VELOCITIES])
-        windows.append(np.column_stack([around_q, np.delete(around_v, VELOCITIES, axis=1)]))
-    if not windows:
-        return False
-    design, target = np.concatenate(windows), np.concatenate(targets)
+    q, v = np.moveaxis(_windows(np.column_stack([positions, velocities]), episodes, POSITIONS), 1, 0)
+    v = v[:, POSITIONS - VELOCITIES : POSITIONS + VELOCITIES + 1]
+    design, target = np.column_stack([q, np.delete(v, VELOCITIES, axis=1)]), v[:, VELOCITIES]
     # Sensors that repeat themselves, at rest, tell nothing of either.
     moves = np.ptp(design[:, : 2 * POSITIONS + 1], axis=1) > 0
     kept = np.isfinite(design).all(axis=1) & np.isfinite(target) & moves
@@ -88,18 +78,9 @@ def _unpredictable(positions: Array, episodes: NDArray[Any], others: Array | Non
     """Return the variance of what neighbours and all else tell nothing of: noise is no larger."""
     if others is None or not others.shape[1]:
         return np.inf
-    rows, targets = [], []
-    for episode in np.unique(episodes):
-        q, rest = positions[episodes == episode], others[episodes == episode]
-        if len(q) <= 2 * NEAR:
-            continue
-        around = np.lib.stride_tricks.sliding_window_view(q, 2 * NEAR + 1)
-        beside = np.lib.stride_tricks.sliding_window_view(rest, 2 * NEAR + 1, axis=0)
-        targets.append(around[:, NEAR])
-        rows.append(np.column_stack([np.delete(around, NEAR, axis=1), beside.reshape(len(around), -1)]))
-    if not rows:
-        return np.inf
-    design, target = np.concatenate(rows), np.concatenate(targets)
+    windows = _windows(np.column_stack([positions, others]), episodes, NEAR)
+    target, beside = windows[:, 0, NEAR], windows[:, 1:].reshape(len(windows), -1)
+    design = np.column_stack([np.delete(windows[:, 0], NEAR, axis=1), beside])
     kept = np.isfinite(target)
     design, target = design[kept], target[kept]
     design = design[:, np.isfinite(design).all(axis=0)]
@@ -107,6 +88,16 @@ def _unpredictable(positions: Array, episodes: NDArray[Any], others: Array | Non
         return np.inf
     _, left, degrees = _regression(design, target)
     return float(left @ left / degrees)
+
+
+def _windows(columns: Array, episodes: NDArray[Any], reach: int) -> Array:
+    """Return what is around each instant, and as far within its episode, (n, n_columns, 2 reach + 1)."""
+    length = 2 * reach + 1
+    own = [columns[episodes == one] for one in np.unique(episodes)]
+    found = [
+        np.lib.stride_tricks.sliding_window_view(one, length, axis=0) for one in own if len(one) >= length
+    ]
+    return np.concatenate([np.empty((0, columns.shape[1], length)), *found])
 
 
 def _regression(design: Array, target: Array) -> tuple[Array, Array, int]:

@@ -21,6 +21,7 @@ from scipy.fft import dct
 
 from skat.diagnosis.chains import Array, Mask
 from skat.diagnosis.forces.smoothing import smooth_coordinate
+from skat.diagnosis.velocities import states_in_time
 from skat.simulators import MujocoSimulator
 
 # Of a motion, that the smoother must keep up to the highest frequency that is compared.
@@ -103,9 +104,7 @@ def smooth_motion(
     """
     n_states, dt = len(simulator.state_names), simulator.dt
     nv = len(simulator.residual_names) // 2
-    ends = np.flatnonzero(np.r_[groups[1:] != groups[:-1], True])
-    instants = np.insert(X[:, :n_states], ends + 1, y[ends], axis=0)
-    episodes = np.insert(np.asarray(groups), ends + 1, groups[ends])
+    instants, episodes, _ = states_in_time(simulator, X, y, groups)
     try:
         smooth = [smooth_coordinate(instants[:, joint], episodes, dt) for joint in range(nv)]
     except ValueError:
