@@ -457,8 +457,20 @@ def _lagging(look: Look) -> Iterator[Sign]:
     nearest = int(np.argmin(np.abs(lags)))
     lag, error = float(lags[nearest]), float(errors[nearest])
     if (np.all(lags > 0) or np.all(lags < 0)) and abs(lag) > LEAST_LAG * dt:
-        words = {"lag": f"about {abs(lag):.2g} s ({abs(100 * lag / dt):.0f} % of a row)"}
-        yield Sign(abs(lag) / max(error, 1e-300), (), {**words, **(LATE_RATES if lag > 0 else LATE_PLACES)})
+        words = {
+            "lag": f"about {abs(lag):.2g} s ({abs(100 * lag / dt):.0f} % of a row)",
+            "who": "The positions lag the velocities",
+            "how": "as if a filter or another clock delayed them: that passes for effects that the robot does not "
+            "have. Log positions and velocities at the same moments, or move the velocities back by that time",
+        }
+        if lag > 0:
+            words |= {
+                "who": "The velocities lag the positions",
+                "how": "as if a low-pass filter had made them: that passes for a delay of the commands, or for other "
+                "effects, that the robot does not have. Log velocities that are not filtered, or name them in hidden=, "
+                "so that the positions alone tell",
+            }
+        yield Sign(abs(lag) / max(error, 1e-300), (), words)
 
 
 def _smoothed(look: Look) -> Iterator[Sign]:
@@ -555,17 +567,6 @@ def _commands_of_servos(simulator: Simulator) -> tuple[list[str], list[str]]:
     return aims, speeds
 
 
-LATE_RATES = {
-    "who": "The velocities lag the positions",
-    "how": "as if a low-pass filter had made them: that passes for a delay of the commands, or for other effects, that "
-    "the robot does not have. Log velocities that are not filtered, or name them in hidden=, so that the positions "
-    "alone tell",
-}
-LATE_PLACES = {
-    "who": "The positions lag the velocities",
-    "how": "as if a filter or another clock delayed them: that passes for effects that the robot does not have. Log "
-    "positions and velocities at the same moments, or move the velocities back by that time",
-}
 DOUBTS = (
     Doubt(
         "random",

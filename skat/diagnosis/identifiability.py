@@ -14,14 +14,13 @@ from skat.diagnosis.evidence import Gram, Priors, coarsened, weigh
 from skat.diagnosis.filtering import kalman_filter
 from skat.diagnosis.fitting import SMALL_SHARE, priors_of, response
 from skat.diagnosis.log import Log, check_log, check_matrix, checked_episodes, without_channels
+from skat.diagnosis.search import TWIN
 from skat.diagnosis.slopes import derivatives
 from skat.diagnosis.statespace import StateSpace, linearise, state_space, tangents
 from skat.effects import Effect
 from skat.simulators import Simulator
 
 COMMON_NOISE = 0.01
-# Effects whose derivatives make a smaller angle than this cosine are worth a warning before measuring.
-NEARLY_ALIKE = 0.95
 # At the end of its range an effect differs from its nearest alias by more than this much noise, or by rounding only.
 LEAST_APART = 2.0
 # An excitation separates two effects if with twice of it the angle's share grows by this factor; so many are tried.
@@ -287,7 +286,7 @@ def _excitations(
     """Return for each effect the input at whose large or small values it differs most from its nearest alias."""
     X, by_name, hints = log.filled.X, {effect.name: effect for effect in effects}, []
     for k, (effect, alias) in enumerate(zip(effects, table["nearest_alias"])):
-        if not alias or table["similarity"].iloc[k] < NEARLY_ALIKE:
+        if not alias or table["similarity"].iloc[k] < TWIN:
             hints.append("")
             continue
         slopes = partial(_one_step, simulator, log, (effect, by_name[alias]), priors, deviations)

@@ -23,6 +23,7 @@ from skat.diagnosis.chains import Array, Mask, Places
 from skat.diagnosis.filtering import kalman_filter, smooth, updated
 from skat.diagnosis.findings import Gain
 from skat.diagnosis.fitting import Fitted, known_forces
+from skat.diagnosis.forces.force_space import LEFT_AT_LEAST
 from skat.diagnosis.noise import (
     Estimate,
     Noise,
@@ -52,8 +53,6 @@ FARTHEST = 10.0
 N_BOOTSTRAP = 999
 FEWEST_PIECES, PIECES = 5, 20
 N_OVERLAYS = 3
-# Of an episode's residuals, what fitted initial states leave is never taken for a smaller share than this.
-LEAST_LEFT = 0.1
 # Relinearisations by which an initial state is fitted.
 START_TURNS = 6
 
@@ -576,5 +575,5 @@ def _open_loop_variances(
         if initial_state == "fitted":
             # A fitted start takes up as many of its episode's residuals as it has coordinates.
             n_measured = int(space.mask[episode].sum())
-            out[rows] -= error * (1 - max(1 - d / max(n_measured, 1), LEAST_LEFT))
+            out[rows] -= error * (1 - max(1 - d / max(n_measured, 1), LEFT_AT_LEAST))
     return out

@@ -20,7 +20,7 @@ import numpy as np
 from scipy import signal
 
 from skat.diagnosis.chains import Array
-from skat.diagnosis.log import Log
+from skat.diagnosis.log import STRETCHES, Log
 from skat.diagnosis.velocities import motions, power_by_frequency, states_in_time
 from skat.simulators import Simulator
 
@@ -35,8 +35,8 @@ EVERY, TAPS, END, EXACT, LOW = 2, 8, (0.25, 0.75), 1e4, 0.1
 # Cutoffs tried, as shares of the Nyquist frequency, and by which factors the best is moved then.
 CUTOFFS = np.geomspace(0.04, 0.6, 9)
 FACTORS = (1.18, 1.08, 1.04, 1.02, 1.01)
-# It is told from so many stretches of so many rows, in so many turns with the causes at most.
-STRETCHES, STRETCH_ROWS, TURNS = 2, 200, 4
+# It is told from stretches of so many rows, in so many turns with the causes at most.
+STRETCH_ROWS, TURNS = 200, 4
 
 
 class Likelihood(Protocol):

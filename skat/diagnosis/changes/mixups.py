@@ -8,16 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skat.diagnosis.chains import Array, Mask
-from skat.diagnosis.changes.question import Question
+from skat.diagnosis.changes.question import FAULT, Question
 from skat.diagnosis.changes.strengths import Logs
 from skat.diagnosis.changes.windows import Quadratic, total, windows_of
 from skat.diagnosis.forces.force_space import Rows
 from skat.diagnosis.forces.machines import Model
 from skat.diagnosis.forces.motions import Half, lacking_forces, whole_coefficients_of
 from skat.simulators import MujocoSimulator
-
-# Odds that two columns of a log were mixed up, or that one has its sign turned.
-MIXED_UP = 1e-3
 
 
 def mistake_of(question: Question, differences: Array, *, price: float, needed: float) -> str:
@@ -82,7 +79,7 @@ def mistake_of(question: Question, differences: Array, *, price: float, needed: 
     first = total(windows_of(question.sides[0], law.noise[0], law.spread))
     mended_second = whole(1, otherwise, seen & kept)
     odds = Logs(first, mended_second, law).level() - Logs(first, whole(1, given, seen & kept), law).level()
-    if odds + price + np.log(MIXED_UP / len(mixed)) <= needed:
+    if odds + price + np.log(FAULT / len(mixed)) <= needed:
         return ""
     # What as well mends the first log is the model's matter.
     both, seen = _in_another_order(question, 0, _mixed_up(simulator, question.halves[0])[best][1], model)

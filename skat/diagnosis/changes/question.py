@@ -32,8 +32,8 @@ LATE_IN_BOTH = tuple(0.25 * one for one in range(-16, 33))
 MOST = 0.5
 # Turns of the machines about which forces are linear, and of what is wrong in both logs or was found to differ.
 TURNS = 3
-# Odds that a motor lost nearly all that it exerts, which is a fault of its own.
-BROKEN = 1e-3
+# Odds of a fault of its own: a motor lost nearly all that it exerts, or columns of a log were mixed up.
+FAULT = 1e-3
 # Of the way to where slopes lead, so far machines may move.
 SHARES = np.r_[0.0, np.power(2.0, np.arange(-5, 1))]
 
@@ -308,7 +308,7 @@ def _weak_motor(
     with such a motor lacks less on its joint in the second log than both logs' machines do, and more in the first log:
     else it is the model's matter.
     """
-    most, found = needed - np.log(BROKEN), {}
+    most, found = needed - np.log(FAULT), {}
     for place, effect in enumerate(logs.effects):
         joints = sides[0].joint[sides[0].columns[:, place] != 0]
         if effect.family not in MOTORS or place in known or not len(joints):

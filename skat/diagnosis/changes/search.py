@@ -20,10 +20,6 @@ from skat.diagnosis.search import without_weak
 from skat.effects import Effect
 from skat.simulators import MujocoSimulator, Simulator
 
-BEYOND_MISFIT = (
-    "The logs differ by more than what the model misses in both, and by no effect that was asked about."
-)
-
 
 def find_changes(
     simulator: Simulator,
@@ -103,7 +99,7 @@ def find_changes(
         told = ", ".join(one.name for one in causes)
         reason = f"The logs differ as if by {told}, but that explains too little of parts of the log after not used."
     elif worth.logs.differ_beyond_misfit(best.evidence, needed):
-        reason = BEYOND_MISFIT
+        reason = "The logs differ by more than what the model misses in both, and by no effect that was asked about."
     if question.weak and (reason or not causes or _contradict(causes, question.weak)):
         told = " and ".join(question.weak)
         mistake = f"{told} were next to nothing: a motor that died, or a joint that is stuck"

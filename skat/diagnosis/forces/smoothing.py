@@ -30,7 +30,6 @@ from skat.diagnosis.chains import Array, Mask
 
 TRANSITION = np.array([[1.0, 1, 1], [0, 1, 2], [0, 0, 1]])
 STEP = np.linalg.inv(np.array([[1 / 20, 1 / 8, 1 / 12], [1 / 8, 1 / 3, 1 / 4], [1 / 12, 1 / 4, 1 / 4]]))
-BANDS = 6
 # Logarithm of the variance of jerk over that of positions: from a straight line to no noise.
 LOG_JERK = (-30.0, 12.0)
 # Rows from which variances are estimated, at most.
@@ -139,13 +138,13 @@ def _posterior(positions: Array, seen: Mask, joined: Mask, jerk: float) -> tuple
     diagonal[:, 0, 0] += seen
     below = np.zeros((n, 3, 3))
     below[:-1] = joined[:, None, None] * (-STEP @ TRANSITION / jerk)
-    shaped = np.zeros((BANDS, n, 3))
+    shaped = np.zeros((6, n, 3))
     for row in range(3):
         for column in range(3):
             if row >= column:
                 shaped[row - column, :, column] += diagonal[:, row, column]
             shaped[3 + row - column, :, column] += below[:, row, column]
-    bands = shaped.reshape(BANDS, 3 * n)
+    bands = shaped.reshape(6, 3 * n)
     right = np.zeros((n, 3))
     right[:, 0] = values
     factor = cholesky_banded(bands, lower=True, check_finite=False)
