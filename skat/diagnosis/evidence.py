@@ -13,7 +13,7 @@ Laplace's approximation at the posterior mode, :math:`G = N'N, b = N'z`, D the c
 cause at all.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -312,14 +312,14 @@ class Weigher:
         self._last = np.zeros(len(priors.scales)) if alike else None
         self.seen: dict[tuple[int, ...], Weighed] = {}
 
-    def __call__(self, members: Sequence[int]) -> Weighed:
+    def __call__(self, members: Collection[int]) -> Weighed:
         """Return what a set is worth."""
         key = tuple(sorted(set(members)))
         if key not in self.seen:
             self.seen[key] = self._weighed(key)
         return self.seen[key]
 
-    def allows(self, members: Sequence[int]) -> bool:
+    def allows(self, members: Collection[int]) -> bool:
         """Whether a set holds no two rivals."""
         there = set(members)
         return not any(there.intersection(self.rivals.get(one, ())) for one in there)

@@ -5,7 +5,7 @@ are much alike `search_sets` weighs the few moves that promise most, and looks f
 """
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -138,7 +138,7 @@ def _evidence(one: Weighed) -> float:
     return one.evidence
 
 
-def _best(worth: Weigher, now: Weighed, moves: Sequence[Sequence[int]], most: int) -> Weighed:
+def _best(worth: Weigher, now: Weighed, moves: Sequence[Collection[int]], most: int) -> Weighed:
     allowed = (move for move in moves if len(set(move)) <= most and worth.allows(move))
     return max(map(worth, allowed), key=_evidence, default=now)
 
@@ -179,30 +179,20 @@ def _family_moves(
 def search_sets(worth: Weigher, start: Sequence[int] = ()) -> Weighed:
     """Return the set of causes that is worth most, begun with one that may be near.
 
-    No single effect can be added, dropped or exchanged with a gain, of those that promise most.
+    No single effect can be dropped, added or exchanged with a gain, of those that promise most.
     """
     now = worth(start)
     while True:
-        for step in (_best_drop, _best_addition, _best_exchange):
-            tried = step(worth, now)
-            if _gains(tried, now):
-                break
-        else:
+        weakest = [now.members[place] for place in np.argsort(_likely_losses(now))[:FEW]]
+        top = _best(worth, now, [set(now.members) - {one} for one in weakest], LARGEST_SET)
+        if not _gains(top, now):
+            likely = _promising(worth, now, ())[:FEW]
+            top = _best(worth, now, [(*now.members, one) for one in likely], LARGEST_SET)
+        if not _gains(top, now):
+            top = _best_exchange(worth, now)
+        if not _gains(top, now):
             return now
-        now = tried
-
-
-def _best_addition(worth: Weigher, now: Weighed) -> Weighed:
-    if len(now.members) >= LARGEST_SET:
-        return now
-    promises = worth.promises(now)
-    likely = [int(one) for one in np.argsort(-promises)[:FEW] if promises[one] > -np.inf]
-    return max((worth((*now.members, one)) for one in likely), key=_evidence, default=now)
-
-
-def _best_drop(worth: Weigher, now: Weighed) -> Weighed:
-    order = [now.members[place] for place in np.argsort(_likely_losses(now))[:FEW]]
-    return max((worth.without(now, gone) for gone in order), key=_evidence, default=now)
+        now = top
 
 
 def _best_exchange(worth: Weigher, now: Weighed) -> Weighed:
@@ -215,10 +205,9 @@ def _best_exchange(worth: Weigher, now: Weighed) -> Weighed:
             continue
         rest = worth.without(now, gone)
         promises = worth.promises(rest)
-        promises[gone] = -np.inf
-        for one in np.argsort(-promises)[:2]:
-            if promises[one] > -np.inf and rest.evidence + promises[one] > now.evidence - UNSURE:
-                tried = worth((*rest.members, int(one)))
+        for one in _promising(worth, rest, [gone])[:2]:
+            if rest.evidence + promises[one] > now.evidence - UNSURE:
+                tried = worth((*rest.members, one))
                 if _gains(tried, now):
                     return tried
     return now
