@@ -224,14 +224,7 @@ class Rows:
 
     def part(self, kept: Mask) -> "Rows":
         """Return some of the rows."""
-        return Rows(
-            self.target[kept],
-            self.columns[kept],
-            self.joint[kept],
-            self.frequency[kept],
-            self.stretch[kept],
-            self.nominal[kept],
-        )
+        return Rows(*(getattr(self, name)[kept] for name in self.__dataclass_fields__))
 
 
 def joined(sides: Sequence[Rows]) -> Rows:
