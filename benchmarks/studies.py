@@ -29,7 +29,7 @@ from open_loop import Parameter
 
 from skat import datasets
 from skat.diagnosis import SimulationDiagnosis, compare_findings
-from skat.diagnosis.forces.motions import half_of
+from skat.diagnosis.forces.motions import motion_of
 from skat.diagnosis.report.machine import findings_as_data, plain
 from skat.simulators import MujocoSimulator, make_simulator
 
@@ -351,7 +351,7 @@ def ur10(kept):
             "n_asked": str(len(effects)),
             "n_effects": str(len(simulator.effects())),
             "compared_to": study_pages.shown(
-                float(half_of(simulator, given, "", measured=True).motion.cutoff.max())
+                float(motion_of(simulator, given, "", measured=True).cutoff.max())
             ),
             "wrist_scaled": study_pages.shown(found["efforts"]["masses"][3]),
             "of_least_squares": study_pages.shown(shares[UR10_MINE] / shares[UR10_SCALED]),

@@ -11,9 +11,9 @@ from skat.diagnosis.chains import Array, Mask
 from skat.diagnosis.changes.question import FAULT, Question
 from skat.diagnosis.changes.strengths import Logs
 from skat.diagnosis.changes.windows import Quadratic, total, windows_of
-from skat.diagnosis.forces.force_space import Rows
+from skat.diagnosis.forces.force_space import Motion, Rows
 from skat.diagnosis.forces.machines import Model
-from skat.diagnosis.forces.motions import Half, lacking_forces, whole_coefficients_of
+from skat.diagnosis.forces.motions import lacking_forces, whole_coefficients_of
 from skat.simulators import MujocoSimulator
 
 
@@ -44,13 +44,12 @@ def mistake_of(question: Question, differences: Array, *, price: float, needed: 
         return ""
     model = question.machine
 
-    def left(half: Half) -> Array:
+    def left(half: Motion) -> Array:
         """Return what the first log's model leaves, NaN where nothing was measured or a joint was not fast."""
-        motion = replace(half.motion, cutoff=own.motion.cutoff)
         whole, joint, frequency, _ = whole_coefficients_of(
-            replace(half, motion=motion), lacking_forces(simulator, half, [model])
+            replace(half, cutoff=own.cutoff), lacking_forces(simulator, half, [model])
         )
-        return np.where(frequency <= np.tile(half.motion.cutoff, 2)[joint], whole[:, 0], np.nan)
+        return np.where(frequency <= np.tile(half.cutoff, 2)[joint], whole[:, 0], np.nan)
 
     as_is = left(own)
     measured = np.isfinite(as_is)
@@ -91,11 +90,10 @@ def mistake_of(question: Question, differences: Array, *, price: float, needed: 
     return ", or ".join(one for (one, _), gain in zip(mixed, mended) if gain > mended[best] - needed)
 
 
-def _in_another_order(question: Question, side: int, half: Half, machine: Model) -> tuple[Rows, Mask]:
+def _in_another_order(question: Question, side: int, half: Motion, machine: Model) -> tuple[Rows, Mask]:
     """Return the rows of a log with columns in another order about a machine, and which of its rows are in both."""
     own, rows = question.halves[side], question.sides[side]
-    cutoff = half.motion.cutoff
-    half = replace(half, motion=replace(half.motion, cutoff=own.motion.cutoff))
+    cutoff, half = half.cutoff, replace(half, cutoff=own.cutoff)
     found = replace(question, halves=(half, half)).rows(side, machine, machine)
     here, there = (
         np.isfinite(whole_coefficients_of(one, lacking_forces(question.simulator, one, [Model({})]))[0][:, 0])
@@ -106,25 +104,24 @@ def _in_another_order(question: Question, side: int, half: Half, machine: Model)
     return replace(rows, target=found.target[place], columns=found.columns[place]), seen
 
 
-def _mixed_up(simulator: MujocoSimulator, half: Half) -> list[tuple[str, Half]]:
+def _mixed_up(simulator: MujocoSimulator, half: Motion) -> list[tuple[str, Motion]]:
     """Return halves with columns in the order, and with the sign, that they may have been meant to have."""
-    motion, nv = half.motion, len(half.motion.slip)
-    found = []
+    nv, found = len(half.slip), []
     for name, order, signs in _mix_ups(simulator.input_names[len(simulator.state_names) :]):
-        mixed = replace(motion, commands=motion.commands[:, order] * signs)
-        found.append((name, replace(half, motion=mixed)))
+        found.append((name, replace(half, commands=half.commands[:, order] * signs)))
     joints = simulator.residual_names[:nv]
     units = [simulator.units[joint] for joint in joints]
     for name, order, signs in _mix_ups(joints):
         if units == [units[place] for place in order]:
             mixed = replace(
-                motion,
-                states=motion.states[:, np.r_[order, order + nv]] * np.tile(signs, 2),
-                accelerations=motion.accelerations[:, order] * signs,
-                velocities=motion.velocities[..., order] * signs,
-                cutoff=np.minimum(motion.cutoff, motion.cutoff[order]),
+                half,
+                speeds=half.speeds[:, order] * signs,
+                states=half.states[:, np.r_[order, order + nv]] * np.tile(signs, 2),
+                accelerations=half.accelerations[:, order] * signs,
+                velocities=half.velocities[..., order] * signs,
+                cutoff=np.minimum(half.cutoff, half.cutoff[order]),
             )
-            found.append((name, replace(half, motion=mixed, speeds=half.speeds[:, order] * signs)))
+            found.append((name, mixed))
     return found
 
 

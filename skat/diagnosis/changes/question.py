@@ -10,11 +10,10 @@ from skat.diagnosis.chains import Array, Mask
 from skat.diagnosis.changes.candidates import distinct, offered_candidates, units_of
 from skat.diagnosis.changes.law import Law, settled_law, with_misfit
 from skat.diagnosis.changes.windows import total, windows_of
-from skat.diagnosis.forces.force_space import Rows, joined
+from skat.diagnosis.forces.force_space import Motion, Rows, joined
 from skat.diagnosis.forces.machines import MOTORS, UNSEEN, WEAKEST, Candidate, Model
 from skat.diagnosis.forces.motions import (
     SHOWN,
-    Half,
     coefficients_of,
     columns_of,
     lacking_forces,
@@ -45,7 +44,7 @@ class Machines:
     Attributes
     ----------
     simulator : MujocoSimulator
-    halves : tuple of Half
+    halves : tuple of Motion
         The first log and the second.
     base : Model
         From which effects are counted.
@@ -56,7 +55,7 @@ class Machines:
     """
 
     simulator: MujocoSimulator
-    halves: tuple[Half, ...]
+    halves: tuple[Motion, ...]
     base: Model
     effects: tuple[Effect, ...]
     sizes: Array
@@ -185,7 +184,7 @@ class Question(Machines):
 
 def question_of(
     simulator: MujocoSimulator,
-    halves: Sequence[Half],
+    halves: Sequence[Motion],
     effects: Sequence[Effect],
     *,
     typical: Mapping[str, float],
@@ -197,7 +196,7 @@ def question_of(
     Parameters
     ----------
     simulator : MujocoSimulator
-    halves : sequence of Half
+    halves : sequence of Motion
         The first log and the second.
     effects : sequence of Effect
         That may be wrong in both logs or may have changed.
@@ -377,7 +376,7 @@ def _bases(logs: Machines, sides: Sequence[Rows], needed: float) -> tuple[Model,
 
 
 def _told(
-    simulator: MujocoSimulator, half: Half, rows: Rows, law: Law, models: Sequence[Model]
+    simulator: MujocoSimulator, half: Motion, rows: Rows, law: Law, models: Sequence[Model]
 ) -> tuple[Array, Array]:
     """Return the log density of a log about models, but for a constant, and all effects, in units of sizes, about each.
 

@@ -15,7 +15,7 @@ from skat.diagnosis.changes.windows import total, windows_of
 from skat.diagnosis.evidence import Priors, Weighed, bounded_solution
 from skat.diagnosis.findings import Cause, Gain
 from skat.diagnosis.forces.machines import MOTORS, WEAKEST, Candidate
-from skat.diagnosis.forces.motions import Log, half_of
+from skat.diagnosis.forces.motions import Log, motion_of
 from skat.diagnosis.search import without_weak
 from skat.effects import Effect
 from skat.simulators import MujocoSimulator, Simulator
@@ -63,7 +63,7 @@ def find_changes(
             "extended_simulator_."
         )
     try:
-        halves = [half_of(simulator, log, name) for name, log in (("before", before), ("after", after))]
+        halves = [motion_of(simulator, log, name) for name, log in (("before", before), ("after", after))]
     except ValueError as error:
         raise ValueError(
             f"{error} Or fit the log before, and diagnose the log after with extended_simulator_."

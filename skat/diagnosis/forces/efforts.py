@@ -36,16 +36,15 @@ from skat.diagnosis.fitting import (
     on_logarithm,
     priors_of,
 )
-from skat.diagnosis.forces.force_space import Rows, noise_beside
+from skat.diagnosis.forces.force_space import Motion, Rows, noise_beside
 from skat.diagnosis.forces.left import left_of_efforts
 from skat.diagnosis.forces.machines import UNSEEN, WEAKEST, Model
 from skat.diagnosis.forces.motions import (
     STEP,
-    Half,
     Log,
     coefficients_of,
-    half_of,
     lacking_forces,
+    motion_of,
     shares_of,
     units_by,
 )
@@ -71,7 +70,7 @@ class Regression:
     Attributes
     ----------
     simulator : MujocoSimulator
-    half : Half
+    half : Motion
         The log's motion.
     effects : tuple of Effect
     sizes : ndarray of shape (n_effects,)
@@ -81,7 +80,7 @@ class Regression:
     """
 
     simulator: MujocoSimulator
-    half: Half
+    half: Motion
     effects: tuple[Effect, ...]
     sizes: Array
     driven: Mapping[str, Mask]
@@ -92,14 +91,14 @@ class Regression:
     ) -> "Regression":
         """Return the regression of a log; raises a ValueError where forces on joints cannot be told."""
         try:
-            half = half_of(simulator, log, "", measured=True)
+            half = motion_of(simulator, log, "", measured=True)
         except ValueError as error:
             raise ValueError(
                 f"{error} Or pass actions='commanded', if motors were told these efforts."
             ) from None
         gains = [effect for effect in effects if effect.family == "gain"]
         forces = lacking_forces(simulator, half, [Model({}), *(Model({one.name: 1 + STEP}) for one in gains)])
-        nv = len(half.motion.slip)
+        nv = len(half.slip)
         driven = {
             one.name: np.any(moved[:, :nv] != forces[0, :, :nv], axis=0)
             for one, moved in zip(gains, forces[1:])

@@ -55,6 +55,8 @@ class Motion:
     ----------
     states : ndarray of shape (n_blocks, n_states)
         Mean over each block.
+    speeds : ndarray of shape (n_blocks, nv)
+        As measured, mean over each block, m/s or rad/s; NaN where not.
     accelerations : ndarray of shape (n_blocks, nv)
     velocities : ndarray of shape (n_blocks, rows of a block + 1, nv)
         Of the instants of each block: friction is that of each, not of their mean.
@@ -73,6 +75,7 @@ class Motion:
     """
 
     states: Array
+    speeds: Array
     accelerations: Array
     velocities: Array
     commands: Array
@@ -148,6 +151,7 @@ def smooth_motion(
     means = np.einsum("bij,i->bj", q[middle], ends_count)
     return Motion(
         np.column_stack([means, (q[last] - q[first]) / duration]),
+        0.5 * (X[rows, nv:n_states].mean(axis=1) + y[rows, nv:].mean(axis=1)),
         (v[last] - v[first]) / duration,
         v[middle],
         X[:, n_states:],

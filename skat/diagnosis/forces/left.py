@@ -13,9 +13,9 @@ from scipy.special import logsumexp
 
 from skat.diagnosis.chains import Array
 from skat.diagnosis.evidence import WIDTH_95
-from skat.diagnosis.forces.force_space import Rows, transformed
+from skat.diagnosis.forces.force_space import Motion, Rows, transformed
 from skat.diagnosis.forces.machines import Model
-from skat.diagnosis.forces.motions import Half, lacking_forces
+from skat.diagnosis.forces.motions import lacking_forces
 from skat.diagnosis.remainder import (
     LONGEST_TABLE,
     MOST_COLUMNS,
@@ -43,7 +43,7 @@ class _Joint:
 
     Attributes
     ----------
-    half : Half
+    half : Motion
         The motion of the whole machine.
     place : int
     whitened, noise : ndarray of shape (n_rows,)
@@ -52,7 +52,7 @@ class _Joint:
         Whether a row is of the second half of the log, stretches in turns.
     """
 
-    half: Half
+    half: Motion
     place: int
     whitened: Array
     noise: Array
@@ -60,8 +60,7 @@ class _Joint:
 
     def response(self, columns: Array) -> Array:
         """Return the whitened rows of forces (n_blocks, k) on the joint."""
-        motion = self.half.motion
-        own = replace(motion, cutoff=motion.cutoff[[self.place]])
+        own = replace(self.half, cutoff=self.half.cutoff[[self.place]])
         return transformed(own, columns[:, None, :])[0] / self.noise[:, None]
 
     def quadratic(self, columns: Array, half: bool | None = None) -> tuple[Array, Array]:
@@ -73,21 +72,21 @@ class _Joint:
 
 
 def left_of_efforts(
-    simulator: MujocoSimulator, half: Half, rows: Rows, left: Array, noise: Array
+    simulator: MujocoSimulator, half: Motion, rows: Rows, left: Array, noise: Array
 ) -> Remainder:
     """Return what is left of measured efforts.
 
     Parameters
     ----------
     simulator : MujocoSimulator
-    half : Half
+    half : Motion
     rows : Rows
         Of which only places are taken.
     left, noise : ndarray of shape (n_rows,)
         What the causes leave of each row, and its noise, N or N m.
     """
-    motion, nv = half.motion, half.motion.accelerations.shape[1]
-    unpowered = replace(half, motion=replace(motion, commands=np.zeros_like(motion.commands)))
+    nv = half.accelerations.shape[1]
+    unpowered = replace(half, commands=np.zeros_like(half.commands))
     needed = lacking_forces(simulator, unpowered, [Model({})])[0, :, :nv]
     scales = np.sqrt(np.mean(needed**2, axis=0))
     parts = []
@@ -95,7 +94,7 @@ def left_of_efforts(
         own = rows.joint == place
         stretches = np.unique(rows.stretch[own], return_inverse=True)[1]
         joint = _Joint(half, place, left[own] / noise[own], noise[own], stretches % 2 == 1)
-        spectrum = _spectrum(rows.frequency[own], left[own], motion.duration)
+        spectrum = _spectrum(rows.frequency[own], left[own], half.duration)
         parts.append(_left(simulator, joint, float(scales[place]), left[own], spectrum))
     return Remainder(tuple(sorted(parts, key=lambda part: -part.evidence)), 1)
 
@@ -108,7 +107,7 @@ def _left(
     spectrum: tuple[Array, Array],
 ) -> Left:
     names = simulator.state_names
-    nv, states = len(names) // 2, joint.half.motion.states
+    nv, states = len(names) // 2, joint.half.states
     regressors = _regressors(names, states, joint.place)
     n_own = sum(one.is_own for one in regressors)
     tried = []

@@ -1,7 +1,7 @@
 """The motion of a log from positions alone, the forces that models lack for it, and what effects exert of them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -25,23 +25,7 @@ FAST = 1e8
 SHOWN = 1e-9
 
 
-@dataclass(frozen=True)
-class Half:
-    """One of the logs.
-
-    Attributes
-    ----------
-    motion : Motion
-        From positions alone.
-    speeds : ndarray of shape (n_blocks, nv)
-        As measured, m/s or rad/s; NaN where not.
-    """
-
-    motion: Motion
-    speeds: Array
-
-
-def half_of(simulator: MujocoSimulator, log: Log, name: str, *, measured: bool = False) -> Half:
+def motion_of(simulator: MujocoSimulator, log: Log, name: str, *, measured: bool = False) -> Motion:
     """Return the motion of a log, cut into windows.
 
     Parameters
@@ -66,7 +50,6 @@ def half_of(simulator: MujocoSimulator, log: Log, name: str, *, measured: bool =
             "forces are told on joints that turn or slide, and this model has a free or a ball joint, on which "
             "contacts push. If its base did not move, pass base='fixed'."
         )
-    speeds = X[:, nv:n_states], y[:, nv:]
     window = min(LONGEST, len(X) * simulator.dt / WINDOWS)
     motion = smooth_motion(simulator, X, y, groups, window=window, measured=measured)
     if motion is None:
@@ -74,11 +57,10 @@ def half_of(simulator: MujocoSimulator, log: Log, name: str, *, measured: bool =
             f"no stretch of the log{' ' * bool(name)}{name} is free of contacts and long enough, or the position of a "
             "joint was not measured. Record the machine moving freely."
         )
-    # The mean speed between the ends of a block.
-    return Half(motion, 0.5 * sum(one[motion.rows].mean(axis=1) for one in speeds))
+    return motion
 
 
-def driven(simulator: MujocoSimulator, half: Half, model: Model) -> Half:
+def driven(simulator: MujocoSimulator, half: Motion, model: Model) -> Motion:
     """Return a log with the accelerations that a model has in its states under its commands.
 
     What was measured holds noise, and what unknown forces did: it moves with what models lack, and a slope taken there
@@ -91,14 +73,10 @@ def driven(simulator: MujocoSimulator, half: Half, model: Model) -> Half:
     .. [1] Janot, Vandanjon, Gautier (2014). A generic instrumental variable approach for industrial robot
        identification. IEEE Trans. Control Syst. Technol. 22(1).
     """
-    motion, nv = half.motion, len(half.motion.slip)
-    measured = motion.accelerations
-
-    def at(accelerations: Array) -> Half:
-        return replace(half, motion=replace(motion, accelerations=accelerations))
+    nv, measured = len(half.slip), half.accelerations
 
     def lacking(accelerations: Array) -> Array:
-        return lacking_forces(simulator, at(accelerations), [model])[0, :, :nv]
+        return lacking_forces(simulator, replace(half, accelerations=accelerations), [model])[0, :, :nv]
 
     missing = lacking(measured)
     inertia = np.stack([(lacking(measured + one) - missing) / FAST for one in FAST * np.eye(nv)], axis=2)
@@ -107,12 +85,12 @@ def driven(simulator: MujocoSimulator, half: Half, model: Model) -> Half:
     cross = np.maximum(np.sum(own * measured, axis=0), 0)
     explained = cross / np.maximum(power, 1e-300) * own
     unexplained = 1 - cross**2 / np.maximum(power * seen, 1e-300)
-    return at(explained + unexplained * (measured - explained))
+    return replace(half, accelerations=explained + unexplained * (measured - explained))
 
 
 def rows_about(
     simulator: MujocoSimulator,
-    half: Half,
+    half: Motion,
     base: Model,
     effects: Sequence[Effect],
     sizes: Array,
@@ -125,7 +103,7 @@ def rows_about(
     Parameters
     ----------
     simulator : MujocoSimulator
-    half : Half
+    half : Motion
     base : Model
         Which lacks the target.
     effects : sequence of Effect
@@ -157,7 +135,7 @@ def rows_about(
 
 def columns_of(
     simulator: MujocoSimulator,
-    half: Half,
+    half: Motion,
     base: Model,
     candidates: Sequence[Candidate],
     scales: Array,
@@ -174,7 +152,7 @@ def columns_of(
     moved = half if driven_by is None else driven(simulator, half, driven_by)
     forces, steps = _steps(simulator, moved, base, candidates, scales, share)
     columns = (forces[0] - forces[1:]) / steps[:, None, None]
-    nv = len(half.motion.slip)
+    nv = len(half.slip)
     left = lacking_forces(simulator, moved, [driven_by or base])[0, :, :nv]
     for column, one, scale in zip(columns[:, :, :nv], candidates, scales):
         if one.effect.family in MOTORS:
@@ -210,7 +188,7 @@ def units_by(shares: Array, effects: Sequence[Effect], typical: Mapping[str, flo
 
 def with_friction(
     simulator: MujocoSimulator,
-    half: Half,
+    half: Motion,
     rows: Rows,
     effects: Sequence[Effect],
     sizes: Array,
@@ -232,7 +210,7 @@ def with_friction(
 
 def _steps(
     simulator: MujocoSimulator,
-    half: Half,
+    half: Motion,
     base: Model,
     candidates: Sequence[Candidate],
     scales: Array,
@@ -251,28 +229,28 @@ def _steps(
     return lacking_forces(simulator, half, models), np.array(steps)
 
 
-def lacking_forces(simulator: MujocoSimulator, half: Half, models: Sequence[Model]) -> Array:
+def lacking_forces(simulator: MujocoSimulator, half: Motion, models: Sequence[Model]) -> Array:
     """Return the force that models lack for a motion, and by how much measured speeds differ, (n, n_blocks, 2 nv).
 
     Forces are in N or N m, speeds in m/s or rad/s, and NaN where they were not measured.
     """
-    motion, nv = half.motion, len(half.motion.slip)
-    found = np.empty((len(models), len(motion.states), 2 * nv))
+    nv = len(half.slip)
+    found = np.empty((len(models), len(half.states), 2 * nv))
     for places, scale in _by_scale(simulator, models):
         values = [
             {name: one for name, one in models[place].values.items() if not _is_sensed(name)}
             for place in places
         ]
-        commands = np.empty((len(places), *motion.states.shape[:1], motion.commands.shape[1]))
+        commands = np.empty((len(places), *half.states.shape[:1], half.commands.shape[1]))
         lates = np.array([models[place].late for place in places])
         for late in np.unique(lates):
             own = np.flatnonzero(lates == late)
-            sent = _later(motion.commands, motion.episodes, late)
-            acting = simulator.acting_commands(sent, [values[one] for one in own], groups=motion.episodes)
-            commands[own] = acting[:, motion.rows].mean(axis=2)
-        states, moved = motion.states / np.tile(scale, 2), motion.accelerations / scale
+            sent = _later(half.commands, half.episodes, late)
+            acting = simulator.acting_commands(sent, [values[one] for one in own], groups=half.episodes)
+            commands[own] = acting[:, half.rows].mean(axis=2)
+        states, moved = half.states / np.tile(scale, 2), half.accelerations / scale
         found[places, :, :nv] = simulator.missing_forces(
-            states, moved, commands, values, slip=motion.slip, velocities=motion.velocities / scale
+            states, moved, commands, values, slip=half.slip, velocities=half.velocities / scale
         )
         found[places, :, nv:] = half.speeds - states[:, nv:]
         for place in places:
@@ -310,7 +288,7 @@ def _later(commands: Array, episodes: NDArray[np.intp], late: float) -> Array:
     return moved
 
 
-def coefficients_of(half: Half, forces: Array) -> tuple[Array, NDArray[np.intp], Array, NDArray[np.intp]]:
+def coefficients_of(half: Motion, forces: Array) -> tuple[Array, NDArray[np.intp], Array, NDArray[np.intp]]:
     """Return the cosine coefficients of forces (n, n_blocks, 2 nv) where something was measured, and their places.
 
     As `transformed` does: coefficients (n_rows, n); joint, frequency in Hz and stretch of each row.
@@ -321,8 +299,7 @@ def coefficients_of(half: Half, forces: Array) -> tuple[Array, NDArray[np.intp],
 
 
 def whole_coefficients_of(
-    half: Half, forces: Array
+    half: Motion, forces: Array
 ) -> tuple[Array, NDArray[np.intp], Array, NDArray[np.intp]]:
     """Return what `coefficients_of` does, and NaN in rows where nothing was measured."""
-    motion = replace(half.motion, cutoff=np.tile(half.motion.cutoff, 2))
-    return transformed(motion, forces.transpose(1, 2, 0))
+    return transformed(replace(half, cutoff=np.tile(half.cutoff, 2)), forces.transpose(1, 2, 0))

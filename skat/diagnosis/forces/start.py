@@ -7,13 +7,12 @@ import numpy as np
 
 from skat.diagnosis.evidence import Gram, Weigher
 from skat.diagnosis.fitting import priors_of
-from skat.diagnosis.forces.force_space import noise_beside
+from skat.diagnosis.forces.force_space import Motion, noise_beside
 from skat.diagnosis.forces.machines import MOTORS, UNSEEN, Model
 from skat.diagnosis.forces.motions import (
-    Half,
     Log,
-    half_of,
     lacking_forces,
+    motion_of,
     rows_about,
     shares_of,
     units_by,
@@ -65,7 +64,7 @@ def start_in_forces(
     if not isinstance(simulator, MujocoSimulator) or not effects:
         return {}
     try:
-        half = half_of(simulator, log, "")
+        half = motion_of(simulator, log, "")
     except ValueError:  # contacts, pieces that are too short, a free joint: where to begin is not known
         return {}
     strengths = _strengths(simulator, half, effects)
@@ -83,7 +82,7 @@ def start_in_forces(
     return {**found, **{name: own * found.get(name, 1.0) for name, own in strengths.items()}}
 
 
-def _strengths(simulator: MujocoSimulator, half: Half, effects: Sequence[Effect]) -> dict[str, float]:
+def _strengths(simulator: MujocoSimulator, half: Motion, effects: Sequence[Effect]) -> dict[str, float]:
     """Return factors of servos that would exert more than they may: with them they do at no time.
 
     A servo that is far too stiff is at its limit all the time, and there no slope tells how stiff it is.
@@ -101,7 +100,7 @@ def _strengths(simulator: MujocoSimulator, half: Half, effects: Sequence[Effect]
     most = np.array([limits[str(effect.target)] for effect in servos])
     off = np.array([np.clip(0.0, *effect.bounds) for effect in servos])
     models = [Model({}), *(Model({effect.name: float(one)}) for effect, one in zip(servos, off))]
-    forces = lacking_forces(simulator, half, models)[:, :, : len(half.motion.slip)]
+    forces = lacking_forces(simulator, half, models)[:, :, : len(half.slip)]
     exerted = np.abs(forces[1:] - forces[0]).max(axis=(1, 2)) / (1 - off)
     return {
         effect.name: max(float(share), effect.bounds[0])
@@ -112,7 +111,7 @@ def _strengths(simulator: MujocoSimulator, half: Half, effects: Sequence[Effect]
 
 def _found(
     simulator: MujocoSimulator,
-    half: Half,
+    half: Motion,
     effects: Sequence[Effect],
     typical: Mapping[str, float],
     needed: float,

@@ -7,7 +7,7 @@ import numpy as np
 from skat.diagnosis.changes.law import settled_law, with_misfit
 from skat.diagnosis.changes.question import Question
 from skat.diagnosis.forces.machines import Model
-from skat.diagnosis.forces.motions import columns_of, half_of, rows_about
+from skat.diagnosis.forces.motions import columns_of, motion_of, rows_about
 from skat.simulators import MujocoSimulator
 from tests.diagnosis.forces.test_force_space import ARM
 
@@ -22,7 +22,7 @@ def effect_of(simulator, name):
 
 def question_about(simulator, before, after, *, effects=(), candidates=(), base=None, held_out=()):
     """Return the question of two logs, in typical sizes; ``held_out`` are windows of the second."""
-    halves = tuple(half_of(simulator, log, name) for log, name in ((before, "before"), (after, "after")))
+    halves = tuple(motion_of(simulator, log, name) for log, name in ((before, "before"), (after, "after")))
     base = base or Model({})
     effects = tuple(effect_of(simulator, name) for name in effects)
     sizes = np.array([effect.typical for effect in effects])

@@ -19,8 +19,8 @@ from skat.diagnosis.forces.motions import (
     _later,
     coefficients_of,
     columns_of,
-    half_of,
     lacking_forces,
+    motion_of,
     rows_about,
     shares_of,
     with_friction,
@@ -49,9 +49,7 @@ def test_an_effect_exerts_its_share_of_the_joint_that_feels_it_most():
 
 def later_by(half, late):
     """Return a log whose commands reached its machine so many rows later than it says."""
-    return replace(
-        half, motion=replace(half.motion, commands=_later(half.motion.commands, half.motion.episodes, -late))
-    )
+    return replace(half, commands=_later(half.commands, half.episodes, -late))
 
 
 WHOLE = ("dry_friction[shoulder]", "dry_friction[elbow]", "damping[shoulder]", "damping[elbow]")
@@ -59,7 +57,7 @@ WHOLE = ("dry_friction[shoulder]", "dry_friction[elbow]", "damping[shoulder]", "
 
 def bases_of(simulator, lates, *, needed, names=WHOLE, **truth):
     halves = [
-        later_by(half_of(simulator, log_of(seed, rows=600, **truth), "log"), late)
+        later_by(motion_of(simulator, log_of(seed, rows=600, **truth), "log"), late)
         for seed, late in zip((4, 5), lates, strict=True)
     ]
     effects, sizes = [effect_of(simulator, name) for name in names], np.full(len(names), 0.3)
@@ -99,7 +97,7 @@ def test_no_more_dry_friction_is_in_the_model_than_there_can_be(simulator):
 
 
 def test_columns_of_dry_friction_are_all_that_a_typical_size_of_it_exerts(simulator):
-    half = half_of(simulator, log_of(4, rows=600), "log")
+    half = motion_of(simulator, log_of(4, rows=600), "log")
     effects = [effect_of(simulator, name) for name in ("damping[elbow]", "dry_friction[elbow]")]
     rows = rows_about(simulator, half, Model({}), effects, np.array([0.3, 0.2]))
     found = with_friction(simulator, half, rows, effects, np.array([0.3, 0.2])).columns
@@ -110,7 +108,7 @@ def test_columns_of_dry_friction_are_all_that_a_typical_size_of_it_exerts(simula
 
 
 def test_columns_are_as_they_are_where_no_dry_friction_is_asked_about(simulator):
-    half = half_of(simulator, log_of(4, rows=600), "log")
+    half = motion_of(simulator, log_of(4, rows=600), "log")
     effects, sizes = [effect_of(simulator, "damping[elbow]")], np.array([0.3])
     rows = rows_about(simulator, half, Model({}), effects, sizes)
     found = with_friction(simulator, half, rows, effects, sizes)
@@ -123,7 +121,7 @@ def test_columns_are_in_units_of_what_typically_is_exerted(simulator):
     logs = [log_of(seed, rows=600, damping=(0.1, 0.05)) for seed in (4, 5)]
     for X, y, _ in logs:
         X[:, 3] = y[:, 3] = np.nan
-    halves = [half_of(simulator, log, "log") for log in logs]
+    halves = [motion_of(simulator, log, "log") for log in logs]
     question = question_of(
         simulator, halves, effects, typical={"damping[elbow]": 0.05}, test_size=0.3, needed=np.log(100)
     )
@@ -233,7 +231,7 @@ def test_a_weight_that_was_found_drives_the_machine_and_is_left_to_its_column(si
 
 def test_the_machine_has_what_is_common_to_both_logs(simulator):
     logs = [log_of(seed, rows=600, damping=(0.1, 0.05), gain=(1.3, 0.8)) for seed in (4, 5)]
-    halves = [half_of(simulator, log, "log") for log in logs]
+    halves = [motion_of(simulator, log, "log") for log in logs]
     names = ["damping[shoulder]", "damping[elbow]", "gain[shoulder]", "gain[elbow]"]
     effects = [effect_of(simulator, name) for name in names]
     question = question_of(simulator, halves, effects, typical={}, test_size=0.3, needed=np.log(100))
@@ -252,7 +250,7 @@ GAINS = ("gain[shoulder]", "gain[elbow]", "mass[lower]")
     [((0.3, -0.2, 0.0), 1.0), ((0.6, -0.4, 0.0), 0.5), ((2.4, -1.6, 0.0), 0.125), ((-0.9, 0.9, 0.0), 0.0)],
 )
 def test_a_machine_goes_as_far_as_slopes_lead_to_where_less_is_lacking(simulator, monkeypatch, led, found):
-    halves = [half_of(simulator, log_of(seed, rows=600, gain=(1.3, 0.8)), "log") for seed in (4, 5)]
+    halves = [motion_of(simulator, log_of(seed, rows=600, gain=(1.3, 0.8)), "log") for seed in (4, 5)]
     effects, sizes = [effect_of(simulator, name) for name in GAINS], np.array([0.2, 0.2, 0.2])
     base = Model({})
     values = np.array(led) / sizes
@@ -267,7 +265,7 @@ def test_a_machine_goes_as_far_as_slopes_lead_to_where_less_is_lacking(simulator
 
 
 def test_what_is_lacking_is_over_what_windows_have_of_their_own_in_units_of_what_motors_exert(simulator):
-    half = half_of(simulator, log_of(4, rows=400), "log")
+    half = motion_of(simulator, log_of(4, rows=400), "log")
     effects, sizes = [effect_of(simulator, name) for name in GAINS], np.array([0.2, 0.2, 0.2])
     rows = rows_about(simulator, half, Model({}), effects, sizes)
     noise = np.linspace(0.5, 2.0, len(rows.target))

@@ -20,7 +20,6 @@ from skat.diagnosis.forces.force_space import (
     smooth_motion,
     transformed,
 )
-from skat.diagnosis.forces.motions import Half
 from skat.diagnosis.forces.smoothing import smooth_coordinate
 
 DT = 0.01
@@ -213,7 +212,7 @@ def test_of_a_long_log_stretches_from_all_over_it_are_compared(monkeypatch):
 def motion_of(stretches, cutoff, duration=0.05):
     n = len(stretches)
     return Motion(
-        np.zeros((n, 4)), np.zeros((n, 2)), np.zeros((n, 2, 2)), np.zeros((n, 2)), np.zeros(n, int),
+        np.zeros((n, 4)), np.zeros((n, 2)), np.zeros((n, 2)), np.zeros((n, 2, 2)), np.zeros((n, 2)), np.zeros(n, int),
         np.arange(n)[:, None], np.asarray(stretches), duration, np.zeros(2), np.asarray(cutoff),
     )  # fmt: skip
 
@@ -275,17 +274,16 @@ def test_a_curve_of_variances_is_the_likeliest():
 
 def a_half(seed=0):
     rng = np.random.default_rng(seed)
-    motion = Motion(
-        rng.normal(size=(6, 4)), rng.normal(size=(6, 2)), rng.normal(size=(6, 3, 2)), rng.normal(size=(12, 2)),
-        np.zeros(12, int), np.arange(12).reshape(6, 2), np.zeros(6, int), 0.1, np.ones(2), np.array([3.0, 5.0]),
+    return Motion(
+        rng.normal(size=(6, 4)), rng.normal(size=(6, 2)), rng.normal(size=(6, 2)), rng.normal(size=(6, 3, 2)),
+        rng.normal(size=(12, 2)), np.zeros(12, int), np.arange(12).reshape(6, 2), np.zeros(6, int), 0.1, np.ones(2),
+        np.array([3.0, 5.0]),
     )  # fmt: skip
-    return Half(motion, rng.normal(size=(6, 2)))
 
 
 def parts(half):
-    motion = half.motion
-    velocities = motion.velocities.mean(axis=1)
-    return np.column_stack([motion.states, motion.accelerations, velocities, half.speeds]), motion.commands
+    velocities = half.velocities.mean(axis=1)
+    return np.column_stack([half.states, half.accelerations, velocities, half.speeds]), half.commands
 
 
 def test_columns_may_have_their_sign_turned_or_be_in_each_other_s_place():
@@ -307,7 +305,7 @@ def test_columns_may_have_their_sign_turned_or_be_in_each_other_s_place():
         np.testing.assert_array_equal(commands, both[1][:, order_of_commands] * signs_of_commands)
         # What two joints have in each other's place is told up to where either is.
         cutoff = [3.0, 3.0] if name.startswith("qpos.a and") else [3.0, 5.0]
-        assert other.motion.cutoff.tolist() == cutoff
+        assert other.cutoff.tolist() == cutoff
         # Mixed up once more, it is as it was.
         again = dict(_mixed_up(machine(), other))[name]
         for one, own in zip(parts(again), both):

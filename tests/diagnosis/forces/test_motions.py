@@ -11,8 +11,8 @@ from skat.diagnosis.forces.motions import (
     coefficients_of,
     columns_of,
     driven,
-    half_of,
     lacking_forces,
+    motion_of,
     rows_about,
 )
 from tests.diagnosis.changes.arm import arm, effect_of
@@ -28,12 +28,12 @@ def simulator():
 
 @pytest.fixture(scope="module")
 def half(simulator):
-    return half_of(simulator, log_of(4), "before")
+    return motion_of(simulator, log_of(4), "before")
 
 
 def missing(simulator, half, values, *, commands=None, scale=(1.0, 1.0)):
     """Return by inverse dynamics what a model lacks of a motion that is so many times as large as it seems."""
-    motion = half.motion
+    motion = half
     sent = (motion.commands if commands is None else commands)[motion.rows].mean(axis=1)
     states, pulls = motion.states / np.tile(scale, 2), motion.accelerations / scale
     return simulator.missing_forces(states, pulls, sent[None], [values], slip=motion.slip)[0]
@@ -41,10 +41,10 @@ def missing(simulator, half, values, *, commands=None, scale=(1.0, 1.0)):
 
 def test_a_motion_is_that_of_positions_alone(simulator):
     X, y, groups = log_of(4)
-    whole = half_of(simulator, (X, y, groups), "before")
+    whole = motion_of(simulator, (X, y, groups), "before")
     X[:, 2:4] = y[:, 2:4] = np.nan
-    alone = half_of(simulator, (X, y, groups), "before")
-    np.testing.assert_array_equal(alone.motion.states, whole.motion.states)
+    alone = motion_of(simulator, (X, y, groups), "before")
+    np.testing.assert_array_equal(alone.states, whole.states)
     assert np.isnan(alone.speeds).all()
     assert np.isfinite(whole.speeds).all()
 
@@ -53,28 +53,28 @@ def test_speeds_of_a_block_are_the_mean_of_its_rows_and_what_followed_them(simul
     X, y, groups = log_of(4)
     rows = np.arange(len(X))
     X[:, 2:4], y[:, 2:4] = rows[:, None] * [1.0, 10.0], (rows[:, None] + 1.0) * [1.0, 10.0]
-    half = half_of(simulator, (X, y, groups), "before")
-    middle = half.motion.rows.mean(axis=1) + 0.5
+    half = motion_of(simulator, (X, y, groups), "before")
+    middle = half.rows.mean(axis=1) + 0.5
     np.testing.assert_allclose(half.speeds, middle[:, None] * [1.0, 10.0])
 
 
 @pytest.mark.parametrize(("rows", "windows"), [(1200, 8), (2400, 12)])
 def test_a_log_has_eight_windows_or_more_of_two_seconds(simulator, rows, windows):
-    half = half_of(simulator, log_of(4, rows=rows), "before")
-    assert len(np.unique(half.motion.stretches)) == windows
+    half = motion_of(simulator, log_of(4, rows=rows), "before")
+    assert len(np.unique(half.stretches)) == windows
 
 
 def test_the_model_as_it_is_lacks_what_inverse_dynamics_says(simulator, half):
     found = lacking_forces(simulator, half, [Model({}), Model({"damping[elbow]": 0.3, "mass[lower]": 1.2})])
     for place, values in enumerate(({}, {"damping[elbow]": 0.3, "mass[lower]": 1.2})):
         np.testing.assert_allclose(found[place, :, :2], missing(simulator, half, values), atol=1e-9)
-        np.testing.assert_allclose(found[place, :, 2:], half.speeds - half.motion.states[:, 2:])
+        np.testing.assert_allclose(found[place, :, 2:], half.speeds - half.states[:, 2:])
 
 
 @pytest.mark.parametrize("late", [1.0, 0.5, -2.0])
 def test_late_commands_are_those_of_rows_before(simulator, half, late):
-    rows = np.arange(len(half.motion.commands))
-    sent = np.column_stack([np.interp(rows - late, rows, one) for one in half.motion.commands.T])
+    rows = np.arange(len(half.commands))
+    sent = np.column_stack([np.interp(rows - late, rows, one) for one in half.commands.T])
     models = [Model({"mass[lower]": 1.2}), Model({"mass[lower]": 1.2}, late), Model({}, late)]
     found = lacking_forces(simulator, half, models)[:, :, :2]
     for place, values, commands in ((0, 1.2, None), (1, 1.2, sent), (2, 1.0, sent)):
@@ -87,14 +87,14 @@ def test_positions_that_a_sensor_scales_are_those_of_a_smaller_motion(simulator,
     found = lacking_forces(simulator, half, [Model({}), model])[1]
     expected = missing(simulator, half, {"damping[elbow]": 0.3}, scale=(1.0, 1.25))
     np.testing.assert_allclose(found[:, :2], expected, atol=1e-9)
-    np.testing.assert_allclose(found[:, 2:], half.speeds - half.motion.states[:, 2:] / [1.0, 1.25])
+    np.testing.assert_allclose(found[:, 2:], half.speeds - half.states[:, 2:] / [1.0, 1.25])
 
 
 def test_speeds_that_a_sensor_scales_or_shifts_change_no_force(simulator, half):
     model = Model({"scale[qvel.elbow]": 1.25, "bias[qvel.shoulder]": 0.5})
     plain, found = lacking_forces(simulator, half, [Model({}), model])
     np.testing.assert_array_equal(found[:, :2], plain[:, :2])
-    expected = half.speeds - half.motion.states[:, 2:] * [1.0, 1.25] - [0.5, 0.0]
+    expected = half.speeds - half.states[:, 2:] * [1.0, 1.25] - [0.5, 0.0]
     np.testing.assert_allclose(found[:, 2:], expected)
 
 
@@ -114,9 +114,7 @@ def accelerations_of(half, *, friction=(0.0, 0.0), mass=1.0):
     model.body_inertia[body] *= mass
     mujoco.mj_setConst(model, mujoco.MjData(model))
     data, found = mujoco.MjData(model), []
-    for state, command in zip(
-        half.motion.states, half.motion.commands[half.motion.rows].mean(axis=1), strict=True
-    ):
+    for state, command in zip(half.states, half.commands[half.rows].mean(axis=1), strict=True):
         data.qpos, data.qvel, data.ctrl = state[:2], state[2:], command
         data.qfrc_applied = -np.array(friction) * np.sign(state[2:])
         mujoco.mj_forward(model, data)
@@ -133,20 +131,20 @@ def taken(own, measured):
 
 @pytest.mark.parametrize("mass", [1.0, 1.7])
 def test_a_machine_moves_as_forward_dynamics_say_as_far_as_that_is_what_was_seen(simulator, half, mass):
-    found = driven(simulator, half, Model({"mass[lower]": mass})).motion
-    own, measured = accelerations_of(half, mass=mass), half.motion.accelerations
+    found = driven(simulator, half, Model({"mass[lower]": mass}))
+    own, measured = accelerations_of(half, mass=mass), half.accelerations
     for joint in range(2):
         expected = taken(own[:, joint], measured[:, joint])
         np.testing.assert_allclose(found.accelerations[:, joint], expected, rtol=1e-6, atol=1e-6)
-    np.testing.assert_array_equal(found.states, half.motion.states)
+    np.testing.assert_array_equal(found.states, half.states)
 
 
 def test_noise_of_accelerations_is_left_out_where_the_model_is_right(simulator, half):
     rng = np.random.default_rng(0)
     own = accelerations_of(half)
     noisy = own * (1 + 0.1 * rng.normal(size=(len(own), 1))) + rng.normal(size=own.shape)
-    measured = replace(half, motion=replace(half.motion, accelerations=noisy))
-    found = driven(simulator, measured, Model({})).motion.accelerations
+    measured = replace(half, accelerations=noisy)
+    found = driven(simulator, measured, Model({})).accelerations
     assert np.std(found - own) < 0.1 * np.std(noisy - own)
 
 
@@ -155,20 +153,20 @@ def test_dry_friction_slows_a_machine_but_is_no_inertia_of_it(simulator, half):
     found = driven(
         simulator, half, Model({f"dry_friction[{one}]": size for one, size in zip(JOINTS, friction)})
     )
-    own, measured = accelerations_of(half, friction=friction), half.motion.accelerations
+    own, measured = accelerations_of(half, friction=friction), half.accelerations
     # MuJoCo's friction is soft: slower joints have less of it.
-    fast = np.abs(half.motion.states[:, 2:]).min(axis=1) > 1.0
+    fast = np.abs(half.states[:, 2:]).min(axis=1) > 1.0
     assert fast.sum() > 30
     for joint in range(2):
         expected = taken(own[:, joint], measured[:, joint])
-        left = found.motion.accelerations[fast, joint] - expected[fast]
+        left = found.accelerations[fast, joint] - expected[fast]
         assert np.std(left) < 0.03 * np.std(expected)
 
 
 def test_of_a_model_that_moves_the_other_way_no_motion_is_taken(simulator, half):
-    backwards = replace(half, motion=replace(half.motion, accelerations=-half.motion.accelerations))
-    found = driven(simulator, backwards, Model({})).motion.accelerations
-    np.testing.assert_allclose(found, backwards.motion.accelerations)
+    backwards = replace(half, accelerations=-half.accelerations)
+    found = driven(simulator, backwards, Model({})).accelerations
+    np.testing.assert_allclose(found, backwards.accelerations)
 
 
 @pytest.mark.parametrize("name", ["mass[lower]", "damping[elbow]", "centre_of_mass[lower.z]"])
@@ -195,7 +193,7 @@ def test_what_is_lacking_counts_in_units_of_what_its_motor_exerts(simulator, hal
 
 def test_less_of_all_there_is_explains_nothing(simulator):
     # Log of a machine that rubs; the model lacks it. Motors that do less, and bodies that weigh less, lack as much.
-    half = half_of(simulator, log_of(4, friction=(0.1, 0.05)), "before")
+    half = motion_of(simulator, log_of(4, friction=(0.1, 0.05)), "before")
     names = ["gain[shoulder]", "gain[elbow]", "mass[upper]", "mass[lower]"]
     effects = [effect_of(simulator, name) for name in names]
     rows = rows_about(simulator, half, Model({}), effects, np.ones(4))
@@ -249,7 +247,7 @@ def test_rows_are_forces_then_speeds_as_far_as_their_joint_is_fast(simulator, ha
     rows = rows_about(simulator, half, Model({}), [], np.zeros(0))
     for joint in range(4):
         own = rows.joint == joint
-        assert rows.frequency[own].max() <= half.motion.cutoff[joint % 2]
+        assert rows.frequency[own].max() <= half.cutoff[joint % 2]
         assert own.sum() == (rows.joint == joint % 2).sum()
 
 
