@@ -14,7 +14,6 @@ volume in it.
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from typing import Protocol
 
 import numpy as np
 from scipy import signal
@@ -37,13 +36,6 @@ CUTOFFS = np.geomspace(0.04, 0.6, 9)
 FACTORS = (1.18, 1.08, 1.04, 1.02, 1.01)
 # It is told from stretches of so many rows, in so many turns with the causes at most.
 STRETCH_ROWS, TURNS = 200, 4
-
-
-class Likelihood(Protocol):
-    """Tells how likely what was read is at values of effects."""
-
-    def __call__(self, log: Log, *, values: Mapping[str, float]) -> float:
-        """Return the log likelihood."""
 
 
 @dataclass(frozen=True)
@@ -152,7 +144,7 @@ def smoothed_positions(simulator: Simulator, log: Log) -> Iterator[tuple[str, fl
 def smoothing_of(
     simulator: Simulator,
     log: Log,
-    likelihood: Likelihood,
+    likelihood: Callable[..., float],
     causes: Callable[[Log], Mapping[str, float]],
     progress: Callable[[str, int, int], None],
 ) -> Smoothing | None:
@@ -165,7 +157,8 @@ def smoothing_of(
     simulator : Simulator
     log : Log
         As it was filtered.
-    likelihood : Likelihood
+    likelihood : callable
+        ``likelihood(log, values=values)`` returns the log likelihood of what was read at values of effects.
     causes : callable
         ``causes(log)`` returns values of the effects that a log asks for.
     progress : callable
