@@ -1,6 +1,7 @@
 """By how much what a simulation adds in a step changes with each effect: slopes of rows, as far as they are linear."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -9,9 +10,11 @@ from skat.diagnosis.statespace import (
     BENT,
     OUTER,
     SMALL_FORCE,
+    TIME_STEP,
     Forces,
     Linear,
     StateSpace,
+    coarsely,
     finite,
     is_bent,
     normal_points,
@@ -47,6 +50,20 @@ def derivatives(
         Between which values these are taken; as `steps` by default.
     """
     simulator, rows, base = space.simulator, space.rows(linear.path), linear.outputs
+    rough = coarsely(values)
+    if rough != values and (others := [name for name in steps if name != TIME_STEP]):
+        columns = np.zeros((len(rows), space.d, len(steps)))
+        (ends,) = space.simulated(rows, [rough], linear.forces.means)
+        for at, about, names in (
+            (rough, replace(linear, outputs=ends), others),
+            (values, linear, [name for name in steps if name == TIME_STEP]),
+        ):
+            own = {name: steps[name] for name in names}
+            further = None if wide is None else {name: wide[name] for name in names}
+            if names:
+                places = [list(steps).index(name) for name in names]
+                columns[..., places] = derivatives(space, about, at, own, known, further)
+        return columns
     neutral = {effect.name: effect.neutral for effect in simulator.effects(also="all")}
     safe = finite(base, linear.path[:, 1:][space.places])
     columns, forced = np.zeros((2, len(rows), space.d, len(steps)))

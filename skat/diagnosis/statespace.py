@@ -33,6 +33,7 @@ PAIRS = 32
 FAR = 1e3
 # Slopes are kept where a row ends off from where they say by no more than this share of what is not known of its state.
 UNSEEN = 1e-3
+TIME_STEP = "timestep"
 QUATERNION = ("qw", "qx", "qy", "qz")
 
 
@@ -358,9 +359,13 @@ def linearise(
         forces = Forces(nothing, nothing) if slopes is None else slopes.forces
     acting, unsure = forces.means, forces.deviations
     past = space.past(rows, [values], acting)
-    if simulator.state_names and slopes is None:
-        return _assembled(space, path, forces, _sloped(space, rows, after, values, known, unsure, past))
     (outputs,) = simulator.predict_many(rows, [values], past=past)
+    rough = coarsely(values)
+    if simulator.state_names and slopes is None:
+        own = past if rough == values else space.past(rows, [rough], acting)
+        return _assembled(
+            space, path, forces, _sloped(space, rows, after, outputs, rough, known, unsure, own)
+        )
     if not simulator.state_names or slopes is None:
         return _assembled(space, path, forces, _without_states(outputs, space.d))
     found = _kept(space, slopes, np.where(slopes.valid[:, None], outputs, np.nan))
@@ -369,10 +374,18 @@ def linearise(
     anew = ~(slopes.valid & _as_expected(space, slopes, path, acting, outputs, covariances))
     if anew.any():
         part = covariances[:, :-1][places][anew]
-        own = past.of(np.flatnonzero(anew))
-        there = _sloped(space, rows[anew], after[anew], values, part, unsure[anew], own)
+        own = (past if rough == values else space.past(rows, [rough], acting)).of(np.flatnonzero(anew))
+        there = _sloped(space, rows[anew], after[anew], outputs[anew], rough, part, unsure[anew], own)
         found = found.with_rows(anew, there)
     return _assembled(space, path, forces, found)
+
+
+def coarsely(values: Mapping[str, float]) -> dict[str, float]:
+    """Return values with the model's own time step in the place of a finer one.
+
+    What a state, a force or an effect changes in a step hardly depends on it, and slopes are most of what a fit costs.
+    """
+    return {name: value for name, value in values.items() if name != TIME_STEP or value > 1}
 
 
 def about_forces(space: StateSpace, linear: Linear, values: Mapping[str, float], forces: Forces) -> Linear:
@@ -381,10 +394,14 @@ def about_forces(space: StateSpace, linear: Linear, values: Mapping[str, float],
     Slopes by the state, and what is beyond them, stay: see `linearise`.
     """
     rows, after = space.rows(linear.path), space.path_ends(linear.path)
-    past = space.past(rows, [values], forces.means)
+    past, rough = space.past(rows, [values], forces.means), coarsely(values)
     (outputs,) = space.simulator.predict_many(rows, [values], past=past)
-    outputs = np.where(linear.valid[:, None], outputs, np.nan)
-    carrier, kinks = _joint_carrier(space, rows, values, outputs, after, forces.deviations, past)
+    outputs, base = np.where(linear.valid[:, None], outputs, np.nan), outputs
+    if rough != values:
+        past = space.past(rows, [rough], forces.means)
+        (base,) = space.simulator.predict_many(rows, [rough], past=past)
+    base = np.where(linear.valid[:, None], base, np.nan)
+    carrier, kinks = _joint_carrier(space, rows, rough, base, after, forces.deviations, past)
     found = replace(_kept(space, linear, outputs), carrier=carrier, kinks=kinks)
     return _assembled(space, linear.path, forces, found)
 
@@ -465,12 +482,16 @@ def _sloped(
     space: StateSpace,
     rows: Array,
     after: Array,
+    outputs: Array,
     values: Mapping[str, float],
     covariances: Array | None,
     unsure: Array,
     past: Past,
 ) -> _ByRow:
-    """Return rows with slopes taken over what is not known of the states that they start from, (n_rows, d, d)."""
+    """Return rows with slopes taken over what is not known of the states that they start from, (n_rows, d, d).
+
+    The rows end at `outputs`, and slopes are those at `values`; see `coarsely`.
+    """
     d, n, units, parts = space.d, len(rows), space.spread, space.parts
     roots = (
         np.tile(np.diag(FIRST_STEP * units), (n, 1, 1))
@@ -493,9 +514,10 @@ def _sloped(
             many = _averaged(space, rows[bent], after[bent], values, roots[bent], own)
             transitions[bent], bends[bent], beyond[bent] = many
             transitions[bent] = transitions[bent] @ inverse[bent]
+    outputs = np.where(np.isfinite(base).all(axis=1)[:, None], outputs, np.nan)
     origins = rows[:, : len(space.simulator.state_names)]
     about = np.zeros((n, 0)) if past.forces is None else past.forces
-    return _ByRow(base, transitions, bends, beyond, origins, base, about, kinks, carrier)
+    return _ByRow(outputs, transitions, bends, beyond, origins, outputs, about, kinks, carrier)
 
 
 def _mean_of(second: Array) -> Array:
