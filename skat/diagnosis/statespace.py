@@ -182,6 +182,10 @@ class Linear:
         Random forces with which slopes by the state were taken.
     kinks : ndarray of shape (n_rows, d, n_forces)
         Second differences by each force over what is not known of it.
+    roots : ndarray of shape (n_rows, d, d)
+        Of the covariances of the states over which slopes were taken.
+    unsure : ndarray of shape (n_rows, n_forces)
+        Standard deviations of the forces over which they were.
     """
 
     path: Array
@@ -194,6 +198,8 @@ class Linear:
     forces: Forces
     about: Array
     kinks: Array
+    roots: Array
+    unsure: Array
 
     def bends(self, places: tuple[Places, Places]) -> Array:
         """Return the covariance of what is left where slopes by the state are taken, row by row, (n_rows, d, d)."""
@@ -358,24 +364,23 @@ def linearise(
         nothing = np.zeros((len(rows), len(simulator.joint_forces())))
         forces = Forces(nothing, nothing) if slopes is None else slopes.forces
     acting, unsure = forces.means, forces.deviations
-    past = space.past(rows, [values], acting)
-    (outputs,) = simulator.predict_many(rows, [values], past=past)
     rough = coarsely(values)
     if simulator.state_names and slopes is None:
-        own = past if rough == values else space.past(rows, [rough], acting)
-        return _assembled(
-            space, path, forces, _sloped(space, rows, after, outputs, rough, known, unsure, own)
-        )
+        past = space.past(rows, [rough], acting)
+        outputs = None if rough == values else space.simulated(rows, [values], acting)[0]
+        found = _sloped(space, rows, after, outputs, rough, known, unsure, past)
+        return _assembled(space, path, forces, found)
+    (outputs,) = space.simulated(rows, [values], acting)
     if not simulator.state_names or slopes is None:
         return _assembled(space, path, forces, _without_states(outputs, space.d))
     found = _kept(space, slopes, np.where(slopes.valid[:, None], outputs, np.nan))
     if not renewed or covariances is None:
         return _assembled(space, path, forces, found)
-    anew = ~(slopes.valid & _as_expected(space, slopes, path, acting, outputs, covariances))
+    anew = ~(slopes.valid & _as_expected(space, slopes, path, forces, outputs, covariances))
     if anew.any():
         part = covariances[:, :-1][places][anew]
-        own = (past if rough == values else space.past(rows, [rough], acting)).of(np.flatnonzero(anew))
-        there = _sloped(space, rows[anew], after[anew], outputs[anew], rough, part, unsure[anew], own)
+        past = space.past(rows, [rough], acting).of(np.flatnonzero(anew))
+        there = _sloped(space, rows[anew], after[anew], outputs[anew], rough, part, unsure[anew], past)
         found = found.with_rows(anew, there)
     return _assembled(space, path, forces, found)
 
@@ -394,13 +399,11 @@ def about_forces(space: StateSpace, linear: Linear, values: Mapping[str, float],
     Slopes by the state, and what is beyond them, stay: see `linearise`.
     """
     rows, after = space.rows(linear.path), space.path_ends(linear.path)
-    past, rough = space.past(rows, [values], forces.means), coarsely(values)
-    (outputs,) = space.simulator.predict_many(rows, [values], past=past)
-    outputs, base = np.where(linear.valid[:, None], outputs, np.nan), outputs
-    if rough != values:
-        past = space.past(rows, [rough], forces.means)
-        (base,) = space.simulator.predict_many(rows, [rough], past=past)
-    base = np.where(linear.valid[:, None], base, np.nan)
+    rough = coarsely(values)
+    past = space.past(rows, [rough], forces.means)
+    (base,) = space.simulator.predict_many(rows, [rough], past=past)
+    outputs = base if rough == values else space.simulated(rows, [values], forces.means)[0]
+    base, outputs = (np.where(linear.valid[:, None], one, np.nan) for one in (base, outputs))
     carrier, kinks = _joint_carrier(space, rows, rough, base, after, forces.deviations, past)
     found = replace(_kept(space, linear, outputs), carrier=carrier, kinks=kinks)
     return _assembled(space, linear.path, forces, found)
@@ -421,6 +424,8 @@ class _ByRow:
     ends: Array
     about: Array
     kinks: Array
+    roots: Array
+    unsure: Array
     carrier: Array | None
 
     def with_rows(self, chosen: Mask, other: "_ByRow") -> "_ByRow":
@@ -435,24 +440,34 @@ class _ByRow:
 
 
 def _as_expected(
-    space: StateSpace, slopes: Linear, path: Array, forces: Array, outputs: Array, covariances: Array
+    space: StateSpace, slopes: Linear, path: Array, forces: Forces, outputs: Array, covariances: Array
 ) -> Mask:
-    """Return of which rows slopes still say where they end, as far as the states there are known, and are all there is.
+    """Return of which rows slopes still say where they end, as far as the states there are known.
 
-    The simulation is as good as linear between the states about which they were taken and those of the path.
+    Either the simulation is as good as linear between the states about which they were taken and those of the path, or
+    what is known of both is about the same: no mean over it is known better than by so much.
     """
     simulator, places = space.simulator, space.places
     moved = simulator.residual(path[:, :-1][places], slopes.origins)
     expected = (slopes.chains.transitions[places] @ moved[..., None])[..., 0]
-    if forces.shape[1]:
-        expected += (slopes.chains.carrier[places] @ (forces - slopes.about)[..., None])[..., 0]
+    if forces.means.shape[1]:
+        expected += (slopes.chains.carrier[places] @ (forces.means - slopes.about)[..., None])[..., 0]
     safe = finite(slopes.ends, space.path_ends(path))
     off = np.abs(simulator.residual(finite(outputs, safe), safe) - expected)
     left = np.diagonal(slopes.bends(places), axis1=-2, axis2=-1)
     bent = np.sqrt(np.maximum(left, 0.0))
     unknown = np.sqrt(np.maximum(np.diagonal(covariances, axis1=-2, axis2=-1), 0.0))[:, 1:][places]
     as_said: Mask = np.all(np.maximum(off, bent) < UNSEEN * unknown, axis=1)
-    return as_said & np.isfinite(outputs).all(axis=1)
+    roots = roots_of(covariances[:, :-1][places], space.spread, space.parts)
+    inverse = np.linalg.inv(slopes.roots)
+    wider = inverse @ roots
+    wider = np.abs(wider @ wider.swapaxes(1, 2) - np.eye(space.d)).max(axis=(1, 2))
+    away = np.abs((inverse @ moved[..., None])[..., 0]).max(axis=1)
+    pushed = np.abs(forces.deviations - slopes.unsure) < BENT * slopes.unsure
+    same: Mask = (
+        (wider < 2 * BENT) & (away < BENT) & pushed.all(axis=1) & np.all(off < BENT * unknown, axis=1)
+    )
+    return (as_said | same) & np.isfinite(outputs).all(axis=1)
 
 
 def _kept(space: StateSpace, slopes: Linear, outputs: Array) -> _ByRow:
@@ -468,6 +483,8 @@ def _kept(space: StateSpace, slopes: Linear, outputs: Array) -> _ByRow:
         slopes.ends,
         slopes.about,
         slopes.kinks,
+        slopes.roots,
+        slopes.unsure,
         carrier,
     )
 
@@ -475,14 +492,16 @@ def _kept(space: StateSpace, slopes: Linear, outputs: Array) -> _ByRow:
 def _without_states(outputs: Array, d: int) -> _ByRow:
     n = len(outputs)
     flat, nothing, unbent = np.zeros((n, d, d)), np.zeros((n, 0)), np.zeros((n, d, 0))
-    return _ByRow(outputs, flat, flat, np.zeros((n, d)), nothing, nothing, nothing, unbent, None)
+    return _ByRow(
+        outputs, flat, flat, np.zeros((n, d)), nothing, nothing, nothing, unbent, flat, nothing, None
+    )
 
 
 def _sloped(
     space: StateSpace,
     rows: Array,
     after: Array,
-    outputs: Array,
+    outputs: Array | None,
     values: Mapping[str, float],
     covariances: Array | None,
     unsure: Array,
@@ -490,7 +509,7 @@ def _sloped(
 ) -> _ByRow:
     """Return rows with slopes taken over what is not known of the states that they start from, (n_rows, d, d).
 
-    The rows end at `outputs`, and slopes are those at `values`; see `coarsely`.
+    The rows end at `outputs`, if these are given, and slopes are those at `values`; see `coarsely`.
     """
     d, n, units, parts = space.d, len(rows), space.spread, space.parts
     roots = (
@@ -514,10 +533,11 @@ def _sloped(
             many = _averaged(space, rows[bent], after[bent], values, roots[bent], own)
             transitions[bent], bends[bent], beyond[bent] = many
             transitions[bent] = transitions[bent] @ inverse[bent]
-    outputs = np.where(np.isfinite(base).all(axis=1)[:, None], outputs, np.nan)
+    outputs = base if outputs is None else outputs.copy()
+    outputs[~np.isfinite(base).all(axis=1)] = np.nan
     origins = rows[:, : len(space.simulator.state_names)]
     about = np.zeros((n, 0)) if past.forces is None else past.forces
-    return _ByRow(outputs, transitions, bends, beyond, origins, outputs, about, kinks, carrier)
+    return _ByRow(outputs, transitions, bends, beyond, origins, outputs, about, kinks, roots, unsure, carrier)
 
 
 def _mean_of(second: Array) -> Array:
@@ -732,6 +752,8 @@ def _assembled(space: StateSpace, path: Array, forces: Forces, found: _ByRow) ->
         forces,
         found.about,
         kinks,
+        found.roots,
+        found.unsure,
     )
 
 
