@@ -315,7 +315,7 @@ def _first_guess(
     places = np.array([coordinate(fits.effects[one], start[fits.effects[one].name]) for one in members])
     if not members or (most is not None and len(members) > most):
         return None
-    about = fits.about(members, places, now)
+    about = fits.unweighed(members, places, now)
     if about.fitted.bound - needed * len(members) <= now.fitted.bound:
         return None
     return fits.of(members, places, about)
@@ -522,7 +522,12 @@ def _slopes(fits: Fits, now: Fit, members: Sequence[int]) -> Array:
         if effect.name not in fitted.values
     }
     # A slope is taken at its word, but where a delay has none; a chord holds as far as its end.
-    gains = _gains(fits, fitted, slopes, chosen, priors.low, priors.high)
+    gains, way = _gains(fits, fitted, slopes, chosen, priors.low, priors.high)
+    # Where a slope says so of one side, nothing is looked for on the other.
+    for place, own in ends.items():
+        towards = np.sign(own - chosen[place].neutral)
+        if not dead[place] and chosen[place].family not in THRESHOLDS and (towards == way[place]).any():
+            ends[place] = own[towards == way[place]]
     gains[[place for place, effect in enumerate(chosen) if effect.family == "delay"]] = -np.inf
     for turn in range(max(map(len, ends.values()), default=0)):
         places = [place for place, own in ends.items() if len(own) > turn]
@@ -531,7 +536,7 @@ def _slopes(fits: Fits, now: Fit, members: Sequence[int]) -> Array:
         at = np.array([coordinate(effect, steps[effect.name][1]) for effect in some])
         chords = derivatives(space, fitted.linear, fitted.values, steps)
         chords *= [(steps[effect.name][1] - effect.neutral) / one for effect, one in zip(some, at)]
-        own = _gains(fits, fitted, chords, some, np.minimum(at, 0), np.maximum(at, 0))
+        own, _ = _gains(fits, fitted, chords, some, np.minimum(at, 0), np.maximum(at, 0))
         better = own > gains[places]
         chosen_places = np.array(places)[better]
         slopes[..., chosen_places] = chords[..., better]
@@ -541,13 +546,12 @@ def _slopes(fits: Fits, now: Fit, members: Sequence[int]) -> Array:
 
 def _gains(
     fits: Fits, fitted: Fitted, slopes: Array, effects: Sequence[Effect], low: Array, high: Array
-) -> Array:
-    """Return what each of some effects alone would gain by its slope, within bounds, nats."""
+) -> tuple[Array, Array]:
+    """Return what each of some effects alone would gain by its slope, within bounds, nats, and to which side."""
     gram = gram_of(fits.space, fitted, slopes, effects).gram
     b, G = gram.projections, np.maximum(np.diag(gram.products), 1e-300)
     at = np.clip(b / G, low, high)
-    gains: Array = b * at - 0.5 * G * at**2
-    return gains
+    return b * at - 0.5 * G * at**2, np.sign(b)
 
 
 def _ends_of_chords(simulator: Simulator, effect: Effect, typical: float, dead: bool) -> Array:

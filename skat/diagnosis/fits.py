@@ -152,8 +152,13 @@ class Fits:
 
     def about(self, members: Sequence[int], places: Array, near: Fit) -> Fit:
         """Return a set as it is at given places, about the path of another fit but with slopes of its own."""
+        there = self.unweighed(members, places, near)
+        return self._weighed(there.members, there.fitted, there.widths)[0]
+
+    def unweighed(self, members: Sequence[int], places: Array, near: Fit) -> Fit:
+        """Return the same without slopes by the effects: nothing is known of its evidence."""
         fitted = self._next(self._values(members, places), near.fitted)
-        return self._weighed(tuple(members), fitted, np.zeros(len(members)))[0]
+        return Fit(tuple(members), dict(fitted.values), fitted, np.nan, np.zeros(len(members)))
 
     def bends(self, fit: Fit) -> bool:
         """Whether some row of a fit is bent; see `fitting.bends`."""

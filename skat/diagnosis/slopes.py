@@ -1,6 +1,7 @@
 """By how much what a simulation adds in a step changes with each effect: slopes of rows, as far as they are linear."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -9,9 +10,11 @@ from skat.diagnosis.statespace import (
     BENT,
     OUTER,
     SMALL_FORCE,
+    TIME_STEP,
     Forces,
     Linear,
     StateSpace,
+    coarsely,
     finite,
     is_bent,
     normal_points,
@@ -47,6 +50,8 @@ def derivatives(
         Between which values these are taken; as `steps` by default.
     """
     simulator, rows, base = space.simulator, space.rows(linear.path), linear.outputs
+    if coarsely(values) != values and set(steps) != {TIME_STEP}:
+        return _of_finer_steps(space, linear, values, steps, known, wide)
     neutral = {effect.name: effect.neutral for effect in simulator.effects(also="all")}
     safe = finite(base, linear.path[:, 1:][space.places])
     columns, forced = np.zeros((2, len(rows), space.d, len(steps)))
@@ -105,6 +110,29 @@ def derivatives(
     columns -= forced
     columns[~linear.valid] = 0.0
     return columns
+
+
+def _of_finer_steps(
+    space: StateSpace,
+    linear: Linear,
+    values: Mapping[str, float],
+    steps: Mapping[str, tuple[float, float]],
+    known: Array | None,
+    wide: Mapping[str, tuple[float, float]] | None,
+) -> Array:
+    """Return what `derivatives` does where a finer time step is a cause: by it at its value, and see `coarsely`."""
+    wide, rough = wide or steps, coarsely(values)
+    found: dict[str, Array] = {}
+    (ends,) = space.simulated(space.rows(linear.path), [rough], linear.forces.means)
+    there = values, linear, [name for name in steps if name == TIME_STEP]
+    about = replace(linear, by_row=replace(linear.by_row, outputs=ends))
+    elsewhere = rough, about, [name for name in steps if name != TIME_STEP]
+    for at, about, names in (there, elsewhere):
+        own, further = ({name: both[name] for name in names} for both in (steps, wide))
+        if names:
+            slopes = derivatives(space, about, at, own, known, further)
+            found |= dict(zip(names, np.moveaxis(slopes, -1, 0)))
+    return np.stack([found[name] for name in steps], axis=-1)
 
 
 def _exerted(

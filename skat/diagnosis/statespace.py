@@ -33,6 +33,7 @@ PAIRS = 32
 FAR = 1e3
 # Slopes are kept where a row ends off from where they say by no more than this share of what is not known of its state.
 UNSEEN = 1e-3
+TIME_STEP = "timestep"
 QUATERNION = ("qw", "qx", "qy", "qz")
 
 
@@ -177,6 +178,10 @@ class ByRow:
         Random forces with which slopes by the state were taken.
     kinks : ndarray of shape (n_rows, d, n_forces)
         Second differences by each force over what is not known of it.
+    roots : ndarray of shape (n_rows, d, d)
+        Of the covariances of the states over which slopes were taken.
+    unsure : ndarray of shape (n_rows, n_forces)
+        Standard deviations of the forces over which they were.
     carrier : ndarray of shape (n_rows, d, n_forces) or None
         As in `Chains`; None where the simulator has no forces on joints.
     """
@@ -189,6 +194,8 @@ class ByRow:
     ends: Array
     about: Array
     kinks: Array
+    roots: Array
+    unsure: Array
     carrier: Array | None
 
     def with_rows(self, chosen: Mask, other: "ByRow") -> "ByRow":
@@ -387,22 +394,33 @@ def linearise(
         nothing = np.zeros((len(rows), len(simulator.joint_forces())))
         forces = Forces(nothing, nothing) if slopes is None else slopes.forces
     acting, unsure = forces.means, forces.deviations
-    past = space.past(rows, [values], acting)
+    rough = coarsely(values)
     if simulator.state_names and slopes is None:
-        return _assembled(space, path, forces, _sloped(space, rows, after, values, known, unsure, past))
-    (outputs,) = simulator.predict_many(rows, [values], past=past)
+        past = space.past(rows, [rough], acting)
+        outputs = None if rough == values else space.simulated(rows, [values], acting)[0]
+        found = _sloped(space, rows, after, outputs, rough, known, unsure, past)
+        return _assembled(space, path, forces, found)
+    (outputs,) = space.simulated(rows, [values], acting)
     if not simulator.state_names or slopes is None:
         return _assembled(space, path, forces, _without_states(outputs, space.d))
     found = replace(slopes.by_row, outputs=np.where(slopes.valid[:, None], outputs, np.nan))
     if not renewed or covariances is None:
         return _assembled(space, path, forces, found)
-    anew = ~(slopes.valid & _as_expected(space, slopes, path, acting, outputs, covariances))
+    anew = ~(slopes.valid & _as_expected(space, slopes, path, forces, outputs, covariances))
     if anew.any():
         part = covariances[:, :-1][places][anew]
-        own = past.of(np.flatnonzero(anew))
-        there = _sloped(space, rows[anew], after[anew], values, part, unsure[anew], own)
+        past = space.past(rows, [rough], acting).of(np.flatnonzero(anew))
+        there = _sloped(space, rows[anew], after[anew], outputs[anew], rough, part, unsure[anew], past)
         found = found.with_rows(anew, there)
     return _assembled(space, path, forces, found)
+
+
+def coarsely(values: Mapping[str, float]) -> dict[str, float]:
+    """Return values with the model's own time step in the place of a finer one.
+
+    What a state, a force or an effect changes in a step hardly depends on it, and slopes are most of what a fit costs.
+    """
+    return {name: value for name, value in values.items() if name != TIME_STEP or value > 1}
 
 
 def about_forces(space: StateSpace, linear: Linear, values: Mapping[str, float], forces: Forces) -> Linear:
@@ -411,51 +429,67 @@ def about_forces(space: StateSpace, linear: Linear, values: Mapping[str, float],
     Slopes by the state, and what is beyond them, stay: see `linearise`.
     """
     rows, after = space.rows(linear.path), space.path_ends(linear.path)
-    past = space.past(rows, [values], forces.means)
-    (outputs,) = space.simulator.predict_many(rows, [values], past=past)
-    outputs = np.where(linear.valid[:, None], outputs, np.nan)
-    carrier, kinks = _joint_carrier(space, rows, values, outputs, after, forces.deviations, past)
+    rough = coarsely(values)
+    past = space.past(rows, [rough], forces.means)
+    (base,) = space.simulator.predict_many(rows, [rough], past=past)
+    outputs = base if rough == values else space.simulated(rows, [values], forces.means)[0]
+    base, outputs = (np.where(linear.valid[:, None], one, np.nan) for one in (base, outputs))
+    carrier, kinks = _joint_carrier(space, rows, rough, base, after, forces.deviations, past)
     found = replace(linear.by_row, outputs=outputs, carrier=carrier, kinks=kinks)
     return _assembled(space, linear.path, forces, found)
 
 
 def _as_expected(
-    space: StateSpace, slopes: Linear, path: Array, forces: Array, outputs: Array, covariances: Array
+    space: StateSpace, slopes: Linear, path: Array, forces: Forces, outputs: Array, covariances: Array
 ) -> Mask:
-    """Return of which rows slopes still say where they end, as far as the states there are known, and are all there is.
+    """Return of which rows slopes still say where they end, as far as the states there are known.
 
-    The simulation is as good as linear between the states about which they were taken and those of the path.
+    Either the simulation is as good as linear between the states about which they were taken and those of the path, or
+    what is known of both is about the same: no mean over it is known better than by so much.
     """
     simulator, places, own = space.simulator, space.places, slopes.by_row
     moved = simulator.residual(path[:, :-1][places], own.origins)
     expected = (own.transitions @ moved[..., None])[..., 0]
     if own.carrier is not None:
-        expected += (own.carrier @ (forces - own.about)[..., None])[..., 0]
+        expected += (own.carrier @ (forces.means - own.about)[..., None])[..., 0]
     safe = finite(own.ends, space.path_ends(path))
     off = np.abs(simulator.residual(finite(outputs, safe), safe) - expected)
     left = np.diagonal(own.bends, axis1=-2, axis2=-1)
     bent = np.sqrt(np.maximum(left, 0.0))
     unknown = np.sqrt(np.maximum(np.diagonal(covariances, axis1=-2, axis2=-1), 0.0))[:, 1:][places]
     as_said: Mask = np.all(np.maximum(off, bent) < UNSEEN * unknown, axis=1)
-    return as_said & np.isfinite(outputs).all(axis=1)
+    roots = roots_of(covariances[:, :-1][places], space.spread, space.parts)
+    inverse = np.linalg.inv(own.roots)
+    wider = inverse @ roots
+    wider = np.abs(wider @ wider.swapaxes(1, 2) - np.eye(space.d)).max(axis=(1, 2))
+    away = np.abs((inverse @ moved[..., None])[..., 0]).max(axis=1)
+    pushed = np.abs(forces.deviations - own.unsure) < BENT * own.unsure
+    same: Mask = (
+        (wider < 2 * BENT) & (away < BENT) & pushed.all(axis=1) & np.all(off < BENT * unknown, axis=1)
+    )
+    return (as_said | same) & np.isfinite(outputs).all(axis=1)
 
 
 def _without_states(outputs: Array, d: int) -> ByRow:
     n = len(outputs)
     flat, nothing, unbent = np.zeros((n, d, d)), np.zeros((n, 0)), np.zeros((n, d, 0))
-    return ByRow(outputs, flat, flat, np.zeros((n, d)), nothing, nothing, nothing, unbent, None)
+    return ByRow(outputs, flat, flat, np.zeros((n, d)), nothing, nothing, nothing, unbent, flat, nothing, None)
 
 
 def _sloped(
     space: StateSpace,
     rows: Array,
     after: Array,
+    outputs: Array | None,
     values: Mapping[str, float],
     covariances: Array | None,
     unsure: Array,
     past: Past,
 ) -> ByRow:
-    """Return rows with slopes taken over what is not known of the states that they start from, (n_rows, d, d)."""
+    """Return rows with slopes taken over what is not known of the states that they start from, (n_rows, d, d).
+
+    The rows end at `outputs`, if these are given, and slopes are those at `values`; see `coarsely`.
+    """
     d, n, units, parts = space.d, len(rows), space.spread, space.parts
     roots = (
         np.tile(np.diag(FIRST_STEP * units), (n, 1, 1))
@@ -478,9 +512,11 @@ def _sloped(
             many = _averaged(space, rows[bent], after[bent], values, roots[bent], own)
             transitions[bent], bends[bent], beyond[bent] = many
             transitions[bent] = transitions[bent] @ inverse[bent]
+    outputs = base if outputs is None else outputs.copy()
+    outputs[~np.isfinite(base).all(axis=1)] = np.nan
     origins = rows[:, : len(space.simulator.state_names)]
     about = np.zeros((n, 0)) if past.forces is None else past.forces
-    return ByRow(base, transitions, bends, beyond, origins, base, about, kinks, carrier)
+    return ByRow(outputs, transitions, bends, beyond, origins, outputs, about, kinks, roots, unsure, carrier)
 
 
 def _mean_of(second: Array) -> Array:

@@ -18,6 +18,10 @@ HALF_TURNS = {"rad": math.pi, "deg": 180.0}
 UNBOUNDED = 1e12
 # Of a sensor's filter, in transitions.
 LONGEST_LAG = 20
+# Of its largest value, by how much a hidden state may differ and be the same: far less than any slope sees.
+SAME = 1e-9
+# Rows that are carried along at once; a step of more of them takes longer.
+PIECES = 32
 Acting = tuple[Array, ...] | None
 # States (n_parts, n_rows, n_states) within rows, of one simulation or of two with the share of the second.
 Courses = list[tuple[float, Array]]
@@ -292,17 +296,27 @@ class Simulator(BaseEstimator, ABC):
     def _carry_along(
         self, inputs: Array, totals: Sequence[Mapping[str, float]], past: "Past", times: NDArray[np.intp]
     ) -> Array:
-        """Simulate rows in the order of time, write what each leaves into the past of the next; return the outputs."""
+        """Simulate rows, write what each leaves into the past of the next; return the outputs.
+
+        Episodes are cut into pieces that run side by side, each begun in a steady state. What one leaves is carried
+        into the next as far as it changes anything there: a memory that fades is soon the same whatever it began with.
+        """
         outputs = np.empty((*inputs.shape[:2], len(self.output_names)))
-        order, has_next = np.argsort(times, kind="stable"), np.r_[np.diff(times) == 1, False]
-        for rows in np.split(order, np.flatnonzero(np.diff(times[order])) + 1):
+        length = -(-len(times) * len(totals) // PIECES)
+        has_next, new = np.r_[np.diff(times) == 1, False], np.ones(len(times), dtype=bool)
+        rows = np.flatnonzero(times % length == 0)
+        while rows.size:
             now = past.of(rows)
             carried = _Carried(self, totals, now)
             outputs[:, rows] = carried.step(inputs[:, rows], now.acting, np.arange(len(rows)))
+            new[rows] = False
             followed = np.flatnonzero(has_next[rows])
+            rows, moved = rows[followed] + 1, np.zeros(len(followed), dtype=bool)
             for mine, left in ((past.hidden, carried.hidden), (past.ahead, carried.ahead)):
                 for one, other in zip(mine, left):
-                    one[rows[followed] + 1] = other[followed]
+                    moved |= _is_moved(one[rows], other[followed])
+                    one[rows] = other[followed]
+            rows = rows[moved | new[rows]]
         return outputs
 
     def rollout(
@@ -714,6 +728,13 @@ class Past:
         """Return that under some candidates, in their order."""
         acting, hidden = [self.acting[one] for one in candidates], [self.hidden[one] for one in candidates]
         return Past(tuple(acting), tuple(hidden), tuple(self.ahead[one] for one in candidates), self.forces)
+
+
+def _is_moved(before: Array, after: Array) -> NDArray[np.bool_]:
+    """Return in which rows (n_rows, n_hidden) a state is another one, by more than rounding of the largest is."""
+    largest = np.abs(after).max(axis=0, initial=0.0, where=np.isfinite(after))
+    same = np.isclose(after, before, rtol=0.0, atol=SAME * largest, equal_nan=True)
+    return np.asarray(~same.all(axis=1))
 
 
 class _Carried:

@@ -27,6 +27,8 @@ from skat.simulators.friction import LOADED, NEUTRAL, budget
 from skat.simulators.tables import Array
 
 CHUNK = 8192
+# To wake a thread takes as long as so many steps of a small robot.
+ROWS_OF_THREAD = 32
 CACHED_BATCHES = 32
 HUGE = 1e10  # MuJoCo's own limit of a state that is not divergent
 MUSCLE = int(mujoco.mjtDyn.mjDYN_MUSCLE)
@@ -384,7 +386,7 @@ class _Pool:
     """A MuJoCo batch with the views that a transition needs; each row may have a model of its own."""
 
     def __init__(self, model: mujoco.MjModel, size: int):
-        self.batch = Batch(model, nsim=size, nthread=min(size, _thread_count()))
+        self.batch = Batch(model, nsim=size, nthread=max(1, min(size // ROWS_OF_THREAD, _thread_count())))
         self.model = model
         self.size, self.count = size, 0
         self.qpos, self.qvel, self.ctrl = (self.batch.bind(name) for name in ("qpos", "qvel", "ctrl"))

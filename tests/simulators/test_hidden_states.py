@@ -479,3 +479,16 @@ def test_a_reading_that_lags_lags_from_the_first_row_on():
     rows = np.column_stack([5.0 + 0.2 * np.arange(4), np.full(4, 2.0)])
     lagging = simulator.extended({"lag[x]": 0.3})
     np.testing.assert_allclose(lagging.predict(rows)[:, 0], rows[:, 0] + 0.2, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "effects", [{"lag_torque[lift]": 0.01}, {"backlash[lift]": 0.02}, {"lag[qvel.lift]": 0.02}]
+)
+def test_hidden_states_carried_in_pieces_are_those_carried_in_the_order_of_time(monkeypatch, effects):
+    simulator, controls = MujocoSimulator(SERVO_ARM, frame_skip=SKIP), commands(120)
+    X = rows_of(simulator.rollout(np.zeros((1, 4)), controls[None], n_steps=120)[0], controls)
+    in_pieces = simulator.predict_many(X, [effects, {}], groups=np.zeros(120))
+    monkeypatch.setattr("skat.simulators.base.PIECES", 1)
+    np.testing.assert_allclose(
+        simulator.predict_many(X, [effects, {}], groups=np.zeros(120)), in_pieces, atol=1e-8
+    )
