@@ -124,7 +124,7 @@ _TABLE = (
            "the contact friction along its second direction", typical=FACTOR, odds=0.2, order=6),
     Family("restitution", "the contact damping ratio of {}", "the contact damping ratio", typical=FACTOR, odds=0.3,
            order=7, only=("1",)),
-    Family("timestep", "the time step", "the time step", typical=0.05, odds=0.1, order=8),
+    Family("timestep", "the time step", "the time step", typical=0.7, odds=0.1, order=8),
     _ADDED("bias", "the bias of sensor {}", unit=(), typical=0.01, odds=0.3),
     Family("scale", "the scale of sensor {}", "the scale of every sensor", typical=0.02, odds=0.2),
     _FORCE("force", "a constant force on {}", unit=_TORQUE, odds=0.1, only=_TORQUE),

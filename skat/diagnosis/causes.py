@@ -247,8 +247,6 @@ def find_causes(
             afar = moved is not None
         proposed = [] if afar else list(proposals(ranked, worth, now.members, needed))
         asked = [*proposed, *(_singles(worth, banned) if proposed else ())]
-        if not afar and (max_effects is None or len(now.members) < max_effects):
-            asked += _finer(fits, now, worth)
         if asked:
             moved = _likeliest(compared, worth, asked, needed)
             misled = misled or (bool(proposed) and (moved is None or moved.members != asked[0].members))
@@ -343,31 +341,6 @@ def _singles(worth: Weigher, banned: Container[int]) -> list[Weighed]:
     """Return the effects that slopes say explain most by themselves, a set each."""
     sets = [worth((one,)) for one in range(len(worth.priors.names)) if one not in banned]
     return sorted(sets, key=lambda one: -one.evidence)[:REFITTED]
-
-
-def _finer(fits: Fits, now: Fit, worth: Weigher) -> list[Weighed]:
-    """Return the present set with a finer time step, by halves as far as the log is likelier with it, if it is at all.
-
-    What a simulation is off for its time step is far from what slopes say of a step a little finer, and is seen beside
-    everything else: what happens in reality happens at all times.
-    """
-    found, at = [], list(fits.places(now))
-    for one in (place for place, effect in enumerate(fits.effects) if effect.family == "timestep"):
-        if one in now.members:
-            continue
-        members = tuple(sorted((*now.members, one)))
-        column = members.index(one)
-        low, place, bound = fits.priors.low[one], 0.0, now.fitted.bound
-        while place > low:
-            finer = max(place - float(np.log(2)), low)
-            moved = fits.bound(members, np.insert(at, column, finer), now)
-            if moved <= bound:
-                break
-            place, bound = finer, moved
-        if place < 0:
-            values, gain = np.insert(at, column, place), bound - now.fitted.bound
-            found.append(replace(worth(members), values=values, evidence=worth(now.members).evidence + gain))
-    return found
 
 
 def _likeliest(compared: Comparison, worth: Weigher, asked: Sequence[Weighed], needed: float) -> Fit | None:
