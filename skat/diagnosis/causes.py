@@ -245,6 +245,8 @@ def find_causes(
         afar = state.turn == 0 and state.dense is not None
         if afar:
             moved = _first_guess(start or {}, fits, now, needed, max_effects)
+            if moved is not None and not coarse:
+                moved = _instead(moved, _likeliest(compared, worth, _singles(worth, banned), needed), needed)
             afar = moved is not None
         proposed = [] if afar else list(proposals(ranked, worth, now.members, needed))
         asked = [*proposed, *(_singles(worth, banned) if proposed else ())]
@@ -320,6 +322,17 @@ def _first_guess(
     if about.fitted.bound - needed * len(members) <= now.fitted.bound:
         return None
     return fits.of(members, places, about)
+
+
+def _instead(guess: Fit, other: Fit | None, needed: float) -> Fit:
+    """Return the likelier of what missing forces ask for and of another fit, by what more names need.
+
+    Forces on a joint that hardly moves ask for little that is there.
+    """
+    better = other is not None and other.evidence - guess.evidence > needed * (
+        len(other.members) - len(guess.members)
+    )
+    return other if other is not None and better else guess
 
 
 def proposals(ranked: Ranked, worth: Weigher, members: tuple[int, ...], needed: float) -> Iterator[Weighed]:

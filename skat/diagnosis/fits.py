@@ -164,7 +164,7 @@ class Fits:
             while most - least > STANDS_STILL * most:
                 places[column] = (least + most) / 2
                 about = self.about(fit.members, places, fit)
-                if about.fitted.bound < fit.fitted.bound - STILL:
+                if about.fitted.bound < held.fitted.bound - STILL:
                     least = places[column]
                 else:
                     most, held = places[column], about
