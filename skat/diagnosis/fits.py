@@ -194,7 +194,8 @@ class Fits:
         effect, row = self.effects[member], self.space.simulator.dt
         if effect.family == "delay" and row:
             rows: Array = row * np.unique([np.floor(place / row), np.ceil(place / row)])
-            return rows[(rows > 0) & (rows <= effect.bounds[1]) & (rows != place)]
+            beside: Array = rows[(rows > 0) & (rows <= effect.bounds[1]) & (rows != place)]
+            return beside
         if effect.family == "dry_friction":
             return doubled(float(self.priors.scales[member]) / 2, coordinate(effect, effect.bounds[1]))
         return np.zeros(0)
