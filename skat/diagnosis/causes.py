@@ -250,6 +250,9 @@ def find_causes(
             afar = moved is not None
         proposed = [] if afar else list(proposals(ranked, worth, now.members, needed))
         asked = [*proposed, *(_singles(worth, banned) if proposed else ())]
+        if not proposed and state.dense is None and not coarse and ranked.sets[0].members != now.members:
+            # At noise that holds what they would explain slopes promise too little.
+            asked.append(ranked.sets[0])
         if not afar and (max_effects is None or len(now.members) < max_effects):
             asked += _finer(fits, now, worth)
         if asked:
