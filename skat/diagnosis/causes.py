@@ -17,6 +17,7 @@ from skat.diagnosis.fitting import (
     Known,
     acting_together,
     coordinate,
+    doubled,
     gram_of,
     noise_without,
     priors_of,
@@ -54,7 +55,7 @@ LIVE = 24
 # The weakest causes, so many, must be missed by a fit of their own of the others, and their rivals' too.
 REFITTED = 3
 # What acts only beyond some place has no slope, or one that says little of what it does further off.
-THRESHOLDS = ("backlash", "torque_speed")
+THRESHOLDS = ("backlash", "torque_speed", "dry_friction")
 # Effects whose responses make a smaller angle than this cosine may be the same: so many are fitted in a cause's place.
 ALIKE, RIVALS = 0.8, 3
 
@@ -244,9 +245,14 @@ def find_causes(
         afar = state.turn == 0 and state.dense is not None
         if afar:
             moved = _first_guess(start or {}, fits, now, needed, max_effects)
+            if moved is not None and not coarse:
+                moved = _instead(moved, _likeliest(compared, worth, _singles(worth, banned), needed), needed)
             afar = moved is not None
         proposed = [] if afar else list(proposals(ranked, worth, now.members, needed))
         asked = [*proposed, *(_singles(worth, banned) if proposed else ())]
+        if not proposed and state.dense is None and not coarse and ranked.sets[0].members != now.members:
+            # At noise that holds what they would explain slopes promise too little.
+            asked.append(ranked.sets[0])
         if asked:
             moved = _likeliest(compared, worth, asked, needed)
             misled = misled or (bool(proposed) and (moved is None or moved.members != asked[0].members))
@@ -319,6 +325,17 @@ def _first_guess(
     return fits.of(members, places, about)
 
 
+def _instead(guess: Fit, other: Fit | None, needed: float) -> Fit:
+    """Return the likelier of what missing forces ask for and of another fit, by what more names need.
+
+    Forces on a joint that hardly moves ask for little that is there.
+    """
+    better = other is not None and other.evidence - guess.evidence > needed * (
+        len(other.members) - len(guess.members)
+    )
+    return other if other is not None and better else guess
+
+
 def proposals(ranked: Ranked, worth: Weigher, members: tuple[int, ...], needed: float) -> Iterator[Weighed]:
     """Yield sets that slopes put before the present one: the best, and the best of half its size, and so on.
 
@@ -340,7 +357,13 @@ def proposals(ranked: Ranked, worth: Weigher, members: tuple[int, ...], needed: 
 def _singles(worth: Weigher, banned: Container[int]) -> list[Weighed]:
     """Return the effects that slopes say explain most by themselves, a set each."""
     sets = [worth((one,)) for one in range(len(worth.priors.names)) if one not in banned]
-    return sorted(sets, key=lambda one: -one.evidence)[:REFITTED]
+    likely = sorted(sets, key=lambda one: -one.evidence)
+    apart: list[Weighed] = []
+    for one in likely:
+        cosines = worth.gram.cosines(one.members[0])
+        if len(apart) < REFITTED and all(cosines[other.members[0]] < ALIKE for other in apart):
+            apart.append(one)
+    return [*likely[:REFITTED], *(one for one in apart if one not in likely[:REFITTED])]
 
 
 def _likeliest(compared: Comparison, worth: Weigher, asked: Sequence[Weighed], needed: float) -> Fit | None:
@@ -535,17 +558,10 @@ def _ends_of_chords(simulator: Simulator, effect: Effect, typical: float, dead: 
     places = np.array([-typical, typical])
     if dead or effect.family in THRESHOLDS:
         bounds = [coordinate(effect, bound) for bound in effect.bounds]
-        places = np.concatenate([_doubled(typical / 2, bound) for bound in bounds])
+        places = np.concatenate([doubled(typical / 2, bound) for bound in bounds])
     ends = np.unique([value_at(effect, place) for place in places])
     far: Array = ends[ends != effect.neutral]
     return far
-
-
-def _doubled(first: float, bound: float) -> Array:
-    """Return places from `first` to a bound, each twice as far off as the one before."""
-    times = np.ceil(np.log2(max(abs(bound) / first, 1.0)))
-    places: Array = np.sign(bound) * np.minimum(first * 2 ** np.arange(times + 1), abs(bound))
-    return places
 
 
 def _live(ranked: Ranked, members: Sequence[int]) -> list[int]:

@@ -1,12 +1,12 @@
 """Sets of causes at fits of their own: values, noise and path, and what the log says for them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from skat.diagnosis.chains import Array
-from skat.diagnosis.evidence import NO_CAUSE, Gram, Priors, Weighed, weigh
+from skat.diagnosis.evidence import NO_CAUSE, WIDTH_95, Gram, Priors, Weighed, weigh
 from skat.diagnosis.fitting import (
     STILL,
     Fitted,
@@ -14,6 +14,7 @@ from skat.diagnosis.fitting import (
     bends,
     compared,
     coordinate,
+    doubled,
     first_fit,
     gram_of,
     next_fit,
@@ -93,7 +94,7 @@ class Fits:
         members = tuple(members)
         origin = np.array([self._place(one, near.values) for one in members])
         if not own_slopes:
-            places = self._with_whole_rows(members, places, near)
+            places = self._by_profile(members, places, near)
         # What the set has beside `near` cannot make the log less likely, but for a step too far.
         reached = near.fitted.bound - STILL if set(near.members) <= set(members) else -np.inf
         start, best = near.fitted, None
@@ -125,26 +126,83 @@ class Fits:
             widths = np.maximum(np.abs(step), deviations)
         if best is None:
             raise RuntimeError("no turn was made")
-        return best
+        return self._least(best) if own_slopes else best
 
-    def _with_whole_rows(self, members: tuple[int, ...], places: Array, near: Fit) -> Array:
-        """Return the coordinates to begin with, of a new delay the likeliest of its own and the whole rows beside it.
+    def _by_profile(self, members: tuple[int, ...], places: Array, near: Fit) -> Array:
+        """Return the coordinates to begin with, of what is new and has kinks the likeliest of its own and of a grid.
 
         Between whole rows, and between time steps, the likelihood of a delay has maxima of its own: of commands that
-        come two rows late that of one and two thirds leads back to none.
+        come two rows late that of one and two thirds leads back to none. Where dry friction holds a joint, more of it
+        does nothing else, and less of it, until the joint moves.
         """
-        row, best = self.space.simulator.dt, np.array(places, dtype=np.float64)
+        best = np.array(places, dtype=np.float64)
         for column, one in enumerate(members):
-            effect = self.effects[one]
-            if effect.family != "delay" or effect.name in near.values or not row:
+            if self.effects[one].name in near.values:
                 continue
-            starts = [best]
-            for rows in np.unique([np.floor(best[column] / row), np.ceil(best[column] / row)]):
-                if 0 < rows * row <= effect.bounds[1]:
-                    starts.append(np.where(np.arange(len(best)) == column, rows * row, best))
-            if len(starts) > 1:
-                best = max(starts, key=lambda start: self.bound(members, start, near))
+            grid = [
+                np.where(np.arange(len(best)) == column, at, best) for at in self._kinks(one, best[column])
+            ]
+            if grid:
+                best = max([*grid, best], key=lambda start: self._posterior(members, start, near))
         return best
+
+    def _least(self, fit: Fit) -> Fit:
+        """Return a fit with no more dry friction than holds a joint, where slopes say that the log would miss none.
+
+        More does nothing, and so has no slope; what the set is worth is as before, as all that hold it are likely.
+        """
+        places = self.places(fit)
+        for column, one in enumerate(fit.members):
+            if self.effects[one].family != "dry_friction":
+                continue
+            most, least = places[column], 0.0
+            gram = self.gram(fit.fitted, (one,), fit.widths[[column]])
+            missed = most * (gram.projections[0] + gram.products[0, 0] * most / 2)
+            if missed > STILL:
+                continue
+            widths, held = fit.widths.copy(), fit
+            while most - least > STANDS_STILL * most:
+                places[column] = (least + most) / 2
+                about = self.about(fit.members, places, fit)
+                if about.fitted.bound < held.fitted.bound - STILL:
+                    least = places[column]
+                else:
+                    most, held = places[column], about
+            places[column], widths[column] = most, most - least
+            fit = replace(held, evidence=fit.evidence, widths=widths)
+        return fit
+
+    def most_likely(self, fit: Fit, member: int) -> float:
+        """Return the largest coordinate of a cause at which its profile is within its 95 % interval: of dry friction.
+
+        What holds a joint holds it with any more. Of other causes it is where the fit has it.
+        """
+        places, column = self.places(fit), fit.members.index(member)
+        found = float(places[column])
+        least = fit.fitted.bound - WIDTH_95**2 / 2
+        for at in self._kinks(member, found) if self.effects[member].family == "dry_friction" else ():
+            if at <= found:
+                continue
+            places[column] = at
+            if self.bound(fit.members, places, fit) < least:
+                break
+            found = float(at)
+        return found
+
+    def _kinks(self, member: int, place: float) -> Array:
+        """Return the coordinates from which an effect with kinks may have to be begun, nearest to neutral first."""
+        effect, row = self.effects[member], self.space.simulator.dt
+        if effect.family == "delay" and row:
+            rows: Array = row * np.unique([np.floor(place / row), np.ceil(place / row)])
+            beside: Array = rows[(rows > 0) & (rows <= effect.bounds[1]) & (rows != place)]
+            return beside
+        if effect.family == "dry_friction":
+            return doubled(float(self.priors.scales[member]) / 2, coordinate(effect, effect.bounds[1]))
+        return np.zeros(0)
+
+    def _posterior(self, members: tuple[int, ...], places: Array, near: Fit) -> float:
+        prior = self.priors.log_density(members, places).sum()
+        return float(self.power * self.bound(members, places, near) + prior)
 
     def bound(self, members: tuple[int, ...], places: Array, near: Fit) -> float:
         """Return the bound of a set at given coordinates, about the path of another fit and with its slopes."""

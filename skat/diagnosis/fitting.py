@@ -671,6 +671,13 @@ def value_at(effect: Effect, place: float) -> float:
     return float(np.clip(value, *effect.bounds))
 
 
+def doubled(first: float, bound: float) -> Array:
+    """Return places from `first` to a bound, each twice as far off as the one before."""
+    times = np.ceil(np.log2(max(abs(bound) / first, 1.0)))
+    places: Array = np.sign(bound) * np.minimum(first * 2 ** np.arange(times + 1), abs(bound))
+    return places
+
+
 def around(effect: Effect, value: float, width: float) -> tuple[float, float]:
     """Return the values so far to both sides of one, by their coordinates, within bounds."""
     place = coordinate(effect, value)

@@ -125,7 +125,8 @@ def told(
     intervals, losses = {}, worth.losses(best)
     # Intervals are of the whole likelihood.
     for one, half in zip(best.members, weigh(gram, priors, best.members).half_widths):
-        intervals[names[one]] = around(effects[one], now.values[names[one]], half)
+        low, high = around(effects[one], now.values[names[one]], half)
+        intervals[names[one]] = low, max(high, value_at(effects[one], fits.most_likely(now, one)))
     return Found(
         effects,
         {names[one]: now.values[names[one]] for one in kept},
