@@ -222,6 +222,7 @@ def find_causes(
     ask = partial(search, families=families_of(effects), most=max_effects)
     exclusive = rivals_of(effects)
     rivals: list[Rival] = []
+    compared: Comparison | None = None
     stands = misled = False
     shown = -1
     while True:
@@ -241,7 +242,8 @@ def find_causes(
             break
         moved = None
         misled = misled and state.dense is not None
-        compared = Comparison(fits, now)
+        # What is noise changes which sets are proposed, not what a fit finds in them.
+        compared = compared if compared is not None and compared.now is now else Comparison(fits, now)
         afar = state.turn == 0 and state.dense is not None
         if afar:
             moved = _first_guess(start or {}, fits, now, needed, max_effects)

@@ -97,7 +97,7 @@ class Fits:
             places = self._by_profile(members, places, near)
         # What the set has beside `near` cannot make the log less likely, but for a step too far.
         reached = near.fitted.bound - STILL if set(near.members) <= set(members) else -np.inf
-        start, best = near.fitted, None
+        start, best, deviations = near.fitted, None, np.zeros(len(members))
         # Values are known to about what they were moved by last.
         widths = np.abs(places - origin)
         for turn in range(FIT_TURNS):
@@ -107,10 +107,15 @@ class Fits:
             fitted = (
                 self._next(values, start) if own_slopes else self._compared(values, start, memories=looks)
             )
+            # Within its standard errors no step goes too far; one that does needs no slopes to be halved.
+            less = fitted.bound < reached
+            if less and best is not None and np.any(np.abs(places - origin) > deviations):
+                places = (np.asarray(places) + origin) / 2
+                widths = np.abs(places - origin)
+                continue
             fit, one = self._weighed(members, fitted, widths)
             moved, deviations = one.values, one.deviations
-            # Within its standard errors no step goes too far.
-            too_far = fitted.bound < reached and bool(np.any(np.abs(places - origin) > deviations))
+            too_far = less and bool(np.any(np.abs(places - origin) > deviations))
             gained = fit.evidence - (-np.inf if best is None else best.evidence)
             step = moved - np.asarray(places)
             if best is None or gained > 0 or fitted.bound >= reached:

@@ -482,7 +482,7 @@ def test_a_reading_that_lags_lags_from_the_first_row_on():
 
 
 @pytest.mark.parametrize(
-    "effects", [{"lag_torque[lift]": 0.01}, {"backlash[lift]": 0.02}, {"lag[qvel.lift]": 0.02}]
+    "effects", [{"lag_torque[lift]": 0.01}, {"backlash[elbow]": 0.02}, {"lag[qvel.elbow]": 0.02}]
 )
 def test_hidden_states_carried_in_pieces_are_those_carried_in_the_order_of_time(monkeypatch, effects):
     simulator, controls = MujocoSimulator(SERVO_ARM, frame_skip=SKIP), commands(120)
