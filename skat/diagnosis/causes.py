@@ -283,7 +283,7 @@ def find_causes(
     now, rivals = firm, [one for one in rivals if one.cause in firm.members]
     best = worth(now.members)
     if misled:
-        # What slopes say of other sets was seen to be wrong.
+        # What slopes say of other sets was seen to be wrong, or does not know of laws.
         inside = (one for one in ranked.sets if set(one.members) < set(now.members))
         ranked = Ranked(tuple(sorted((best, *inside), key=lambda one: -one.evidence)))
     also = {} if misled else also_seen(ask, gram, priors, effects, exclusive, best, needed, state.banned)
@@ -476,7 +476,10 @@ def _without_doubtful(fits: Fits, now: Fit, worth: Weigher, needed: float) -> Fi
 
 
 def _without_stand_ins(fits: Fits, now: Fit, slopes: Array, needed: float) -> Fit:
-    """Return the fit of those members of a set that are worth a name beside what laws explain that are no effects."""
+    """Return a set with those members that are worth a name beside laws that are no effects, at their values there.
+
+    Fitted without the laws they would take what is the laws'.
+    """
     while now.members:
         effects = [fits.effects[one] for one in now.members]
         gram = beside_laws(fits.space, now.fitted, gram_of(fits.space, now.fitted, slopes, effects), needed)
@@ -486,7 +489,7 @@ def _without_stand_ins(fits: Fits, now: Fit, slopes: Array, needed: float) -> Fi
         strong, _ = without_weak(worth(range(len(effects))), worth, needed)
         if len(strong.members) == len(effects):
             break
-        now = fits.of([now.members[one] for one in strong.members], strong.values, now)
+        now = fits.about([now.members[one] for one in strong.members], strong.values, now)
         slopes = _slopes(fits, now, now.members)
     return now
 

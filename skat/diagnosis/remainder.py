@@ -517,10 +517,11 @@ def _regressors(space: StateSpace, directions: _Directions, index: int, rows: Ar
                     found += single(f"{other} |{name}|", title, beside * values, beside * np.abs(values))
                     found += single(f"{other} {name}^2", title, beside * values, beside * values**2)
         elif simulator.units.get(name) in ("rad", "m"):
-            travel = float(np.ptp(values))
+            along = np.unwrap(values) if simulator.units[name] == "rad" else values
+            travel = float(np.ptp(along))
             for share in WAYS:
                 title = f"the way of {name}, {share:g} of its travel"
-                found += single(title, name, values, way_of(values, space.groups, share * travel))
+                found += single(title, name, values, way_of(along, space.groups, share * travel))
     if simulator.state_names:
         steps = steps_of(space.groups)
         if np.count_nonzero(steps == 0) >= EPISODES_FOR_TIME:
@@ -538,10 +539,9 @@ def way_of(values: Array, groups: Places, length: float) -> Array:
 
     A force of it is one that pulls back and gives way: hysteresis.
     """
-    moved = np.r_[0.0, np.diff(values)]
-    moved[steps_of(groups) == 0] = 0.0
-    kept = np.exp(-np.abs(moved) / max(length, 1e-300))
-    kept[steps_of(groups) == 0] = 0.0
+    begins = steps_of(groups) == 0
+    moved = np.where(begins, 0.0, np.diff(values, prepend=values[0]))
+    kept = np.where(begins, 0.0, np.exp(-np.abs(moved) / max(length, 1e-300)))
     came, way = 0.0, np.empty(len(values))
     for row, (share, step) in enumerate(zip(kept, np.sign(moved) * length * (1 - kept))):
         came = way[row] = share * came + step
