@@ -27,6 +27,7 @@ from skat.diagnosis.fitting import (
 )
 from skat.diagnosis.found import Found, Rival, also_seen, exchanged, is_held, stand_ins, told
 from skat.diagnosis.noise import TOLERANCE
+from skat.diagnosis.remainder import beside_laws
 from skat.diagnosis.search import (
     ALIAS_FACTOR,
     EXCHANGED,
@@ -283,10 +284,12 @@ def find_causes(
     # Of a first look slopes alone tell; a search does not stand where fits and slopes differ on what is worth a name.
     firm = now if coarse else _without_doubtful(fits, now, worth, needed)
     stands = stands and firm is now
+    own = firm if coarse else _without_stand_ins(fits, firm, state.slopes[..., list(firm.members)], needed)
+    misled, firm = misled or own is not firm, own
     now, rivals = firm, [one for one in rivals if one.cause in firm.members]
     best = worth(now.members)
     if misled:
-        # What slopes say of other sets was seen to be wrong.
+        # What slopes say of other sets was seen to be wrong, or does not know of laws.
         inside = (one for one in ranked.sets if set(one.members) < set(now.members))
         ranked = Ranked(tuple(sorted((best, *inside), key=lambda one: -one.evidence)))
     also = {} if misled else also_seen(ask, gram, priors, effects, exclusive, best, needed, state.banned)
@@ -468,6 +471,25 @@ def _without_doubtful(fits: Fits, now: Fit, worth: Weigher, needed: float) -> Fi
     """Return the fit of those members of a set that slopes, too, find worth a name: at values without the others."""
     strong, _ = without_weak(worth(now.members), worth, needed)
     return now if strong.members == now.members else fits.of(strong.members, strong.values, now)
+
+
+def _without_stand_ins(fits: Fits, now: Fit, slopes: Array, needed: float) -> Fit:
+    """Return a set with those members that are worth a name beside laws that are no effects, at their values there.
+
+    Fitted without the laws they would take what is the laws'.
+    """
+    while now.members:
+        effects = [fits.effects[one] for one in now.members]
+        gram = beside_laws(fits.space, now.fitted, gram_of(fits.space, now.fitted, slopes, effects), needed)
+        if gram is None:
+            break
+        worth = Weigher(gram, fits.priors.part(now.members), power=fits.power)
+        strong, _ = without_weak(worth(range(len(effects))), worth, needed)
+        if len(strong.members) == len(effects):
+            break
+        now = fits.about([now.members[one] for one in strong.members], strong.values, now)
+        slopes = _slopes(fits, now, now.members)
+    return now
 
 
 def readable(space: StateSpace, effects: Sequence[Effect]) -> list[Effect]:

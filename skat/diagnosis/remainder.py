@@ -27,10 +27,10 @@ from scipy.special import logsumexp
 
 from skat.diagnosis.ahead import Seen, ahead, filtered
 from skat.diagnosis.chains import Array, Chains, Mask, Memory, Places
-from skat.diagnosis.evidence import WIDTH_95
+from skat.diagnosis.evidence import WIDTH_95, Gram
 from skat.diagnosis.filtering import Smoothed, kalman_filter, smooth
 from skat.diagnosis.findings import Gain
-from skat.diagnosis.fitting import NOTHING_KNOWN, Fitted, Known, response
+from skat.diagnosis.fitting import NOTHING_KNOWN, Columns, Fitted, Known, response
 from skat.diagnosis.noise import Estimate, Noise, estimate_noise, normal_noise, passed
 from skat.diagnosis.prediction import ends, horizon_rows, windows
 from skat.diagnosis.statespace import StateSpace, steps_of
@@ -44,6 +44,8 @@ MOST_COLUMNS = 1500
 LONGEST_TABLE = 5
 # Rows of a block of time, of which each half of a log has every other.
 BLOCK_ROWS = 16
+# Ways, as shares of a joint's travel, over which a force forgets where the joint came from: a cable's, a tendon's.
+WAYS = (0.03, 0.1, 0.3)
 # What a force's own past is called, and how many rows of it there are from the horizon on.
 PAST, PAST_ROWS = "its own past", 12
 # Fewer episodes do not tell a law of time from chance.
@@ -214,13 +216,9 @@ def find_remainder(
     random_state : numpy.random.RandomState
         Draws white forces, for comparison of spectra.
     """
-    seen, simulator = Seen(fitted.linear, fitted.chains, fitted.estimate, fitted.memory), space.simulator
-    h = horizon_rows(simulator) if horizon is None else horizon
-    directions = _directions(space, fitted)
-    rows = space.X.copy()
-    if simulator.state_names:
-        rows[:, : len(simulator.state_names)] = filtered(space, seen)[0]
-        rows = _turned_back(space, rows)
+    seen = Seen(fitted.linear, fitted.chains, fitted.estimate, fitted.memory)
+    h = horizon_rows(space.simulator) if horizon is None else horizon
+    directions, rows = _directions(space, fitted), _rows_as_known(space, seen)
     white = _white_spectra(space, fitted, directions, random_state)
     looks = [seen, *_with_normal_noise(space, seen, known)]
     runs = _runs(space, looks[-1], fitted.values, h)
@@ -232,6 +230,40 @@ def find_remainder(
         for index, law in enumerate(laws)
     ]
     return Remainder(tuple(sorted(parts, key=lambda part: -part.evidence)), h)
+
+
+def beside_laws(space: StateSpace, fitted: Fitted, columns: Columns, needed: float) -> Gram | None:
+    """Return what is known of causes where laws act as well, if there are such laws, whatever the causes' values.
+
+    A law that stands for no effect of the list is noise of a known shape, of a size that the log asks for. What a cause
+    is worth beside it is what the law cannot do; a cause that is worth nothing there stands for the law.
+
+    Parameters
+    ----------
+    space, fitted
+    columns : Columns
+        Of the causes, at this fit.
+    needed : float
+        Nats that there must be for a law.
+    """
+    seen = Seen(fitted.linear, fitted.chains, fitted.estimate, fitted.memory)
+    directions, rows = _directions(space, fitted), _rows_as_known(space, seen)
+    h = horizon_rows(space.simulator)
+    taken = np.linalg.qr(columns.columns)[0]
+    found = []
+    for index in range(len(directions.names)):
+        law = _likeliest(space, [seen], directions, index, rows, h, taken)
+        if law.evidence > needed:
+            own = _response(space, seen, directions.columns[..., index], law.regressor.columns)
+            found.append(own[seen.chains.mask] * law.size)
+    if not found:
+        return None
+    acting = np.concatenate(found, axis=1)
+    root = np.linalg.cholesky(np.eye(acting.shape[1]) + acting.T @ acting)
+    half = np.linalg.solve(root, acting.T)
+    moved, shown = half @ columns.columns, half @ columns.whitened
+    gram = columns.gram
+    return Gram(gram.products - moved.T @ moved, gram.projections - moved.T @ shown, gram.origin)
 
 
 @dataclass(frozen=True)
@@ -251,7 +283,9 @@ def _likeliest(
     index: int,
     rows: Array,
     horizon: int,
+    taken: Array | None = None,
 ) -> _Likeliest:
+    """Return the likeliest law of a direction, beside what orthonormal columns `taken` of innovations stand for."""
     scale = float(directions.scales[index])
     of_rows = _regressors(space, directions, index, rows)
     tried = []
@@ -262,7 +296,7 @@ def _likeliest(
         n_other = len(regressors) - n_own
         for one in regressors:
             N = _response(space, look, directions.columns[..., index], one.columns)
-            nats, size = worth_of(*_gram(look, N), scale)
+            nats, size = worth_of(*_gram(look, N, taken=taken), scale)
             weight = (0.5 if n_other else 1.0) / n_own if one.is_own else 0.5 / n_other
             tried.append((nats, nats + np.log(weight / len(looks)), size, one))
     evidence = float(logsumexp([weighted for _, weighted, *_ in tried])) - float(
@@ -474,12 +508,20 @@ def _regressors(space: StateSpace, directions: _Directions, index: int, rows: Ar
             for law, column in (("sign", np.sign(values)), ("square", np.abs(values) * values)):
                 title = f"sign({name})" if law == "sign" else f"|{name}|{name}"
                 found += single(title, name, values, column)
-            found += [
-                one
-                for other in own
-                if other in simulator.state_names and other != name
-                for one in single(f"{other} {name}", f"{other} {name}", rows[:, places[other]] * values)
-            ]
+            for other in (one for one in own if one != name):
+                beside = rows[:, places[other]]
+                title = f"{other} {name}"
+                if other in simulator.state_names:
+                    found += single(title, title, beside * values)
+                if not is_rate(other, simulator.units):
+                    found += single(f"{other} |{name}|", title, beside * values, beside * np.abs(values))
+                    found += single(f"{other} {name}^2", title, beside * values, beside * values**2)
+        elif simulator.units.get(name) in ("rad", "m"):
+            along = np.unwrap(values) if simulator.units[name] == "rad" else values
+            travel = float(np.ptp(along))
+            for share in WAYS:
+                title = f"the way of {name}, {share:g} of its travel"
+                found += single(title, name, values, way_of(along, space.groups, share * travel))
     if simulator.state_names:
         steps = steps_of(space.groups)
         if np.count_nonzero(steps == 0) >= EPISODES_FOR_TIME:
@@ -490,6 +532,20 @@ def _regressors(space: StateSpace, directions: _Directions, index: int, rows: Ar
         for name in others:
             found += binned(name, rows[:, places[name]], OTHER_BINS, is_own=False)
     return found
+
+
+def way_of(values: Array, groups: Places, length: float) -> Array:
+    """Return how far a coordinate came, what lies further back than a length along its way forgotten, by episode.
+
+    A force of it is one that pulls back and gives way: hysteresis.
+    """
+    begins = steps_of(groups) == 0
+    moved = np.where(begins, 0.0, np.diff(values, prepend=values[0]))
+    kept = np.where(begins, 0.0, np.exp(-np.abs(moved) / max(length, 1e-300)))
+    came, way = 0.0, np.empty(len(values))
+    for row, (share, step) in enumerate(zip(kept, np.sign(moved) * length * (1 - kept))):
+        came = way[row] = share * came + step
+    return way
 
 
 def _own_past(space: StateSpace, seen: Seen, direction: Array, scale: float, horizon: int) -> list[Regressor]:
@@ -511,6 +567,14 @@ def _own_past(space: StateSpace, seen: Seen, direction: Array, scale: float, hor
         columns[there, column] = force[there - before]
     size = float(np.sqrt(np.mean(columns**2)))
     return [Regressor(PAST, PAST, columns[:, 0], columns / size, True)] if size > 0 else []
+
+
+def _rows_as_known(space: StateSpace, seen: Seen) -> Array:
+    """Return the rows with states as the filter has them from what was measured before."""
+    n_states = len(space.simulator.state_names)
+    if not n_states:
+        return space.X
+    return _turned_back(space, np.c_[filtered(space, seen)[0], space.X[:, n_states:]])
 
 
 def _turned_back(space: StateSpace, rows: Array) -> Array:
@@ -562,9 +626,13 @@ def _response(space: StateSpace, seen: Seen, direction: Array, columns: Array) -
     return response(space, seen.chains, seen.estimate.filtered, drive)
 
 
-def _gram(seen: Seen, N: Array, chosen: Mask | None = None) -> tuple[Array, Array]:
+def _gram(
+    seen: Seen, N: Array, chosen: Mask | None = None, *, taken: Array | None = None
+) -> tuple[Array, Array]:
     mask = seen.chains.mask if chosen is None else seen.chains.mask & chosen[..., None]
     columns, z = N[mask], seen.estimate.filtered.whitened[mask]
+    if taken is not None:
+        columns = columns - taken @ (taken.T @ columns)
     return columns.T @ columns, columns.T @ z
 
 

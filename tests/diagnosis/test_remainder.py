@@ -5,13 +5,14 @@ import functools
 import numpy as np
 import pytest
 
+from skat.diagnosis.causes import find_causes
 from skat.diagnosis.findings import Gain
 from skat.diagnosis.fitting import first_fit
 from skat.diagnosis.remainder import find_remainder, is_unexplained
 from skat.diagnosis.statespace import state_space
 from skat.simulators import FunctionSimulator, MujocoSimulator
 from tests.diagnosis.cart_pole import make_simulator, measure
-from tests.diagnosis.pendulum import FRAME_SKIP, NOMINAL, laid_out, measured
+from tests.diagnosis.pendulum import FRAME_SKIP, NOMINAL, TEXT, laid_out, measured
 
 
 @pytest.fixture(scope="module")
@@ -79,6 +80,30 @@ def test_a_dead_band_of_the_motor_is_found_predictable_from_its_command(simulato
     assert "ctrl.motor" in part.regressor
     assert part.evidence > np.log(100)
     assert len(X) == len(y) == len(groups)
+
+
+def test_a_cable_that_pulls_back_and_gives_way_is_found_predictable_from_where_the_joint_came(simulator):
+    came = [0.0]
+
+    def cable(q, v, time, rng):
+        came[0] = 0.01 * v + (1 - 0.01 * abs(v) / 0.3) * came[0] if time else 0.0
+        return -2 * came[0]
+
+    (part,) = left(simulator, cable).parts
+    assert part.regressor.startswith("the way of qpos.hinge")
+    assert part.evidence > np.log(100)
+
+
+@pytest.mark.parametrize("lacking", [0.0, 0.1])
+def test_a_cause_is_named_for_what_it_does_beside_a_law_that_is_no_effect(simulator, lacking):
+    """Drag that grows with the square of speed is not named a damping; a damping that lacks beside it is."""
+    X, y, groups = measured(
+        TEXT.format(damping=0.05 + lacking), 3, law=lambda q, v, time, rng: -0.02 * abs(v) * v
+    )
+    effects = [one for one in simulator.effects() if one.name in ("damping[hinge]", "stiffness[hinge]")]
+    found = find_causes(laid_out(simulator, X, y, groups), effects)
+    assert list(found.values) == (["damping[hinge]"] if lacking else [])
+    assert found.settled
 
 
 def test_a_white_force_makes_no_verdict_and_is_called_so(simulator):

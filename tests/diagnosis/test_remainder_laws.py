@@ -15,6 +15,7 @@ from skat.diagnosis.fitting import NOTHING_KNOWN, Fitted, Known, first_fit
 from skat.diagnosis.noise import Noise, normal_noise, passed
 from skat.diagnosis.remainder import (
     SIZES,
+    WAYS,
     Law,
     Left,
     Remainder,
@@ -35,6 +36,7 @@ from skat.diagnosis.remainder import (
     find_remainder,
     is_unexplained,
     single,
+    way_of,
     word_of,
     worth_of,
 )
@@ -194,7 +196,10 @@ def test_own_coordinates_are_tried_in_bins_rates_by_sign_and_square_and_time_whe
         "sign(qvel.cart)",
         "|qvel.cart|qvel.cart",
         "qpos.cart qvel.cart",
+        "qpos.cart |qvel.cart|",
+        "qpos.cart qvel.cart^2",
         "qpos.cart",
+        *(f"the way of qpos.cart, {share:g} of its travel" for share in WAYS),
     }
     assert set(found) == own | {"u"} | ({"time"} if episodes == 5 else set())
     assert {name for name, one in found.items() if not one.is_own} == {"u"}
@@ -205,6 +210,8 @@ def test_own_coordinates_are_tried_in_bins_rates_by_sign_and_square_and_time_whe
         ("sign(qvel.cart)", np.sign(speed)),
         ("|qvel.cart|qvel.cart", speed * np.abs(speed)),
         ("qpos.cart qvel.cart", place * speed),
+        ("qpos.cart |qvel.cart|", place * np.abs(speed)),
+        ("qpos.cart qvel.cart^2", place * speed**2),
     ):
         np.testing.assert_allclose(found[name].columns[:, 0], law / np.sqrt(np.mean(law**2)), rtol=1e-12)
     assert found["qvel.cart"].columns.shape[1] > found["u"].columns.shape[1]
@@ -212,14 +219,26 @@ def test_own_coordinates_are_tried_in_bins_rates_by_sign_and_square_and_time_whe
         np.testing.assert_allclose(found["time"].values, np.tile(DT * np.arange(30), 5), atol=1e-12)
 
 
-def test_a_rate_is_known_by_its_unit_and_a_command_is_no_factor():
+def test_a_rate_is_known_by_its_unit_and_a_command_counts_with_how_fast_it_is_met():
     space = rolled([40], simulator=rolling({"x": "m", "w": "rad/s"}, ("x", "w")))
     found = {one.name for one in _regressors(space, directions(("w", "u")), 0, space.X)}
-    assert found == {"constant", "w", "sign(w)", "|w|w", "u", "x"}
+    assert found == {"constant", "w", "sign(w)", "|w|w", "u", "u |w|", "u w^2", "x"}
     unnamed = rolled([40], simulator=rolling({}, ("x", "w")))
     assert {one.name for one in _regressors(unnamed, directions(("w",)), 0, space.X)} == {
         "constant", "w", "u", "x",
     }  # fmt: skip
+
+
+def test_a_way_forgets_along_itself_whatever_the_time_and_begins_anew_in_each_episode():
+    there, back = 1 - np.exp(-1.5 / 0.5), np.exp(-1.0 / 0.5)
+    turned = 0.5 * (back * there - (1 - back))
+    for n in (4, 40):
+        place = np.r_[np.linspace(0, 1.5, n), np.linspace(1.5, 0.5, 2 * n)[1:], 7.0, 7.0]
+        groups = np.r_[np.zeros(len(place) - 2, dtype=int), 1, 1]
+        way = way_of(place, groups, 0.5)
+        assert way[n - 1] == pytest.approx(0.5 * there)
+        assert way[-3] == pytest.approx(turned)
+        np.testing.assert_array_equal(way[-2:], 0)
 
 
 def test_other_joints_coordinates_are_tried_only_while_they_are_few():
