@@ -473,7 +473,9 @@ def _as_expected(
 def _without_states(outputs: Array, d: int) -> ByRow:
     n = len(outputs)
     flat, nothing, unbent = np.zeros((n, d, d)), np.zeros((n, 0)), np.zeros((n, d, 0))
-    return ByRow(outputs, flat, flat, np.zeros((n, d)), nothing, nothing, nothing, unbent, flat, nothing, None)
+    return ByRow(
+        outputs, flat, flat, np.zeros((n, d)), nothing, nothing, nothing, unbent, flat, nothing, None
+    )
 
 
 def _sloped(
