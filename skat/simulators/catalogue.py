@@ -39,8 +39,8 @@ LARGEST_OFFSET = 1.0
 # Of factors on what a servo feeds back; and the error that no servo needs for its whole force, in m or rad: a turn.
 GAIN_BOUNDS = (0.02, 20.0)
 LARGEST_ERROR = (1.0, 2 * math.pi)
-# Simulating takes longer by the inverse of it. Reality has no step: a coarser bound would be an estimate's end.
-FINEST_TIMESTEP = 0.1
+# Reality has no step: a coarser bound would be an estimate's end. So many steps are run for one of the model at most.
+FINEST_TIMESTEP, MOST_STEPS = 0.01, 5
 # Families on joints: what edits the model (None: the stepping does it), and a typical speed, acceleration or angle that
 # makes a force of one unit of it, in SI.
 JOINT_FAMILIES: dict[str, tuple[Callable[..., Any] | None, float]] = {

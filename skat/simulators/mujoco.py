@@ -19,7 +19,7 @@ from skat.effects import FAMILIES, Effect
 from skat.files import whole, writable
 from skat.simulators.anatomy import EXPLICIT_INTEGRATOR, INTEGRATOR, NO_DYNAMICS, Anatomy, actuator_name
 from skat.simulators.base import Acting, Courses, Simulator, sensor_lags
-from skat.simulators.catalogue import Listing, effect_listing
+from skat.simulators.catalogue import MOST_STEPS, Listing, effect_listing
 from skat.simulators.channels import FREE, HINGE, StateLayout, joint_name, state_layout
 from skat.simulators.commands import CommandPath
 from skat.simulators.compiling import checked_model, compile_spec, lean_spec
@@ -47,6 +47,7 @@ PREPARED = ("torque_speed", "lag_torque")
 STEPPED = ("wind", "air_drag", "force", "dead_zone", *PREPARED)
 # Families that a written model has beside it, and with them what comes before them: what is done to commands.
 BEHIND_COMMANDS = ("dead_zone", *PREPARED)
+RUNGE_KUTTA = int(mujoco.mjtIntegrator.mjINT_RK4)
 # Families that act by their names, whatever an edit says.
 RESERVED = ("bias", "scale", "lag", "delay", "timestep", "backlash", "payload", *PREPARED)
 
@@ -295,7 +296,7 @@ class MujocoSimulator(Simulator):
             value = values[effect.name]
             of_payload = effect.family == "payload" and effect.unit == "m"
             if effect.family == "timestep":
-                substeps = round(self.frame_skip / value) or 1
+                substeps = min(round(self.frame_skip / value) or 1, MOST_STEPS * self.frame_skip)
                 written = self.frame_skip / substeps
                 if len(self._substeps(values)) > 1:
                     rounded[effect.name] = written
@@ -851,9 +852,14 @@ class MujocoSimulator(Simulator):
     def _substeps(self, values: Mapping[str, float]) -> list[tuple[float, int]]:
         """Return the numbers of time steps per transition to run, each with its share in the result.
 
-        Between whole numbers the result is interpolated, so that it is continuous in the time step.
+        Between whole numbers the result is interpolated, so that it is continuous in the time step. Of steps finer than
+        are run it is extrapolated from those and from twice as long ones, by the order of the integrator.
         """
-        exact = self.frame_skip / values.get("timestep", 1.0)
+        exact, most = self.frame_skip / values.get("timestep", 1.0), MOST_STEPS * self.frame_skip
+        if exact > most:
+            few, order = math.ceil(most / 2), 4 if self._nominal.opt.integrator == RUNGE_KUTTA else 1
+            wanted, fine, coarse = (steps**-order for steps in (exact, most, few))
+            return [(1.0, most), ((wanted - fine) / (coarse - fine), few)]
         if abs(exact - round(exact)) < 1e-9:
             return [(1.0, round(exact))]
         return [(1.0, math.floor(exact)), (exact - math.floor(exact), math.ceil(exact))]

@@ -230,7 +230,7 @@ def test_factors_may_be_as_much_too_small_as_too_large_and_signs_turn_round():
             assert 0 < low * high <= 1.0, effect.name
     assert found["gravity"].bounds[0] == 0.0
     assert found["tilt[x]"].bounds[1] < np.pi / 4
-    assert found["timestep"].bounds == pytest.approx((0.1, 5.0))
+    assert found["timestep"].bounds == pytest.approx((0.01, 5.0))
 
 
 def test_forces_have_bounds_and_sizes_of_the_weight_that_they_act_on():

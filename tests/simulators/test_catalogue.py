@@ -181,7 +181,7 @@ def test_commands_are_late_by_up_to_five_transitions_and_scaled_or_shifted_withi
         "scale[ctrl.turner]": ("1", 1.0, -100.0, 100.0, 0.2, ACCEPTED),
         "dead_zone[pusher]": ("m", 0.0, 0.0, 0.27, 0.003, ASKED),
         "dead_zone[turner]": ("unit of ctrl.turner", 0.0, 0.0, 9.0, 0.1, ASKED),
-        "timestep": ("1", 1.0, 0.1, 20.0, 0.7, LISTED),
+        "timestep": ("1", 1.0, 0.01, 20.0, 0.7, LISTED),
     }
     families = "gain force_limit kp kv offset delay lag bias scale dead_zone timestep"
     assert_same(entries(MACHINE.format(integrator="RK4"), families, frame_skip=20), expected)

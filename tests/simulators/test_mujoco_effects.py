@@ -492,6 +492,22 @@ def test_timestep_is_continuous_between_whole_numbers_of_steps():
     np.testing.assert_allclose(exact[4], exact[1], atol=1e-7)
 
 
+@pytest.mark.parametrize("integrator, order", [("Euler", 1), ("implicitfast", 1), ("RK4", 4)])
+def test_steps_finer_than_are_run_are_off_no_more_than_such_steps_are(integrator, order):
+    """Beside two hundred steps for one of the model."""
+    text = ARM.replace("RK4", integrator)
+    rows, simulator = arm_rows(), MujocoSimulator(text, frame_skip=4)
+    step = f'timestep="{simulator.dt / 4:g}"'
+    assert step in text
+    fine = text.replace(step, f'timestep="{simulator.dt / 800:g}"').replace(integrator, "RK4")
+    truth = MujocoSimulator(fine, frame_skip=800).predict(rows)
+    factors = np.array([1.0, 0.2, 0.2 - 1e-9, 0.05, 0.01])
+    found = simulator.predict_many(rows, [{"timestep": one} for one in factors])
+    coarse, *rest = (np.sqrt(np.mean((one - truth) ** 2)) for one in found)
+    assert (np.array(rest) / coarse < factors[1:] ** order + 0.005).all()
+    np.testing.assert_allclose(found[2], found[1], atol=1e-9)
+
+
 @pytest.mark.parametrize("text", [ARM, CUBE])
 def test_neutral_values_change_no_bit(text):
     simulator = MujocoSimulator(text, frame_skip=4)
