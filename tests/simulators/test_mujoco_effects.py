@@ -492,7 +492,7 @@ def test_timestep_is_continuous_between_whole_numbers_of_steps():
     np.testing.assert_allclose(exact[4], exact[1], atol=1e-7)
 
 
-@pytest.mark.parametrize("integrator, order", [("Euler", 1), ("implicitfast", 1), ("RK4", 4)])
+@pytest.mark.parametrize(("integrator", "order"), [("Euler", 1), ("implicitfast", 1), ("RK4", 4)])
 def test_steps_finer_than_are_run_are_off_no_more_than_such_steps_are(integrator, order):
     """Beside two hundred steps for one of the model."""
     text = ARM.replace("RK4", integrator)
