@@ -158,17 +158,22 @@ class Fits:
         """
         places = self.places(fit)
         for column, one in enumerate(fit.members):
-            if self.effects[one].family != "dry_friction":
-                continue
             most, least = places[column], 0.0
+            if self.effects[one].family != "dry_friction" or most <= 0:
+                continue
             gram = self.gram(fit.fitted, (one,), fit.widths[[column]])
             missed = most * (gram.projections[0] + gram.products[0, 0] * most / 2)
-            if missed > STILL:
+            without = np.where(np.arange(len(places)) == column, 0.0, places)
+            # What holds nothing is not missed at all.
+            if (
+                missed > STILL
+                or self.unweighed(fit.members, without, fit).fitted.bound >= fit.fitted.bound - STILL
+            ):
                 continue
             widths, held = fit.widths.copy(), fit
             while most - least > STANDS_STILL * most:
                 places[column] = (least + most) / 2
-                about = self.about(fit.members, places, fit)
+                about = self.unweighed(fit.members, places, fit)
                 if about.fitted.bound < held.fitted.bound - STILL:
                     least = places[column]
                 else:

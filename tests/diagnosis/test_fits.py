@@ -322,3 +322,21 @@ def test_a_delay_is_found_from_wherever_slopes_say(rows):
     fits = Fits(space, (delay,), priors_of((delay,)), Known(), 1.0)
     found = fits.of((0,), np.array([rows * simulator.dt]), fits.first(), own_slopes=False)
     assert found.values[delay.name] == pytest.approx(2 * simulator.dt, rel=1e-3)
+
+
+def test_friction_that_holds_nothing_is_not_looked_for_below_what_is_found(monkeypatch):
+    """A log of the model as it is may ask for a little of it, and is as likely without."""
+    space = pendulum.laid_out(SIMULATOR, *pendulum.measured(pendulum.TEXT.format(damping=0.05), 1, rows=125))
+    friction = next(effect for effect in SIMULATOR.effects() if effect.family == "dry_friction")
+    fits, fitted = Fits(space, (friction,), priors_of((friction,)), Known(), 1.0), []
+    unweighed = Fits.unweighed
+
+    def counted(*arguments):
+        fitted.append(arguments)
+        assert len(fitted) < 10
+        return unweighed(*arguments)
+
+    monkeypatch.setattr(Fits, "unweighed", counted)
+    found = fits.of((0,), [0.01], fits.first())
+    assert 0 < found.values[friction.name] < 1e-3
+    assert found.widths[0] > 0
