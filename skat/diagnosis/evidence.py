@@ -231,7 +231,7 @@ def posterior_mode(
             break
     curvature = G + np.diag(weights**2 * (scales**2 - values**2) / 2)
     if not np.isfinite(_log_determinant(curvature)):
-        curvature = G + np.diag(weights)
+        curvature = G + np.diag(weights + RANK * np.diag(G))
     return values, curvature
 
 
@@ -254,7 +254,9 @@ def bounded_solution(H: Array, b: Array, low: Array, high: Array, start: Array) 
             part = scaled if free.all() else scaled[free][:, free]
             right = (b - H @ x)[free] * unit[free]
             _, solved, failed = dposv(part, right)
-            x[free] = (np.linalg.solve(part, right) if failed else solved) * unit[free]
+            if failed:
+                solved = np.linalg.solve(part + RANK * np.eye(len(part)), right)
+            x[free] = solved * unit[free]
         excess = np.maximum(low - x, x - high) / unit
         if (excess > 0).any():
             worst = int(np.argmax(excess))

@@ -290,3 +290,14 @@ def test_sets_weighed_from_those_before_come_to_the_same(low, high, strength):
         assert one.evidence == pytest.approx(other.evidence, abs=0.02)
         np.testing.assert_allclose(one.values, other.values, atol=0.02 * np.max(other.deviations))
         assert one.likelihood == pytest.approx(other.likelihood, abs=0.02)
+
+
+def test_of_effects_that_are_the_same_but_for_rounding_more_are_worth_no_more():
+    same = np.array([1.0, 1.0, 0.7])
+    some = Priors(tuple("abc"), np.full(3, 0.1), np.full(3, -2.0), -np.ones(3), np.ones(3))
+    for information in (1e8, 1e18, 1e20):
+        products = information * np.outer(same, same)
+        gram = Gram(products, products @ [0.1, 0.0, 0.0], np.zeros(3))
+        alone = weigh(gram, some, (0,)).evidence
+        for members in ((0, 1), (0, 1, 2)):
+            assert weigh(gram, some, members).evidence <= alone
