@@ -14,7 +14,6 @@ from skat.diagnosis.statespace import (
     Forces,
     Linear,
     StateSpace,
-    coarsely,
     finite,
     is_bent,
     normal_points,
@@ -50,7 +49,7 @@ def derivatives(
         Between which values these are taken; as `steps` by default.
     """
     simulator, rows, base = space.simulator, space.rows(linear.path), linear.outputs
-    if coarsely(values) != values and set(steps) != {TIME_STEP}:
+    if simulator.coarsely(values) != values and set(steps) != {TIME_STEP}:
         return _of_finer_steps(space, linear, values, steps, known, wide)
     neutral = {effect.name: effect.neutral for effect in simulator.effects(also="all")}
     safe = finite(base, linear.path[:, 1:][space.places])
@@ -120,8 +119,8 @@ def _of_finer_steps(
     known: Array | None,
     wide: Mapping[str, tuple[float, float]] | None,
 ) -> Array:
-    """Return what `derivatives` does where a finer time step is a cause: by it at its value, and see `coarsely`."""
-    wide, rough = wide or steps, coarsely(values)
+    """Return what `derivatives` does where a finer time step is a cause: by it as it is; see `Simulator.coarsely`."""
+    wide, rough = wide or steps, space.simulator.coarsely(values)
     found: dict[str, Array] = {}
     (ends,) = space.simulated(space.rows(linear.path), [rough], linear.forces.means)
     there = values, linear, [name for name in steps if name == TIME_STEP]

@@ -394,7 +394,7 @@ def linearise(
         nothing = np.zeros((len(rows), len(simulator.joint_forces())))
         forces = Forces(nothing, nothing) if slopes is None else slopes.forces
     acting, unsure = forces.means, forces.deviations
-    rough = coarsely(values)
+    rough = simulator.coarsely(values)
     if simulator.state_names and slopes is None:
         past = space.past(rows, [rough], acting)
         outputs = None if rough == values else space.simulated(rows, [values], acting)[0]
@@ -415,21 +415,13 @@ def linearise(
     return _assembled(space, path, forces, found)
 
 
-def coarsely(values: Mapping[str, float]) -> dict[str, float]:
-    """Return values with the model's own time step in the place of a finer one.
-
-    What a state, a force or an effect changes in a step hardly depends on it, and slopes are most of what a fit costs.
-    """
-    return {name: value for name, value in values.items() if name != TIME_STEP or value > 1}
-
-
 def about_forces(space: StateSpace, linear: Linear, values: Mapping[str, float], forces: Forces) -> Linear:
     """Return the simulation about a path that it was about, with other forces and its own slopes by them.
 
     Slopes by the state, and what is beyond them, stay: see `linearise`.
     """
     rows, after = space.rows(linear.path), space.path_ends(linear.path)
-    rough = coarsely(values)
+    rough = space.simulator.coarsely(values)
     past = space.past(rows, [rough], forces.means)
     (base,) = space.simulator.predict_many(rows, [rough], past=past)
     outputs = base if rough == values else space.simulated(rows, [values], forces.means)[0]
@@ -490,7 +482,7 @@ def _sloped(
 ) -> ByRow:
     """Return rows with slopes taken over what is not known of the states that they start from, (n_rows, d, d).
 
-    The rows end at `outputs`, if these are given, and slopes are those at `values`; see `coarsely`.
+    The rows end at `outputs`, if these are given, and slopes are those at `values`; see `Simulator.coarsely`.
     """
     d, n, units, parts = space.d, len(rows), space.spread, space.parts
     roots = (

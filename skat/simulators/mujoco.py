@@ -849,6 +849,14 @@ class MujocoSimulator(Simulator):
                 found.append(Play(*columns, int(link.dofadr[0]), width))
         return tuple(sorted(found, key=lambda play: play.play))
 
+    def coarsely(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Return values with the model's own time step in the place of a finer one.
+
+        What a state, a force or an effect changes in a transition hardly depends on it, and slopes are most of what a
+        fit costs.
+        """
+        return {name: value for name, value in values.items() if name != "timestep" or value > 1}
+
     def _substeps(self, values: Mapping[str, float]) -> list[tuple[float, int]]:
         """Return the numbers of time steps per transition to run, each with its share in the result.
 

@@ -649,3 +649,15 @@ def test_the_first_state_alone_may_be_one_that_nobody_measured():
     X[:, 0] = y[:, 0] = np.nan
     space = state_space(simulator, X, y, np.zeros(6, dtype=int), consecutive=True)
     np.testing.assert_allclose(space.measured[0], truth, atol=1e-12)
+
+
+def test_slopes_are_those_at_a_time_step_that_a_function_was_given():
+    """A function's own effect may be called so: nothing is known of what a coarser one would do."""
+    step = Effect("timestep", unit="s", neutral=DT, bounds=(0.01, 0.5))
+
+    def moved(X, timestep=DT):
+        return np.c_[X[:, 0] + timestep * X[:, 1], X[:, 1] + timestep * X[:, 2]]
+
+    space = state_space(of_states(moved, effects=(step,)), *logged([10]), consecutive=True)
+    linear = linearise(space, space.measured, {"timestep": 0.3})
+    np.testing.assert_allclose(linear.by_row.transitions, np.tile([[1, 0.3], [0, 1]], (10, 1, 1)), atol=1e-6)
