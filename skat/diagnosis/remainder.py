@@ -517,7 +517,7 @@ def _regressors(space: StateSpace, directions: _Directions, index: int, rows: Ar
                     found += single(f"{other} |{name}|", title, beside * values, beside * np.abs(values))
                     found += single(f"{other} {name}^2", title, beside * values, beside * values**2)
         elif simulator.units.get(name) in ("rad", "m"):
-            along = np.unwrap(values) if simulator.units[name] == "rad" else values
+            along = unwrapped(values, space.groups) if simulator.units[name] == "rad" else values
             travel = float(np.ptp(along))
             for share in WAYS:
                 title = f"the way of {name}, {share:g} of its travel"
@@ -532,6 +532,12 @@ def _regressors(space: StateSpace, directions: _Directions, index: int, rows: Ar
         for name in others:
             found += binned(name, rows[:, places[name]], OTHER_BINS, is_own=False)
     return found
+
+
+def unwrapped(angles: Array, groups: Places) -> Array:
+    """Return angles that do not jump by turns within an episode; each begins where it does."""
+    begins = np.flatnonzero(steps_of(groups) == 0)
+    return np.concatenate([np.unwrap(one) for one in np.split(angles, begins[1:])])
 
 
 def way_of(values: Array, groups: Places, length: float) -> Array:

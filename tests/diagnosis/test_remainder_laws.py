@@ -36,6 +36,7 @@ from skat.diagnosis.remainder import (
     find_remainder,
     is_unexplained,
     single,
+    unwrapped,
     way_of,
     word_of,
     worth_of,
@@ -239,6 +240,14 @@ def test_a_way_forgets_along_itself_whatever_the_time_and_begins_anew_in_each_ep
         assert way[n - 1] == pytest.approx(0.5 * there)
         assert way[-3] == pytest.approx(turned)
         np.testing.assert_array_equal(way[-2:], 0)
+
+
+def test_angles_go_on_within_an_episode_and_begin_anew_in_the_next():
+    there = np.linspace(-2.5, 2.5, 50)
+    turning = np.r_[there, there + 5.0]
+    folded = (np.tile(turning, 3) + np.pi) % (2 * np.pi) - np.pi
+    along = unwrapped(folded, np.repeat(np.arange(3), 100))
+    np.testing.assert_allclose(along, np.tile(turning, 3))
 
 
 def test_other_joints_coordinates_are_tried_only_while_they_are_few():
