@@ -284,7 +284,8 @@ def find_causes(
     # Of a first look slopes alone tell; a search does not stand where fits and slopes differ on what is worth a name.
     firm = now if coarse else _without_doubtful(fits, now, worth, needed)
     stands = stands and firm is now
-    own = firm if coarse else _without_stand_ins(fits, firm, state.slopes[..., list(firm.members)], needed)
+    slopes = state.slopes[..., list(now.members)] if firm is now else _slopes(fits, firm, firm.members)
+    own = firm if coarse else _without_stand_ins(fits, firm, slopes, needed)
     misled, firm = misled or own is not firm, own
     now, rivals = firm, [one for one in rivals if one.cause in firm.members]
     best = worth(now.members)

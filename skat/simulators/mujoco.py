@@ -850,12 +850,12 @@ class MujocoSimulator(Simulator):
         return tuple(sorted(found, key=lambda play: play.play))
 
     def coarsely(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return values with the model's own time step in the place of a finer one.
+        """Return values with the finest time step that is run in the place of one that is extrapolated.
 
-        What a state, a force or an effect changes in a transition hardly depends on it, and slopes are most of what a
-        fit costs.
+        Not with a coarser one: in that a stiff servo moves in another way.
         """
-        return {name: value for name, value in values.items() if name != "timestep" or value > 1}
+        finest = 1 / MOST_STEPS
+        return {name: max(one, finest) if name == "timestep" else one for name, one in values.items()}
 
     def _substeps(self, values: Mapping[str, float]) -> list[tuple[float, int]]:
         """Return the numbers of time steps per transition to run, each with its share in the result.

@@ -661,3 +661,17 @@ def test_slopes_are_those_at_a_time_step_that_a_function_was_given():
     space = state_space(of_states(moved, effects=(step,)), *logged([10]), consecutive=True)
     linear = linearise(space, space.measured, {"timestep": 0.3})
     np.testing.assert_allclose(linear.by_row.transitions, np.tile([[1, 0.3], [0, 1]], (10, 1, 1)), atol=1e-6)
+
+
+@pytest.mark.parametrize("value", [0.25, 0.1])
+def test_slopes_of_a_stiff_servo_are_those_of_a_finer_step(value):
+    text = """<mujoco><option timestep="{step}"/><worldbody><body><joint name="j" type="slide" damping="1"/>
+    <geom size=".1" mass="1"/></body></worldbody>
+    <actuator><position name="s" joint="j" kp="9000"/></actuator></mujoco>"""
+    rows = np.random.default_rng(0).normal(size=(10, 3))
+    found = []
+    for step, skip, values in ((0.01, 2, {"timestep": value}), (0.01 * value, round(2 / value), {})):
+        simulator = MujocoSimulator(text.format(step=step), frame_skip=skip)
+        space = state_space(simulator, rows, rows[:, :2], np.arange(10), consecutive=False)
+        found.append(linearise(space, space.measured, values).by_row.transitions)
+    np.testing.assert_allclose(found[0], found[1], rtol=0.4)
