@@ -477,18 +477,27 @@ def _without_doubtful(fits: Fits, now: Fit, worth: Weigher, needed: float) -> Fi
 def _without_stand_ins(fits: Fits, now: Fit, slopes: Array, needed: float) -> Fit:
     """Return a set with those members that are worth a name beside laws that are no effects, at their values there.
 
-    Fitted without the laws they would take what is the laws'.
+    Fitted without the laws they would take what is the laws'. A value moves by the difference of what slopes have it to
+    be with laws and without: where slopes would leave a fit that stands, that is no matter of laws.
     """
+    held: Array | None = None
     while now.members:
         effects = [fits.effects[one] for one in now.members]
-        gram = beside_laws(fits.space, now.fitted, gram_of(fits.space, now.fitted, slopes, effects), needed)
+        columns, priors = gram_of(fits.space, now.fitted, slopes, effects), fits.priors.part(now.members)
+        gram = beside_laws(fits.space, now.fitted, columns, needed)
         if gram is None:
             break
-        worth = Weigher(gram, fits.priors.part(now.members), power=fits.power)
+        worth = Weigher(gram, priors, power=fits.power)
         strong, _ = without_weak(worth(range(len(effects))), worth, needed)
-        if len(strong.members) == len(effects):
+        kept = list(strong.members)
+        if len(kept) == len(effects):
             break
-        now = fits.about([now.members[one] for one in strong.members], strong.values, now)
+        if held is None:
+            alone = weigh(columns.gram, priors, range(len(effects)), power=fits.power)
+            held = fits.places(now) - alone.values
+        held = held[kept]
+        places = np.clip(strong.values + held, priors.low[kept], priors.high[kept])
+        now = fits.about([now.members[one] for one in kept], places, now)
         slopes = _slopes(fits, now, now.members)
     return now
 

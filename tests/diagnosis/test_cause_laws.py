@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from skat.diagnosis.causes import _ends_of_chords, _live, readable, typical_biases
+from skat.diagnosis import causes
+from skat.diagnosis.causes import _ends_of_chords, _live, _without_stand_ins, readable, typical_biases
 from skat.diagnosis.chains import Memory
 from skat.diagnosis.evidence import Gram, Priors, Weighed, Weigher, weigh
 from skat.diagnosis.fitting import (
@@ -381,6 +382,36 @@ def test_effects_that_may_still_be_causes_are_those_of_likely_sets():
 
 def bias(target, unit):
     return Effect(f"bias[{target}]", unit=unit, neutral=0.0, bounds=(-1.0, 1.0))
+
+
+def test_beside_a_law_a_value_moves_by_what_the_law_changes_and_not_by_where_slopes_would_leave_the_fit(
+    monkeypatch,
+):
+    """Slopes would have the shift at -.6 where the fit stands at -.5; with a law at -.7."""
+    effects, members = (SHIFT, DRAG), (0, 1)
+    at = np.array([-0.5, 0.2])
+
+    def gram(*modes):
+        products = 1e6 * np.eye(2)
+        return Gram(products, products @ (np.array(modes) - at), at)
+
+    fits = SimpleNamespace(
+        space=None,
+        effects=effects,
+        priors=priors_of(effects),
+        power=1.0,
+        places=lambda fit: fit.places,
+        about=lambda kept, places, near: SimpleNamespace(members=tuple(kept), places=places, fitted=None),
+    )
+    laws = iter([gram(-0.7, 0.0), None])
+    monkeypatch.setattr(causes, "gram_of", lambda *_: SimpleNamespace(gram=gram(-0.6, 0.2)))
+    monkeypatch.setattr(causes, "beside_laws", lambda *_: next(laws))
+    monkeypatch.setattr(causes, "_slopes", lambda *_: None)
+    left = _without_stand_ins(
+        fits, SimpleNamespace(members=members, places=at, fitted=None), None, np.log(100)
+    )
+    assert left.members == (0,)
+    assert left.places == pytest.approx([-0.6], abs=1e-4)
 
 
 def test_sensors_that_were_not_read_have_no_effects_and_biases_of_odd_units_are_shares_of_a_spread():
