@@ -174,9 +174,14 @@ def test_a_prior_without_a_size_is_refused(what, value):
 
 
 def test_typical_sizes_are_small_against_what_they_change():
-    """A model is rarely off by more than a fifth; of what is added, m, rad and s are small numbers on a robot."""
+    """A model is rarely off by more than a fifth; of what is added, m, rad and s are small numbers on a robot.
+
+    But for a time step: steps are halved.
+    """
     for record in FAMILIES.values():
-        if record.neutral == 1.0 and record.typical is not None:
+        if record.name == "timestep":
+            assert record.typical == pytest.approx(math.log(2), abs=0.01)
+        elif record.neutral == 1.0 and record.typical is not None:
             assert 0 < record.typical <= 0.2, record.name
         elif record.neutral == 0.0 and record.typical is not None:
             assert 0 < record.typical <= 0.1, record.name

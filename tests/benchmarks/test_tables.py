@@ -163,9 +163,9 @@ def test_the_prior_of_a_draw_is_a_cauchy_within_bounds():
 def test_a_constant_is_replaced_wherever_a_module_takes_it_and_put_back():
     import ablation
 
-    from skat.diagnosis import doubts, log
+    from skat.diagnosis import log, statespace
 
-    assert log.QUATERNION is doubts.QUATERNION
+    assert log.QUATERNION is statespace.QUATERNION
     with ablation.replaced("statespace", "QUATERNION", ("w",)):
-        assert doubts.QUATERNION == log.QUATERNION == ("w",)
-    assert doubts.QUATERNION == log.QUATERNION != ("w",)
+        assert statespace.QUATERNION == log.QUATERNION == ("w",)
+    assert statespace.QUATERNION == log.QUATERNION != ("w",)
