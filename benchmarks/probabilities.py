@@ -168,7 +168,7 @@ def diagram(lines, path):
     axes.set(
         xlabel="stated probability", ylabel="share that is right", xlim=(0, 1), ylim=(0, 1), aspect="equal"
     )
-    figure.savefig(path)
+    figure.savefig(path, metadata={"Date": None} if str(path).endswith(".svg") else None)
     plt.close(figure)
 
 
@@ -180,6 +180,8 @@ if __name__ == "__main__":
         at = arguments.index("--diagram")
         target = arguments[at + 1]
         lines = tables.lines_of(tables.RESULTS / "probabilities.jsonl", tables.source_hash())
+        if not lines:
+            sys.exit("nothing to draw: results/probabilities.jsonl has no line of the sources at hand")
         diagram(lines, target)
         del arguments[at : at + 2]
     tables.main(TABLE, __doc__, arguments)
