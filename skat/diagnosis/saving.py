@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from skat.diagnosis.archive import EffectRecord, digest, opened, skat_version, write_archive
+from skat.diagnosis.archive import bare, digest, opened, skat_version, write_archive
 from skat.diagnosis.causes import Search
 from skat.diagnosis.chains import Array, Places
 from skat.diagnosis.log import Log
@@ -105,7 +105,7 @@ class SavedSimulator:
     parameters : dict or None
         Of its constructor; None of one that is Python code.
     input_names, output_names, state_names : tuple of str
-    effects : tuple of EffectRecord
+    effects : tuple of Effect
     rows : ndarray of shape (n_probes, n_inputs)
         Inputs of the first rows of the log, guesses where nothing was measured.
     groups : ndarray of shape (n_probes,)
@@ -118,7 +118,7 @@ class SavedSimulator:
     input_names: tuple[str, ...]
     output_names: tuple[str, ...]
     state_names: tuple[str, ...]
-    effects: tuple[EffectRecord, ...]
+    effects: tuple[Effect, ...]
     rows: Array
     groups: Places
     outputs: Array
@@ -133,7 +133,7 @@ class SavedSimulator:
             tuple(simulator.input_names),
             tuple(simulator.output_names),
             tuple(simulator.state_names),
-            tuple(EffectRecord.of(effect) for effect in simulator.effects(also="all")),
+            tuple(bare(effect) for effect in simulator.effects(also="all")),
             rows,
             groups,
             _outputs(simulator, rows, groups),
@@ -179,8 +179,8 @@ class SavedSimulator:
         if missing:
             return f"it has no {', '.join(missing[:5])}{' ...' if len(missing) > 5 else ''}"
         for one in self.effects:
-            if not one.is_like(known[one.name]):
-                now = EffectRecord.of(known[one.name])
+            now = known[one.name]
+            if not is_like(one, now):
                 return (
                     f"{one.name} is in {now.unit}, neutral at {now.neutral:g}, bounds {now.bounds}, and was in "
                     f"{one.unit}, neutral at {one.neutral:g}, bounds {one.bounds}"
@@ -196,6 +196,12 @@ class SavedSimulator:
                 f"predicted {self.outputs[row, column]:g}"
             )
         return ""
+
+
+def is_like(one: Effect, other: Effect) -> bool:
+    """Whether values of an effect mean what those of another one do."""
+    numbers = (one.neutral, *one.bounds), (other.neutral, *other.bounds)
+    return one.unit == other.unit and np.allclose(*numbers, rtol=1e-6, atol=1e-12)
 
 
 def _parameters(simulator: Simulator) -> dict[str, Any] | None:
@@ -337,6 +343,3 @@ class Checkpoint:
             f"the fit cannot go on from {self._path}: {reason}. Fit as it was begun, or begin anew with another "
             "resume=, or without that file."
         )
-
-
-__all__ = ["Begun", "Checkpoint", "read_diagnosis", "write_diagnosis"]
