@@ -2,7 +2,6 @@
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -17,9 +16,8 @@ from skat.simulators import MujocoSimulator
 FIXED = ("gravity", "tilt", "length", "wind", "air_drag", "position_friction", "inertia")
 # Least factor of what motors exert: the other way they turn by a sign.
 NEARLY_TURNED = -0.5
-# Places along each side of a body at which a weight is tried; those that act alike are one: by the cosine between
-# what they exert, and by how much the larger may exert more.
-PLACES, ALIKE, AS_MUCH = 3, 0.9995, 0.1
+# Places along each side of a body at which a weight is tried.
+PLACES = 3
 # Of what the largest candidate exerts, over the noise: below, there is rounding.
 FAINTEST = 1e-6
 # Rows by which commands may come later, or earlier, in the second log.
@@ -97,31 +95,10 @@ def _weights(simulator: MujocoSimulator) -> list[Candidate]:
     return found
 
 
-def distinct(offered: Sequence[Candidate], whitened: Array) -> tuple[list[Candidate], list[int]]:
-    """Return candidates that can be seen, of one effect those that act differently, and their places among all.
-
-    ``whitened`` (n_rows, n_candidates) holds what typical sizes exert, over the noise. Of those that act alike one has
-    the odds of all.
-    """
+def seen_of(whitened: Array) -> list[int]:
+    """Return which candidates show, by what typical sizes of them exert over the noise, (n_rows, n_candidates)."""
     sizes = np.linalg.norm(whitened, axis=0)
-    kept: list[int] = []
-    odds = [one.odds for one in offered]
-    for place, one in enumerate(offered):
-        if sizes[place] < FAINTEST * sizes.max():
-            continue
-        twins = [
-            other
-            for other in kept
-            if offered[other].effect is one.effect
-            and not one.late
-            and whitened[:, other] @ whitened[:, place] > ALIKE * sizes[other] * sizes[place]
-            and abs(sizes[other] / sizes[place] - 1) < AS_MUCH
-        ]
-        if twins:
-            odds[twins[0]] += one.odds
-        else:
-            kept.append(place)
-    return [replace(offered[place], odds=odds[place]) for place in kept], kept
+    return [int(place) for place in np.flatnonzero(sizes >= FAINTEST * sizes.max())]
 
 
 def rivals_of(candidates: Sequence[Candidate]) -> dict[int, list[int]]:

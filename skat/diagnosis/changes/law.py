@@ -12,10 +12,6 @@ from skat.diagnosis.forces.force_space import LEFT_AT_LEAST, NOISE_TURNS, Rows, 
 
 # Effects differ between windows by this share of their typical size, told as by so many windows.
 APART_AT_LEAST, PSEUDO = 0.1, 1.0
-# Turns of what windows differ by, within each turn of noise.
-WINDOW_TURNS = 5
-# Of its typical size, by which an effect differs from window to window until the logs tell.
-BEGUN = 0.3
 
 
 @dataclass(frozen=True)
@@ -65,7 +61,7 @@ def settled_law(sides: Sequence[Rows], possible: tuple[Array, Array] | None = No
     first = np.arange(len(together.target)) < len(sides[0].target)
     masks = first, ~first
     noise = noise_of(together, together.target**2, flat=True)
-    spread, weights = np.full(k, BEGUN**2), np.r_[np.ones(k), np.full(k, BEGUN**-2)]
+    spread, weights = np.ones(k), np.ones(2 * k)
     maps = np.eye(k, 2 * k), np.hstack([np.eye(k), np.eye(k)])
     # Windows of both logs, one behind the other.
     windows = [
@@ -80,27 +76,26 @@ def settled_law(sides: Sequence[Rows], possible: tuple[Array, Array] | None = No
             for _, own in windows
         ]
         G, h = np.array([one.products for one in parts]), np.array([one.projections for one in parts])
-        for _ in range(WINDOW_TURNS):
-            inner = np.linalg.inv(G + np.diag(1 / spread))
-            apart, alone = inner @ G, (inner @ h[:, :, None])[:, :, 0]
-            # Of the rest of each window, with what it has of its own integrated out.
-            rest, right = apart / spread[:, None], alone / spread
-            one, other = rest[~second].sum(axis=0), rest[second].sum(axis=0)
-            H = np.block([[one + other + np.diag(weights[:k]), other], [other, other + np.diag(weights[k:])]])
-            law = np.linalg.inv(H)
-            solved = law @ np.r_[right.sum(axis=0), right[second].sum(axis=0)]
-            values, covers = (
-                np.array(each) for each in zip(*((map_ @ solved, map_ @ law @ map_.T) for map_ in maps))
-            )
-            value, cover = values[second.astype(int)], covers[second.astype(int)]
-            means = alone - (apart @ value[:, :, None])[:, :, 0]
-            moments = np.sum(means**2, axis=0)
-            unsure = np.einsum("wii->wi", inner) + np.sum((apart @ cover) * apart, axis=2)
-            told = np.sum(1 - unsure / spread, axis=0)
-            # MacKay's fixed point: squares over how many of them the rows tell, and not the law itself.
-            last = inner, apart, value, cover, means
-            spread = (moments + PSEUDO * APART_AT_LEAST**2) / (np.maximum(told, 0) + PSEUDO)
-            weights = 2 / (1 + solved**2)
+        inner = np.linalg.inv(G + np.diag(1 / spread))
+        apart, alone = inner @ G, (inner @ h[:, :, None])[:, :, 0]
+        # Of the rest of each window, with what it has of its own integrated out.
+        rest, right = apart / spread[:, None], alone / spread
+        one, other = rest[~second].sum(axis=0), rest[second].sum(axis=0)
+        H = np.block([[one + other + np.diag(weights[:k]), other], [other, other + np.diag(weights[k:])]])
+        law = np.linalg.inv(H)
+        solved = law @ np.r_[right.sum(axis=0), right[second].sum(axis=0)]
+        values, covers = (
+            np.array(each) for each in zip(*((map_ @ solved, map_ @ law @ map_.T) for map_ in maps))
+        )
+        value, cover = values[second.astype(int)], covers[second.astype(int)]
+        means = alone - (apart @ value[:, :, None])[:, :, 0]
+        moments = np.sum(means**2, axis=0)
+        unsure = np.einsum("wii->wi", inner) + np.sum((apart @ cover) * apart, axis=2)
+        told = np.sum(1 - unsure / spread, axis=0)
+        # MacKay's fixed point: squares over how many of them the rows tell, and not the law itself.
+        last = inner, apart, value, cover, means
+        spread = (moments + PSEUDO * APART_AT_LEAST**2) / (np.maximum(told, 0) + PSEUDO)
+        weights = 2 / (1 + solved**2)
         squares = np.empty(len(noise))
         for (_, own), *of_window in zip(windows, *last):
             squares[own] = _squares(together.target[own], together.columns[own], noise[own], *of_window)

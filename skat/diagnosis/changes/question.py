@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skat.diagnosis.chains import Array, Mask
-from skat.diagnosis.changes.candidates import distinct, offered_candidates, units_of
+from skat.diagnosis.changes.candidates import offered_candidates, seen_of, units_of
 from skat.diagnosis.changes.law import Law, settled_law, with_misfit
 from skat.diagnosis.changes.windows import total, windows_of
 from skat.diagnosis.forces.force_space import Motion, Rows, joined
@@ -226,15 +226,11 @@ def question_of(
     offered, scales = offered_candidates(simulator, effects, common, sizes, typical)
     units = scales * units_of(offered, first)
     columns = columns_of(simulator, halves[1], second, offered, units, driven_by=second)
-    noise = law.noise[1]
-    whitened = columns / noise[:, None]
-    offered, kept = distinct(offered, whitened)
-    sides[1] = replace(
-        sides[1], columns=np.column_stack([sides[1].columns, whitened[:, kept] * noise[:, None]])
-    )
+    kept = seen_of(columns / law.noise[1][:, None])
+    sides[1] = replace(sides[1], columns=np.column_stack([sides[1].columns, columns[:, kept]]))
     return Question(
         **vars(logs),
-        candidates=tuple(offered),
+        candidates=tuple(offered[place] for place in kept),
         scales=scales[kept],
         here=here,
         sides=(sides[0], sides[1]),

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skat.diagnosis.chains import Array
-from skat.diagnosis.changes.candidates import priors_of, rivals_of, units_of
+from skat.diagnosis.changes.candidates import priors_of, rivals_of
 from skat.diagnosis.changes.mixups import mistake_of
 from skat.diagnosis.changes.question import MOST, TURNS, Question, question_of
 from skat.diagnosis.changes.strengths import Logs, OverStrengths
@@ -14,7 +14,7 @@ from skat.diagnosis.changes.telling import Changes, causes_of, detectable_of, ga
 from skat.diagnosis.changes.windows import total, windows_of
 from skat.diagnosis.evidence import Priors, Weighed, bounded_solution
 from skat.diagnosis.findings import Cause, Gain
-from skat.diagnosis.forces.machines import MOTORS, WEAKEST, Candidate
+from skat.diagnosis.forces.machines import WEAKEST, Candidate
 from skat.diagnosis.forces.motions import Log, motion_of
 from skat.diagnosis.search import without_weak
 from skat.effects import Effect
@@ -162,7 +162,7 @@ def _searched(question: Question, needed: float) -> _Found:
         differences = np.zeros(len(question.candidates))
         differences[list(best.members)] = best.values
         level, value = _common(logs, worth.strength(best.members), differences, question.possible())
-        absurd = [*_at_bounds(best, question.candidates, priors), *_impossible(best, question, value)]
+        absurd = _at_bounds(best, question.candidates, priors)
         if not absurd:
             return _Found(best, worth, nats, differences, level, value)
         log_odds = priors.log_odds.copy()
@@ -202,24 +202,3 @@ def _at_bounds(best: Weighed, candidates: Sequence[Candidate], priors: Priors) -
         for place, value in zip(best.members, best.values)
         if not candidates[place].late and priors.is_held(place, value)
     ]
-
-
-def _impossible(best: Weighed, question: Question, value: Array) -> list[int]:
-    """Return the members that no machine can have in the second log: a friction, with what is common, below zero.
-
-    Beyond their errors; ``value`` (n_effects,) is what is common, in units of sizes. Motors may turn the other way, and
-    of a weight that is taken off the model knows nothing.
-    """
-    found, scales = [], question.scales * units_of(question.candidates, question.machine)
-    for place, difference, half in zip(best.members, best.values, best.half_widths):
-        one, scale = question.candidates[place], scales[place]
-        if one.late or one.effect.family in MOTORS:
-            continue
-        for effect, size, common in zip(question.effects, question.sizes, value):
-            if effect.family != one.effect.family or one.effect.target not in (effect.target, "all"):
-                continue
-            after = question.base.values.get(effect.name, effect.neutral) + size * common + scale * difference
-            if not effect.bounds[0] - scale * half <= after <= effect.bounds[1] + scale * half:
-                found.append(place)
-                break
-    return found

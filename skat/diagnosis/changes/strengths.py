@@ -23,7 +23,7 @@ from skat.diagnosis.changes.windows import Quadratic
 from skat.diagnosis.evidence import Gram, Priors, Weighed, Weigher, gains_alone
 from skat.diagnosis.search import search_sets
 
-# Of the variance of an effect's difference, over that if all misfit looked like it: none exerts more than all of itself.
+# Of the variance by which an effect differs, over that if all misfit looked like it: no misfit is more than all of it.
 STRENGTHS = np.power(8.0, np.arange(-5, 1), dtype=float)
 # Precision of an effect that no joint feels, in typical sizes.
 LEAST = 1e-6
@@ -143,8 +143,7 @@ class OverStrengths(Weigher):
         """Return for both logs without each of their windows what weighs sets at each strength."""
         if not self._short:
             self._short = [
-                [self._weigher(logs, strength) for strength in STRENGTHS]
-                for logs in self.logs.shortened()
+                [self._weigher(logs, strength) for strength in STRENGTHS] for logs in self.logs.shortened()
             ]
         return self._short
 
