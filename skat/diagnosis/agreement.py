@@ -127,20 +127,9 @@ def shared_causes(space: StateSpace, found: Found, names: Sequence[str]) -> pd.D
     agree on them. Where the logs agree on all causes and not on an effect that is none, this has a row as well: it may
     act in one log alone, or up in one and down in another.
 
-    Parameters
-    ----------
-    space : StateSpace
-        The logs.
-    found : Found
-        Of all of them.
-    names : sequence of str
-        Of the logs.
-
-    Returns
-    -------
-    DataFrame
-        With the columns of `compare_findings`; a log that tells nothing of a cause has "no interval", and of an effect
-        that is none the status is "estimated". `p_corrected` is for all effects that were asked about.
+    `space`: the logs. `found`: of all of them. `names`: of the logs. Returns: with the columns of `compare_findings`; a
+    log that tells nothing of a cause has "no interval", and of an effect that is none the status is "estimated".
+    `p_corrected` is for all effects that were asked about.
     """
     scales, effects = found.priors.scales, found.effects
     slopes = slopes_of(space, found.fitted, effects, scales, means=True)
@@ -250,14 +239,7 @@ def check_findings(content: Any, name: str) -> None:
 def agreement_sentences(table: pd.DataFrame) -> list[str]:
     """Return for each cause a sentence that says whether the logs agree.
 
-    Parameters
-    ----------
-    table : DataFrame
-        From `compare_findings`.
-
-    Returns
-    -------
-    list of str
+    `table`: from `compare_findings`.
     """
     n_tests = int(table["p_value"].notna().sum())
     return [_sentence(row, n_tests) for row in table.to_dict("records")]

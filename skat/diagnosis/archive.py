@@ -52,10 +52,7 @@ def bare(effect: Effect) -> Effect:
 def write_archive(path: Path, kind: str, parts: Mapping[str, Any]) -> None:
     """Write values by name into a file that says of which kind it is, as a whole or not at all, over one that exists.
 
-    Raises
-    ------
-    TypeError
-        If a value is of a class that is not written.
+    Raises a TypeError if a value is of a class that is not written.
     """
     blocks: dict[str, list[NDArray[Any]]] = {}
     # With the arrays themselves, so that no other one can get the identity of one that is gone.
@@ -117,10 +114,8 @@ class Archive:
     def read(self, name: str, simulator: Simulator | None = None) -> Any:
         """Return a value; effects and simulators within it are of the simulator.
 
-        Raises
-        ------
-        ValueError
-            If the file is damaged, or was written by a version of skat whose classes hold something else.
+        Raises a ValueError if the file is damaged, or was written by a version of skat whose classes hold something
+        else.
         """
         effects = {} if simulator is None else {one.name: one for one in simulator.effects(also="all")}
         known = classes()
@@ -169,12 +164,8 @@ class Archive:
 def opened(path: Path, kind: str) -> Iterator[Archive]:
     """Yield a file that `write_archive` wrote, of a kind.
 
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ValueError
-        If it is something else, damaged, or in another format.
+    Raises a FileNotFoundError if there is no such file. Raises a ValueError if it is something else, damaged, or in
+    another format.
     """
     if not path.is_file():
         raise FileNotFoundError(f"There is no file {path}.")

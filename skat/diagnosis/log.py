@@ -46,26 +46,12 @@ STRETCHES, STRETCH_S, STRETCH_ROWS = 2, 0.8, (80, 320)
 class Log:
     """Rows of inputs and outputs in episodes.
 
-    Attributes
-    ----------
-    X : ndarray of shape (n_rows, n_inputs)
-        NaN in the columns of the state where nothing was measured.
-    y : ndarray of shape (n_rows, n_outputs)
-        NaN where nothing was measured.
-    episodes : ndarray of int of shape (n_rows,)
-        0, 1, ... in the order of the rows.
-    consecutive : bool
-        Whether the rows of an episode follow each other in time.
-    labels : tuple or None
-        What the user calls each episode.
-    simulator : Simulator or None
-        Whose columns these are; needed where something was not measured.
-    sources : tuple of str
-        Names of the logs that were put together; empty of one.
-    source : ndarray of int of shape (n_rows,) or None
-        Which of them each row is of.
-    earlier : ndarray of shape (n_episodes, EARLIER, n_actions) or None
-        Commands before the first row of each episode, where it is a piece of a longer one: they may act in it still.
+    `X` (n_rows, n_inputs): NaN in the columns of the state where nothing was measured. `y` (n_rows, n_outputs): NaN
+    where nothing was measured. `episodes` (n_rows,): 0, 1, ... in the order of the rows. `consecutive`: whether the
+    rows of an episode follow each other in time. `labels`: what the user calls each episode. `simulator`: whose columns
+    these are; needed where something was not measured. `sources`: names of the logs that were put together; empty of
+    one. `source` (n_rows,): which of them each row is of. `earlier` (n_episodes, EARLIER, n_actions): commands before
+    the first row of each episode, where it is a piece of a longer one: they may act in it still.
     """
 
     X: Array
@@ -210,16 +196,8 @@ class Log:
     def split(self, test_size: float, random_state: np.random.RandomState) -> tuple["Log", "Log | None"]:
         """Return (fitted, held out) logs: whole episodes where there are several, otherwise blocks of time.
 
-        Parameters
-        ----------
-        test_size : float
-            Share of the rows to hold out, 0 <= test_size < 1.
-        random_state : numpy.random.RandomState
-
-        Returns
-        -------
-        Log, Log or None
-            None where nothing is held out: nothing was asked for, or too little would be left, which is warned of.
+        `test_size`: share of the rows to hold out, 0 <= test_size < 1. Returns: None where nothing is held out: nothing
+        was asked for, or too little would be left, which is warned of.
         """
         if not test_size:
             return self, None
@@ -302,27 +280,11 @@ def check_log(
 ) -> Log:
     """Return the Log of checked rows.
 
-    Parameters
-    ----------
-    simulator : Simulator
-    X : array-like of shape (n_rows, n_inputs)
-        NaN in columns of the state: not measured.
-    y : array-like of shape (n_rows, n_outputs)
-        NaN: not measured. Of a quaternion all or nothing was measured.
-    groups : array-like of shape (n_rows,) or None
-        Episode of each row; the rows of an episode are consecutive and in time order.
-    fewest_rows : int, default=4
-
-    Returns
-    -------
-    Log
-        The state between two rows that follow each other is measured in both where it is in one of them.
-
-    Raises
-    ------
-    ValueError
-        Where the rows cannot be what the simulator takes and gives, with the row and the column; where nothing at all
-        was measured.
+    `X` (n_rows, n_inputs): NaN in columns of the state: not measured. `y` (n_rows, n_outputs): NaN: not measured. Of a
+    quaternion all or nothing was measured. `groups` (n_rows,): episode of each row; the rows of an episode are
+    consecutive and in time order. Returns: the state between two rows that follow each other is measured in both where
+    it is in one of them. Raises a ValueError where the rows cannot be what the simulator takes and gives, with the row
+    and the column; where nothing at all was measured.
     """
     n_states = len(simulator.state_names)
     X = check_matrix(X, "X", simulator.input_names, optional=simulator.state_names)
@@ -380,10 +342,7 @@ def check_log(
 def put_together(logs: Sequence[Log], names: Sequence[str]) -> Log:
     """Return several checked logs of one simulator as one that knows which rows are of which.
 
-    Raises
-    ------
-    ValueError
-        If the rows of some are in time order, and of others not.
+    Raises a ValueError if the rows of some are in time order, and of others not.
     """
     first = logs[0]
     for name, one in zip(names[1:], logs[1:]):
@@ -402,17 +361,8 @@ def put_together(logs: Sequence[Log], names: Sequence[str]) -> Log:
 def without_channels(simulator: Simulator, log: Log, names: Iterable[str]) -> Log:
     """Return the log as if some channels of the state, or outputs of a one-shot simulation, had not been measured.
 
-    Parameters
-    ----------
-    simulator : Simulator
-    log : Log
-    names : iterable of str
-        A part of a quaternion stands for all of it.
-
-    Raises
-    ------
-    ValueError
-        If there is no such channel, or nothing would be left.
+    `names`: A part of a quaternion stands for all of it. Raises a ValueError if there is no such channel, or nothing
+    would be left.
     """
     names = list(names)
     known = simulator.output_names
@@ -460,20 +410,9 @@ def check_matrix(values: Any, what: str, names: Sequence[str], *, optional: Sequ
 
     A single output may be one-dimensional, as scikit-learn's targets are.
 
-    Parameters
-    ----------
-    values : array-like of shape (n_rows, n_columns) or data frame
-    what : str
-        How the caller names the table, for messages.
-    names : sequence of str
-        The columns expected.
-    optional : sequence of str, default=()
-        Columns in which NaN, or nothing in a data frame, stands for what was not measured.
-
-    Raises
-    ------
-    ValueError
-        If a column is missing, or a value is no finite number where one has to be.
+    `values` (n_rows, n_columns). `what`: how the caller names the table, for messages. `names`: the columns expected.
+    `optional`: columns in which NaN, or nothing in a data frame, stands for what was not measured. Raises a ValueError
+    if a column is missing, or a value is no finite number where one has to be.
     """
     if hasattr(values, "columns") and hasattr(values, "to_numpy"):
         known = set(names) & set(values.columns)

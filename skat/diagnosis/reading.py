@@ -20,13 +20,8 @@ SAME_RATE = 1e-3
 class Given:
     """A log, or several put together.
 
-    Attributes
-    ----------
-    log : Log
-    least : ndarray of shape (n_residuals,) or (n_logs, n_residuals)
-        Least variance of each channel's noise.
-    actions : {"commanded", "measured"}
-        What the log says of its actions; rows by themselves say nothing, and are taken for commands.
+    `least` (n_residuals,), (n_logs, n_residuals): least variance of each channel's noise. `actions` in {"commanded",
+    "measured"}: what the log says of its actions; rows by themselves say nothing, and are taken for commands.
     """
 
     log: Log
@@ -39,10 +34,7 @@ def read_logs(
 ) -> Given:
     """Return what `SimulationDiagnosis.fit` was given; ``actions`` is what a user says of them, or "auto".
 
-    Raises
-    ------
-    ValueError
-        If the rows of a log do not fit the simulator, or logs hold different things.
+    Raises a ValueError if the rows of a log do not fit the simulator, or logs hold different things.
     """
     own = "commanded" if actions == "auto" else actions
     if y is not None:
@@ -74,10 +66,7 @@ def read_logs(
 def read_change(simulator: Simulator, before: Any, after: Any) -> tuple[Log, Log]:
     """Return the two logs that `SimulationDiagnosis.fit_change` was given; without groups one is a single episode.
 
-    Raises
-    ------
-    ValueError
-        If one is no log, or its rows do not fit the simulator, with which one it is.
+    Raises a ValueError if one is no log, or its rows do not fit the simulator, with which one it is.
     """
     first, second = (
         _log_of(simulator, f"the log {name}", one) for name, one in (("before", before), ("after", after))

@@ -63,13 +63,8 @@ MAJORITY, FEW_ROWS, WIDTH, SLOW = 0.5, 0.02, 0.15, 0.1
 class Law:
     """A force as a function of one coordinate.
 
-    Attributes
-    ----------
-    coordinate : str
-        An input, "time", a product of two inputs, or `PAST`.
-    edges : ndarray of shape (n_bins + 1,)
-    mean, low, high : ndarray of shape (n_bins,)
-        Force in each bin, and its 95 % interval.
+    `coordinate`: an input, "time", a product of two inputs, or `PAST`. `edges` (n_bins + 1,). `mean`, `low`, `high`
+    (n_bins,): force in each bin, and its 95 % interval.
     """
 
     coordinate: str
@@ -83,32 +78,16 @@ class Law:
 class Left:
     """What is left in one direction: a force on a joint, or an error of one output.
 
-    Attributes
-    ----------
-    name, unit : str
-    rms : float
-        Of the force, what sensors hide of it included; no less than what is predictable.
-    scale : float
-        Root mean square of the force that the nominal model has there, same unit.
-    predictable : float
-        Root mean square of the part that the best single regressor predicts.
-    regressor : str
-        That regressor, such as ``"|v|v"`` of a coordinate.
-    evidence : float
-        What there is for a law in this direction, nats, corrected for all that was tried: above ln(1 / alpha) in at
-        most a share alpha of logs in which nothing is left.
-    law : Law
-        Of the best regressor's coordinate.
-    past : float
-        Share of the variance that is predicted a row ahead by the force's own past; 0 for a white one.
-    ahead : float
-        What the predictable part adds to the mean square error at the horizon, in units of a right model's.
-    frequencies, spectrum : ndarray of shape (n_frequencies,)
-        Hz (or per row), and the power density of what no law but its own past predicts, as if sensors hid nothing.
-    word : str
-        "drift", "vibration at 22 Hz", "impacts", "white", or "none" where sensors show no force.
-    tried : tuple of (str, float)
-        The best regressors and their evidence, uncorrected.
+    `rms`: of the force, what sensors hide of it included; no less than what is predictable. `scale`: root mean square
+    of the force that the nominal model has there, same unit. `predictable`: root mean square of the part that the best
+    single regressor predicts. `regressor`: that regressor, such as ``"|v|v"`` of a coordinate. `evidence`: what there
+    is for a law in this direction, nats, corrected for all that was tried: above ln(1 / alpha) in at most a share alpha
+    of logs in which nothing is left. `law`: of the best regressor's coordinate. `past`: share of the variance that is
+    predicted a row ahead by the force's own past; 0 for a white one. `ahead`: what the predictable part adds to the
+    mean square error at the horizon, in units of a right model's. `frequencies`, `spectrum` (n_frequencies,): Hz (or
+    per row), and the power density of what no law but its own past predicts, as if sensors hid nothing. `word`:
+    "drift", "vibration at 22 Hz", "impacts", "white", or "none" where sensors show no force. `tried`: the best
+    regressors and their evidence, uncorrected.
     """
 
     name: str
@@ -174,15 +153,8 @@ def is_unexplained(
 ) -> bool:
     """Whether what is predictable, and no cause explains, is too much.
 
-    Parameters
-    ----------
-    remainder : Remainder
-    gain : Gain, optional
-        On the log held out, at the same horizon.
-    tolerance : float, default=0.1
-        Share of the excess error at the horizon that may be left; where a law that is left adds less than this share to
-        a right model's error, of the joint's force.
-    alpha : float, default=0.01
+    `gain`: on the log held out, at the same horizon. `tolerance`: share of the excess error at the horizon that may be
+    left; where a law that is left adds less than this share to a right model's error, of the joint's force.
     """
     clear = [part for part in remainder.parts if part.evidence > -np.log(alpha)]
     if not clear:
@@ -204,17 +176,8 @@ def find_remainder(
 ) -> Remainder:
     """Return what is left of a log beside the causes.
 
-    Parameters
-    ----------
-    space : StateSpace
-    fitted : Fitted
-        On this log, at the values of the causes.
-    known : Known, optional
-        Of the sensors' noise.
-    horizon : int, optional
-        In rows; as `horizon_rows` by default.
-    random_state : numpy.random.RandomState
-        Draws white forces, for comparison of spectra.
+    `fitted`: on this log, at the values of the causes. `known`: of the sensors' noise. `horizon`: in rows; as
+    `horizon_rows` by default. `random_state`: draws white forces, for comparison of spectra.
     """
     seen = Seen(fitted.linear, fitted.chains, fitted.estimate, fitted.memory)
     h = horizon_rows(space.simulator) if horizon is None else horizon
@@ -238,13 +201,7 @@ def beside_laws(space: StateSpace, fitted: Fitted, columns: Columns, needed: flo
     A law that stands for no effect of the list is noise of a known shape, of a size that the log asks for. What a cause
     is worth beside it is what the law cannot do; a cause that is worth nothing there stands for the law.
 
-    Parameters
-    ----------
-    space, fitted
-    columns : Columns
-        Of the causes, at this fit.
-    needed : float
-        Nats that there must be for a law.
+    `columns`: of the causes, at this fit. `needed`: nats that there must be for a law.
     """
     seen = Seen(fitted.linear, fitted.chains, fitted.estimate, fitted.memory)
     directions, rows = _directions(space, fitted), _rows_as_known(space, seen)

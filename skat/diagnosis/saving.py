@@ -98,19 +98,9 @@ def _with_plain_labels(log: Log) -> Log:
 class SavedSimulator:
     """A simulator as a file has it, and what tells another one from it.
 
-    Attributes
-    ----------
-    kind : str
-        Name of its class.
-    parameters : dict or None
-        Of its constructor; None of one that is Python code.
-    input_names, output_names, state_names : tuple of str
-    effects : tuple of Effect
-    rows : ndarray of shape (n_probes, n_inputs)
-        Inputs of the first rows of the log, guesses where nothing was measured.
-    groups : ndarray of shape (n_probes,)
-    outputs : ndarray of shape (n_probes, n_outputs)
-        What it makes of them; NaN where it diverges.
+    `kind`: name of its class. `parameters`: of its constructor; None of one that is Python code. `rows` (n_probes,
+    n_inputs): inputs of the first rows of the log, guesses where nothing was measured. `groups` (n_probes,). `outputs`
+    (n_probes, n_outputs): what it makes of them; NaN where it diverges.
     """
 
     kind: str
@@ -142,10 +132,7 @@ class SavedSimulator:
     def restored(self, given: Simulator | None, path: Path) -> Simulator:
         """Return the simulator that was saved, or the given one if it is the same.
 
-        Raises
-        ------
-        ValueError
-            If it is not, or none was given and none can be made.
+        Raises a ValueError if it is not, or none was given and none can be made.
         """
         if given is None and self.parameters is None:
             raise ValueError(
@@ -254,15 +241,7 @@ def _outputs(simulator: Simulator, rows: Array, groups: Places) -> Array:
 
 @dataclass(frozen=True)
 class Begun:
-    """A fit that has begun: what was drawn, and how far the search has come.
-
-    Attributes
-    ----------
-    fitted : Log
-    held_out : Log or None
-    random_state : numpy.random.RandomState
-    search : Search or None
-    """
+    """A fit that has begun: what was drawn, and how far the search has come."""
 
     fitted: Log
     held_out: Log | None
@@ -273,19 +252,8 @@ class Begun:
 class Checkpoint:
     """The file from which an interrupted fit goes on.
 
-    Parameters
-    ----------
-    path : path
-    diagnosis : SimulationDiagnosis
-    log : Log
-        Checked, before rows are held out.
-    floor : ndarray of shape (d,)
-        Least variance of each channel's noise.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no folder to write it into.
+    `log`: checked, before rows are held out. `floor` (d,): least variance of each channel's noise. Raises a
+    FileNotFoundError if there is no folder to write it into.
     """
 
     def __init__(self, path: str | PathLike[str], diagnosis: Any, log: Log, floor: Array) -> None:
@@ -305,10 +273,7 @@ class Checkpoint:
     def resumed(self, begun: Begun) -> Begun:
         """Return where to go on: what the file says if it is there.
 
-        Raises
-        ------
-        ValueError
-            If the file is damaged, or of another log, simulator, setting or version of skat.
+        Raises a ValueError if the file is damaged, or of another log, simulator, setting or version of skat.
         """
         if not self._path.exists():
             return begun

@@ -35,19 +35,10 @@ def is_computed(
 ) -> bool:
     """Return whether one joint's velocities were computed from its positions.
 
-    Parameters
-    ----------
-    positions, velocities : ndarray of shape (n_instants,)
-        As measured, evenly spaced within an episode; NaN where nothing was.
-    episodes : ndarray of shape (n_instants,)
-    others : ndarray of shape (n_instants, n_others), optional
-        What else tells of the motion but knows nothing of the noise of these positions: other positions, commands.
-
-    Returns
-    -------
-    bool
-        False also where too few rows leave it open. Where positions have no noise, either answer may come: they then
-        tell what the velocity would.
+    `positions`, `velocities` (n_instants,): as measured, evenly spaced within an episode; NaN where nothing was.
+    `episodes` (n_instants,). `others` (n_instants, n_others): what else tells of the motion but knows nothing of the
+    noise of these positions: other positions, commands. Returns: False also where too few rows leave it open. Where
+    positions have no noise, either answer may come: they then tell what the velocity would.
 
     Examples
     --------
@@ -113,16 +104,8 @@ def _regression(design: Array, target: Array) -> tuple[Array, Array, int]:
 def noise_variance(series: Array, episodes: NDArray[Any]) -> float:
     """Return the variance of a channel's noise as neighbouring rows show it: what high differences leave.
 
-    Parameters
-    ----------
-    series : ndarray of shape (n_instants,)
-        NaN where nothing was measured.
-    episodes : ndarray of shape (n_instants,)
-
-    Returns
-    -------
-    float
-        0 where no piece is long enough to tell; pieces in which a sensor repeats itself are none.
+    `series` (n_instants,): NaN where nothing was measured. `episodes` (n_instants,). Returns: 0 where no piece is long
+    enough to tell; pieces in which a sensor repeats itself are none.
     """
     rough = [np.diff(series[episodes == episode], ORDER) for episode in np.unique(episodes)]
     squares = np.concatenate(rough) ** 2 / comb(2 * ORDER, ORDER)
@@ -137,11 +120,8 @@ def power_by_frequency(series: Array, fewest: int) -> tuple[Array, Array]:
 
     High differences take the motion out before a window that hardly leaks; what they do to noise is made good.
 
-    Parameters
-    ----------
-    series : ndarray of shape (n_instants,)
-    fewest : int
-        Instants; of a shorter series, or one of which some were not measured, there are no frequencies.
+    `series` (n_instants,). `fewest`: instants; of a shorter series, or one of which some were not measured, there are
+    no frequencies.
     """
     if len(series) < fewest or not np.isfinite(series).all():
         return np.zeros(0), np.zeros(0)
@@ -166,12 +146,7 @@ def states_in_time(
 def computed_velocities(simulator: Simulator, X: Array, y: Array, groups: NDArray[Any]) -> tuple[str, ...]:
     """Return the names of the velocities that were computed from positions.
 
-    Parameters
-    ----------
-    simulator : Simulator
-    X, y : ndarray of shape (n_rows, n_inputs), (n_rows, n_outputs)
-    groups : ndarray of shape (n_rows,)
-        Episode of each row.
+    `X`, `y` (n_rows, n_inputs), (n_rows, n_outputs). `groups` (n_rows,): episode of each row.
     """
     names, pairs = simulator.state_names, motions(simulator)
     states, episodes, actions = states_in_time(simulator, X, y, groups)

@@ -40,23 +40,9 @@ def offered_candidates(
 ) -> tuple[list[Candidate], Array]:
     """Return what may have changed, and the typical size of each.
 
-    Parameters
-    ----------
-    simulator : MujocoSimulator
-    effects : sequence of Effect
-        All that a user asks about.
-    common : sequence of Effect
-        Those of single targets that the logs show.
-    sizes : ndarray of shape (n_common,)
-        Typical sizes of these, each in its effect's unit.
-    typical : mapping from name to size
-        Of a user's own, which hold as they are.
-
-    Returns
-    -------
-    candidates : list of Candidate
-    scales : ndarray of shape (n_candidates,)
-        Each in its effect's unit.
+    `effects`: all that a user asks about. `common`: those of single targets that the logs show. `sizes` (n_common,):
+    typical sizes of these, each in its effect's unit. `typical`: of a user's own, which hold as they are. Returns
+    `scales` (n_candidates,): each in its effect's unit.
     """
     seen = [effect for effect in effects if effect.family not in UNSEEN]
     names = {effect.name for effect in common}
@@ -113,13 +99,8 @@ def rivals_of(candidates: Sequence[Candidate]) -> dict[int, list[int]]:
 def priors_of(candidates: Sequence[Candidate], scales: Array, dt: float) -> Priors:
     """Return the priors of differences, those of the effects; what is taken off again is a change, too.
 
-    Parameters
-    ----------
-    candidates : sequence of Candidate
-    scales : ndarray of shape (n_candidates,)
-        Typical sizes, each in its effect's unit: the units of values and bounds of the priors.
-    dt : float
-        Of a row, s.
+    `scales` (n_candidates,): typical sizes, each in its effect's unit: the units of values and bounds of the priors.
+    `dt`: of a row, s.
     """
     odds = np.array([one.odds for one in candidates])
     high = np.array([one.effect.bounds[1] - one.effect.neutral for one in candidates])

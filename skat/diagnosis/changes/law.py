@@ -18,20 +18,11 @@ APART_AT_LEAST, PSEUDO = 0.1, 1.0
 class Law:
     """Of what the effects do not explain, which are in units of their typical sizes.
 
-    Attributes
-    ----------
-    noise : tuple of ndarray of shape (n_rows,)
-        Deviation of each row of both logs: N or N m, of measured speeds m/s or rad/s.
-    spread : ndarray of shape (n_effects,)
-        Variance by which an effect differs from window to window.
-    weights : ndarray of shape (n_effects,)
-        Precision of what is common.
-    value : ndarray of shape (n_effects,)
-        What is common, if nothing changed, of what a machine may have.
-    second : ndarray of shape (n_effects,)
-        What the second log tells if every effect changed, of the same.
-    alike : ndarray of shape (n_joints, n_effects)
-        Precision with which each joint, or speed that was measured, tells an effect if all of its noise looks like it.
+    `noise` (n_rows,): deviation of each row of both logs: N or N m, of measured speeds m/s or rad/s. `spread`
+    (n_effects,): variance by which an effect differs from window to window. `weights` (n_effects,): precision of what
+    is common. `value` (n_effects,): what is common, if nothing changed, of what a machine may have. `second`
+    (n_effects,): what the second log tells if every effect changed, of the same. `alike` (n_joints, n_effects):
+    precision with which each joint, or speed that was measured, tells an effect if all of its noise looks like it.
     """
 
     noise: tuple[Array, Array]
@@ -47,12 +38,8 @@ def settled_law(sides: Sequence[Rows], possible: tuple[Array, Array] | None = No
 
     The second log has effects of its own, so that a change makes no variance. Logs are not apart in what is returned.
 
-    Parameters
-    ----------
-    sides : sequence of Rows
-        Of the first log and of the second, with the same columns: of effects that may be wrong in both.
-    possible : tuple of two ndarray of shape (n_effects,), optional
-        Between which values a machine may have effects, in units of their typical sizes.
+    `sides`: of the first log and of the second, with the same columns: of effects that may be wrong in both. `possible`
+    (n_effects,): between which values a machine may have effects, in units of their typical sizes.
     """
     k = sides[0].columns.shape[1]
     low, high = possible or (np.full(k, -np.inf), np.full(k, np.inf))
@@ -129,12 +116,7 @@ def _squares(
 def with_misfit(sides: Sequence[Rows], law: Law) -> Law:
     """Return a law with how much of what is left of each joint's force may look like each effect, at most.
 
-    Parameters
-    ----------
-    sides : sequence of Rows
-        Of the first log and of the second; the columns of rows are those of effects.
-    law : Law
-        With noise.
+    `sides`: of the first log and of the second; the columns of rows are those of effects. `law`: with noise.
     """
     rows, left = joined(sides), np.concatenate(law.noise) ** 2
     alike = []

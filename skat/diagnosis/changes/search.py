@@ -33,28 +33,11 @@ def find_changes(
 ) -> Changes:
     """Return in what two logs of one machine differ.
 
-    Parameters
-    ----------
-    simulator : Simulator
-    before, after : tuple of (X, y, groups)
-        Rows of an episode follow each other. NaN in states where nothing was measured.
-    effects : sequence of Effect
-        That may be wrong in the model or may have changed; weights on bodies are tried beside them.
-    typical : mapping from name to size, optional
-        Scales of the priors of a user's own.
-    alpha : float, default=0.01
-        A change is named if the odds for the set with it are 1 / alpha times those of the set without.
-    test_size : float, default=0.3
-        Share of the second log that measures the gain.
-
-    Returns
-    -------
-    Changes
-
-    Raises
-    ------
-    ValueError
-        If the simulator is not one of joints, a joint was not measured, or contacts push all the time.
+    `before`, `after`: rows of an episode follow each other. NaN in states where nothing was measured. `effects`: that
+    may be wrong in the model or may have changed; weights on bodies are tried beside them. `typical`: scales of the
+    priors of a user's own. `alpha`: A change is named if the odds for the set with it are 1 / alpha times those of the
+    set without. `test_size`: share of the second log that measures the gain. Raises a ValueError if the simulator is
+    not one of joints, a joint was not measured, or contacts push all the time.
     """
     if not isinstance(simulator, MujocoSimulator):
         raise ValueError(
@@ -132,17 +115,9 @@ def _contradict(causes: Sequence[Cause], weak: Sequence[str]) -> bool:
 class _Found:
     """What a search found.
 
-    Attributes
-    ----------
-    best : Weighed
-        The set that is named; its values are in units of scales.
-    worth : OverStrengths
-    nats : mapping from place to float
-        What each member is worth.
-    differences : ndarray of shape (n_candidates,)
-        In units of scales.
-    level, value : ndarray of shape (n_effects,)
-        What is common if nothing changed, and beside the differences, of what a machine may have, in units of sizes.
+    `best`: the set that is named; its values are in units of scales. `nats`: what each member is worth. `differences`
+    (n_candidates,): in units of scales. `level`, `value` (n_effects,): what is common if nothing changed, and beside
+    the differences, of what a machine may have, in units of sizes.
     """
 
     best: Weighed

@@ -33,13 +33,8 @@ LEAST = 1e-6
 class Logs:
     """Both logs as quadratics in effects, the second with candidates behind them, and the law of what is common.
 
-    Attributes
-    ----------
-    first, second : Quadratic
-        In (n_effects,) and (n_effects + n_candidates,) values, in units of typical sizes.
-    law : Law
-    firsts, seconds : tuple of Quadratic
-        The windows of each, one of which may be left out.
+    `first`, `second`: in (n_effects,) and (n_effects + n_candidates,) values, in units of typical sizes. `firsts`,
+    `seconds`: the windows of each, one of which may be left out.
     """
 
     first: Quadratic
@@ -74,12 +69,7 @@ class Logs:
 class OverStrengths(Weigher):
     """Weighs sets at all strengths together.
 
-    Parameters
-    ----------
-    logs : Logs
-    priors : Priors
-    rivals : mapping from place to places
-        As `Weigher`'s.
+    `rivals`: as `Weigher`'s.
     """
 
     def __init__(self, logs: Logs, priors: Priors, rivals: Mapping[int, Sequence[int]]):
@@ -152,10 +142,7 @@ class OverStrengths(Weigher):
 
         About, and whichever window of either log is left out.
 
-        Parameters
-        ----------
-        differences : ndarray of shape (..., n_candidates)
-            Of each candidate, in units of its scale, where no other changes.
+        `differences` (..., n_candidates): of each candidate, in units of its scale, where no other changes.
         """
         least = np.full(differences.shape, np.inf)
         for at in (self._at, *self._shortened()):
