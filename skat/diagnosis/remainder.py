@@ -20,32 +20,24 @@ has it to be is free of what each takes for the law by chance.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy import signal
-from scipy.special import logsumexp
 
 from skat.diagnosis.ahead import Seen, ahead, filtered
 from skat.diagnosis.chains import Array, Chains, Mask, Memory, Places
-from skat.diagnosis.evidence import WIDTH_95, Gram
+from skat.diagnosis.evidence import Gram
 from skat.diagnosis.filtering import Smoothed, kalman_filter, smooth
 from skat.diagnosis.findings import Gain
 from skat.diagnosis.fitting import NOTHING_KNOWN, Columns, Fitted, Known, response
+from skat.diagnosis.laws import OWN_BINS, Law, Likeliest, Regressor, binned, likeliest, regressors_of
 from skat.diagnosis.noise import Estimate, Noise, estimate_noise, normal_noise, passed
 from skat.diagnosis.prediction import ends, horizon_rows, windows
 from skat.diagnosis.statespace import StateSpace, steps_of
 
-# Bins of a law of a joint's own coordinate, and of any other.
-OWN_BINS, OTHER_BINS = 12, 5
-# Sizes of a law that are tried, over the force on the joint.
-SIZES = (0.01, 0.03, 0.1, 0.3, 1.0)
-# Laws of other joints' coordinates are tried up to so many columns in all.
-MOST_COLUMNS = 1500
-LONGEST_TABLE = 5
 # Rows of a block of time, of which each half of a log has every other.
 BLOCK_ROWS = 16
-# Ways, as shares of a joint's travel, over which a force forgets where the joint came from: a cable's, a tendon's.
-WAYS = (0.03, 0.1, 0.3)
 # What a force's own past is called, and how many rows of it there are from the horizon on.
 PAST, PAST_ROWS = "its own past", 12
 # Fewer episodes do not tell a law of time from chance.
@@ -60,21 +52,6 @@ MAJORITY, FEW_ROWS, WIDTH, SLOW = 0.5, 0.02, 0.15, 0.1
 
 
 @dataclass(frozen=True)
-class Law:
-    """A force as a function of one coordinate.
-
-    `coordinate`: an input, "time", a product of two inputs, or `PAST`. `edges` (n_bins + 1,). `mean`, `low`, `high`
-    (n_bins,): force in each bin, and its 95 % interval.
-    """
-
-    coordinate: str
-    edges: Array
-    mean: Array
-    low: Array
-    high: Array
-
-
-@dataclass(frozen=True)
 class Left:
     """What is left in one direction: a force on a joint, or an error of one output.
 
@@ -86,8 +63,7 @@ class Left:
     predicted a row ahead by the force's own past; 0 for a white one. `ahead`: what the predictable part adds to the
     mean square error at the horizon, in units of a right model's. `frequencies`, `spectrum` (n_frequencies,): Hz (or
     per row), and the power density of what no law but its own past predicts, as if sensors hid nothing. `word`:
-    "drift", "vibration at 22 Hz", "impacts", "white", or "none" where sensors show no force. `tried`: the best
-    regressors and their evidence, uncorrected.
+    "drift", "vibration at 22 Hz", "impacts", "white", or "none" where sensors show no force.
     """
 
     name: str
@@ -103,7 +79,6 @@ class Left:
     frequencies: Array
     spectrum: Array
     word: str
-    tried: tuple[tuple[str, float], ...]
 
     @property
     def share(self) -> float:
@@ -122,17 +97,6 @@ class Remainder:
     def evidence(self) -> float:
         """Of the clearest law, nats."""
         return max((part.evidence for part in self.parts), default=-np.inf)
-
-
-@dataclass(frozen=True)
-class Regressor:
-    """What may predict a force: columns of it, and the coordinate that they are of."""
-
-    name: str
-    coordinate: str
-    values: Array  # (n_rows,)
-    columns: Array  # (n_rows, k)
-    is_own: bool
 
 
 @dataclass(frozen=True)
@@ -223,16 +187,6 @@ def beside_laws(space: StateSpace, fitted: Fitted, columns: Columns, needed: flo
     return Gram(gram.products - moved.T @ moved, gram.projections - moved.T @ shown, gram.origin)
 
 
-@dataclass(frozen=True)
-class _Likeliest:
-    """The regressor of a direction that most speaks for, what there is for any, and those that came near."""
-
-    regressor: Regressor
-    size: float
-    evidence: float
-    tried: tuple[tuple[str, float], ...]
-
-
 def _likeliest(
     space: StateSpace,
     looks: Sequence[Seen],
@@ -241,33 +195,41 @@ def _likeliest(
     rows: Array,
     horizon: int,
     taken: Array | None = None,
-) -> _Likeliest:
+) -> Likeliest:
     """Return the likeliest law of a direction, beside what orthonormal columns `taken` of innovations stand for."""
-    scale = float(directions.scales[index])
-    of_rows = _regressors(space, directions, index, rows)
-    tried = []
-    for look in looks:
-        regressors = [*of_rows, *_own_past(space, look, directions.columns[..., index], scale, horizon)]
-        # Own laws have half of the weight for themselves.
-        n_own = sum(one.is_own for one in regressors)
-        n_other = len(regressors) - n_own
-        for one in regressors:
-            N = _response(space, look, directions.columns[..., index], one.columns)
-            nats, size = worth_of(*_gram(look, N, taken=taken), scale)
-            weight = (0.5 if n_other else 1.0) / n_own if one.is_own else 0.5 / n_other
-            tried.append((nats, nats + np.log(weight / len(looks)), size, one))
-    evidence = float(logsumexp([weighted for _, weighted, *_ in tried])) - float(
-        np.log(len(directions.names))
+    scale, direction, n = (
+        float(directions.scales[index]),
+        directions.columns[..., index],
+        len(directions.names),
     )
-    ranked = sorted(tried, key=lambda entry: -entry[1])
-    _, _, size, chosen = ranked[0]
-    return _Likeliest(
-        chosen, size, evidence, tuple((one.name, nats) for nats, _, _, one in ranked[:LONGEST_TABLE])
+    simulator, found = space.simulator, []
+    names, own = simulator.input_names, directions.own[index]
+    of_rows = regressors_of(simulator, names, rows, own, space.groups, n) + _of_time(space)
+    for look in looks:
+        past = _own_past(space, look, direction, scale, horizon)
+        found.append(([*of_rows, *past], partial(_told, space, look, direction, taken=taken)))
+    return likeliest(found, scale, n)
+
+
+def _told(
+    space: StateSpace, seen: Seen, direction: Array, columns: Array, *, taken: Array | None = None
+) -> tuple[Array, Array]:
+    """Return what innovations tell of the strengths of columns of a force, G and b."""
+    return _gram(seen, _response(space, seen, direction, columns), taken=taken)
+
+
+def _of_time(space: StateSpace) -> list[Regressor]:
+    """Return the law of time since an episode began, where they are enough to tell it from chance."""
+    steps = steps_of(space.groups)
+    if not space.simulator.state_names or np.count_nonzero(steps == 0) < EPISODES_FOR_TIME:
+        return []
+    return binned(
+        "time", np.asarray(steps * (space.simulator.dt or 1.0), dtype=np.float64), OWN_BINS, is_own=True
     )
 
 
 def _without_laws(
-    space: StateSpace, seen: Seen, directions: _Directions, laws: Sequence[_Likeliest], known: Known
+    space: StateSpace, seen: Seen, directions: _Directions, laws: Sequence[Likeliest], known: Known
 ) -> Seen:
     """Return a log with the noise that is left when those laws act that there is more for than against.
 
@@ -277,10 +239,8 @@ def _without_laws(
     for index, law in enumerate(laws):
         if law.evidence > 0:
             own = _response(space, seen, directions.columns[..., index], law.regressor.columns)
-            shift += (
-                directions.columns[..., index]
-                * (law.regressor.columns @ _fit_of(seen, own, law.size))[:, None]
-            )
+            force = law.regressor.columns @ law.strengths(*_gram(seen, own))
+            shift += directions.columns[..., index] * force[:, None]
     if not shift.any():
         return seen
     hidden = seen.chains.drive.shape[-1] - space.d
@@ -295,19 +255,13 @@ def _normal_estimate(chains: Chains, start: Noise, space: StateSpace, known: Kno
     return estimate_noise(chains, start, space.real, floor=floor, held=held, heavy=False)
 
 
-def _fit_of(seen: Seen, response: Array, size: float, chosen: Mask | None = None) -> Array:
-    """Return the strengths of a regressor's columns, held by a normal law of a size."""
-    G, b = _gram(seen, response, chosen)
-    return np.asarray(np.linalg.solve(G + np.eye(len(b)) / size**2, b), dtype=np.float64)
-
-
 def _left(
     space: StateSpace,
     fitted: Seen,
     seen: Seen,
     directions: _Directions,
     index: int,
-    law: _Likeliest,
+    law: Likeliest,
     runs: "_Runs",
     white: tuple[Array, Array],
 ) -> Left:
@@ -315,7 +269,7 @@ def _left(
     own = _response(space, seen, column, chosen.columns)
     half = _halves(space)
     predicted: list[Array] = [
-        chosen.columns @ _fit_of(seen, own, law.size, half == which) for which in (False, True)
+        chosen.columns @ law.strengths(*_gram(seen, own, half == which)) for which in (False, True)
     ]
     predictable = float(np.sqrt(max(float(np.mean(predicted[0] * predicted[1])), 0.0)))
     added = _added(space, seen, column, np.stack(predicted, axis=-1), runs)
@@ -335,13 +289,12 @@ def _left(
         predictable,
         chosen.name,
         law.evidence,
-        _law(space, seen, column, chosen, law.size),
+        law.law(partial(_told, space, seen, column)),
         _past(fitted, index),
         added,
         frequencies,
         spectrum,
         word if shown > LEAST_SHOWN else "none",
-        law.tried,
     )
 
 
@@ -452,65 +405,6 @@ def _with_normal_noise(space: StateSpace, seen: Seen, known: Known) -> list[Seen
 # -- what predicts it -------------------------------------------------------------------------------------------------
 
 
-def _regressors(space: StateSpace, directions: _Directions, index: int, rows: Array) -> list[Regressor]:
-    simulator = space.simulator
-    places = {name: column for column, name in enumerate(simulator.input_names)}
-    own = directions.own[index]
-    first = rows[:, places[own[0]]] if own else np.zeros(len(rows))
-    found = [Regressor("constant", own[0] if own else "row", first, np.ones((len(rows), 1)), True)]
-    for name in own:
-        values = rows[:, places[name]]
-        found += binned(name, values, OWN_BINS, is_own=True)
-        if is_rate(name, simulator.units):
-            for law, column in (("sign", np.sign(values)), ("square", np.abs(values) * values)):
-                title = f"sign({name})" if law == "sign" else f"|{name}|{name}"
-                found += single(title, name, values, column)
-            for other in (one for one in own if one != name):
-                beside = rows[:, places[other]]
-                title = f"{other} {name}"
-                if other in simulator.state_names:
-                    found += single(title, title, beside * values)
-                if not is_rate(other, simulator.units):
-                    found += single(f"{other} |{name}|", title, beside * values, beside * np.abs(values))
-                    found += single(f"{other} {name}^2", title, beside * values, beside * values**2)
-        elif simulator.units.get(name) in ("rad", "m"):
-            along = unwrapped(values, space.groups) if simulator.units[name] == "rad" else values
-            travel = float(np.ptp(along))
-            for share in WAYS:
-                title = f"the way of {name}, {share:g} of its travel"
-                found += single(title, name, values, way_of(along, space.groups, share * travel))
-    if simulator.state_names:
-        steps = steps_of(space.groups)
-        if np.count_nonzero(steps == 0) >= EPISODES_FOR_TIME:
-            time = np.asarray(steps * (simulator.dt or 1.0), dtype=np.float64)
-            found += binned("time", time, OWN_BINS, is_own=True)
-    others = [name for name in simulator.input_names if name not in own]
-    if len(others) * OTHER_BINS * len(directions.names) <= MOST_COLUMNS:
-        for name in others:
-            found += binned(name, rows[:, places[name]], OTHER_BINS, is_own=False)
-    return found
-
-
-def unwrapped(angles: Array, groups: Places) -> Array:
-    """Return angles that do not jump by turns within an episode; each begins where it does."""
-    begins = np.flatnonzero(steps_of(groups) == 0)
-    return np.concatenate([np.unwrap(one) for one in np.split(angles, begins[1:])])
-
-
-def way_of(values: Array, groups: Places, length: float) -> Array:
-    """Return how far a coordinate came, what lies further back than a length along its way forgotten, by episode.
-
-    A force of it is one that pulls back and gives way: hysteresis.
-    """
-    begins = steps_of(groups) == 0
-    moved = np.where(begins, 0.0, np.diff(values, prepend=values[0]))
-    kept = np.where(begins, 0.0, np.exp(-np.abs(moved) / max(length, 1e-300)))
-    came, way = 0.0, np.empty(len(values))
-    for row, (share, step) in enumerate(zip(kept, np.sign(moved) * length * (1 - kept))):
-        came = way[row] = share * came + step
-    return way
-
-
 def _own_past(space: StateSpace, seen: Seen, direction: Array, scale: float, horizon: int) -> list[Regressor]:
     """Return the regressor of what innovations say of a force a horizon before, and in the rows before that.
 
@@ -548,40 +442,6 @@ def _turned_back(space: StateSpace, rows: Array) -> Array:
     return rows
 
 
-def is_rate(name: str, units: Mapping[str, str]) -> bool:
-    """Whether an input is a speed."""
-    return name.startswith("qvel.") or units.get(name, "").endswith("/s")
-
-
-def single(name: str, coordinate: str, values: Array, column: Array | None = None) -> list[Regressor]:
-    """Return the regressor of one column, by default the coordinate's values; none where it is zero."""
-    column = values if column is None else column
-    size = float(np.sqrt(np.mean(column**2)))
-    if size == 0:
-        return []
-    return [Regressor(name, coordinate, values, column[:, None] / size, True)]
-
-
-def binned(name: str, values: Array, n_bins: int, *, is_own: bool) -> list[Regressor]:
-    """Return the regressor that has a value in each bin of a coordinate; none where there are no two."""
-    columns = bins_of(values, n_bins)[1]
-    return [Regressor(name, name, values, columns, is_own)] if columns.shape[1] > 1 else []
-
-
-def bins_of(values: Array, n_bins: int) -> tuple[Array, Array]:
-    """Return edges, and which bin each row is in as columns: bins of about as many rows, equal values in one.
-
-    Few values, such as those of a command that is on or off, have a bin each.
-    """
-    levels, place, counts = np.unique(values, return_inverse=True, return_counts=True)
-    middles = (np.cumsum(counts) - counts / 2) / len(values)
-    bins = np.unique((n_bins * middles).astype(int), return_inverse=True)[1]
-    last = np.flatnonzero(np.diff(bins))
-    between = (levels[last] + levels[last + 1]) / 2
-    edges: Array = np.r_[levels[0], between, max(levels[-1], np.nextafter(levels[0], np.inf))]
-    return edges, np.eye(len(edges) - 1)[bins[place]]
-
-
 def _response(space: StateSpace, seen: Seen, direction: Array, columns: Array) -> Array:
     """Return by how much whitened innovations change with each column of force, (n_chains, n_steps + 1, d_all, k)."""
     drive = direction[:, :, None] * columns[:, None, :]
@@ -597,18 +457,6 @@ def _gram(
     if taken is not None:
         columns = columns - taken @ (taken.T @ columns)
     return columns.T @ columns, columns.T @ z
-
-
-def worth_of(G: Array, b: Array, scale: float) -> tuple[float, float]:
-    """Return what a law is worth, nats, as a mean over its sizes, and the size that is best."""
-    values, vectors = np.linalg.eigh(G)
-    values, turned = np.maximum(values, 0.0), vectors.T @ b
-    each = []
-    for size in SIZES:
-        prior = (size * scale) ** 2
-        nats = 0.5 * np.sum(turned**2 * prior / (1 + prior * values)) - 0.5 * np.sum(np.log1p(prior * values))
-        each.append(float(nats))
-    return float(logsumexp(each) - np.log(len(SIZES))), SIZES[int(np.argmax(each))] * scale
 
 
 def _halves(space: StateSpace) -> Mask:
@@ -644,15 +492,6 @@ def _added(space: StateSpace, seen: Seen, direction: Array, forces: Array, runs:
     mask = ends(space)[1][runs.starts + runs.horizon - 1]
     both = moved[..., 0] * moved[..., 1] / runs.right
     return float(max(both[mask].mean(), 0.0)) if mask.any() else 0.0
-
-
-def _law(space: StateSpace, seen: Seen, direction: Array, chosen: Regressor, size: float) -> Law:
-    edges, columns = bins_of(chosen.values, OWN_BINS)
-    G, b = _gram(seen, _response(space, seen, direction, columns))
-    curvature = G + np.eye(len(G)) / size**2
-    mean = np.asarray(np.linalg.solve(curvature, b), dtype=np.float64)
-    half = WIDTH_95 * np.sqrt(np.diag(np.linalg.inv(curvature)))
-    return Law(chosen.coordinate, edges, mean, mean - half, mean + half)
 
 
 # -- what it looks like over time -------------------------------------------------------------------------------------

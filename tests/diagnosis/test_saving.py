@@ -215,7 +215,7 @@ def test_file_does_not_grow_with_the_square_of_the_state(of_function, tmp_path):
 
 def test_what_a_file_may_hold_is_data():
     assert all(is_dataclass(one) and one.__module__.startswith("skat.") for one in classes().values())
-    assert {"findings.Gain", "causes.Search", "remainder.Law", "report.content.Law"} <= set(classes())
+    assert {"findings.Gain", "causes.Search", "laws.Law", "report.content.Law"} <= set(classes())
 
 
 def test_file_that_names_another_class_is_refused(tmp_path):

@@ -93,6 +93,6 @@ def _set(one: CauseSet) -> dict[str, Any]:
 def _left(part: Left) -> dict[str, Any]:
     """Return what is left in one direction, without what is only drawn."""
     fields = {**_fields(part), "share": part.share}
-    for name in ("frequencies", "spectrum", "tried"):
+    for name in ("frequencies", "spectrum"):
         del fields[name]
     return fields
