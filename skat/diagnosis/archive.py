@@ -35,7 +35,7 @@ _RECORD = ("name", "unit", "neutral", "bounds", "typical", "odds", "force_share"
 
 def classes() -> dict[str, type]:
     """Return the classes that a file may hold, by the name that they have there."""
-    found = {"ModelSource": ModelSource}
+    found: dict[str, type] = {"ModelSource": ModelSource}
     for module, content in list(sys.modules.items()):
         if module.startswith("skat.diagnosis."):
             for name, value in vars(content).items():
@@ -250,7 +250,7 @@ def _encoder(put: Callable[[NDArray[Any]], Any]) -> Callable[[Any, str], Any]:
     return encode
 
 
-def _generator(state: Mapping[str, Any]) -> np.random.RandomState:
+def _generator(state: dict[str, Any]) -> np.random.RandomState:
     random_state = np.random.RandomState()
     random_state.set_state(state)
     return random_state

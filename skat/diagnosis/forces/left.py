@@ -103,7 +103,7 @@ def _left(
         unit=effect.unit,
         rms=float(np.sqrt(np.sum(left**2) / len(states))),
         scale=scale,
-        predictable=float(np.sqrt(max(np.mean(first * second), 0.0))),
+        predictable=float(np.sqrt(max(float(np.mean(first * second)), 0.0))),
         regressor=law.regressor.name,
         evidence=law.evidence,
         law=law.law(joint.quadratic),
