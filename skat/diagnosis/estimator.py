@@ -785,7 +785,6 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             chain_length=chain_length,
             origins=log.source,
             n_jobs=self.n_jobs,
-            earlier=log.earlier,
         )
 
     def _start(self, log: Log, effects: Sequence[Effect]) -> dict[str, float]:

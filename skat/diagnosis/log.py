@@ -29,14 +29,12 @@ from skat.simulators.tables import refuse_text
 FEWEST_ROWS = 4
 # A split leaves so many rows that are independent.
 FEWEST_FITTED_ROWS = 10
-# A single episode is split into pieces of time of so many rows, if that makes no more than so many.
-ROWS_OF_PIECE, MOST_PIECES = 20, 20
+# A single episode is split into so many pieces of time.
+PIECES = 10
 # Rows of which more than this share begin where the one before has ended are in time order.
 FOLLOWING = 0.9
 # Of a channel's spread, and in its unit: what rounding may put between the end of a row and the begin of the next.
 ROUNDING, SMALLEST = 1e-4, 1e-9
-# Rows before a piece of an episode whose commands are kept: as many as delays and lags of commands reach back.
-EARLIER = 40
 # A first look takes so many stretches of a log, each so long (s), with at least and at most so many rows: in shorter
 # ones a force that has a memory looks like one that does not change, as causes do.
 STRETCHES, STRETCH_S, STRETCH_ROWS = 2, 0.8, (80, 320)
@@ -50,8 +48,7 @@ class Log:
     where nothing was measured. `episodes` (n_rows,): 0, 1, ... in the order of the rows. `consecutive`: whether the
     rows of an episode follow each other in time. `labels`: what the user calls each episode. `simulator`: whose columns
     these are; needed where something was not measured. `sources`: names of the logs that were put together; empty of
-    one. `source` (n_rows,): which of them each row is of. `earlier` (n_episodes, EARLIER, n_actions): commands before
-    the first row of each episode, where it is a piece of a longer one: they may act in it still.
+    one. `source` (n_rows,): which of them each row is of.
     """
 
     X: Array
@@ -62,7 +59,6 @@ class Log:
     simulator: Simulator | None = None
     sources: tuple[str, ...] = ()
     source: Places | None = None
-    earlier: Array | None = None
 
     def __len__(self) -> int:
         return len(self.X)
@@ -144,29 +140,7 @@ class Log:
             episodes=episodes,
             labels=labels,
             source=source,
-            earlier=self._commands_before(chosen[np.unique(episodes, return_index=True)[1]]),
         )
-
-    def _commands_before(self, first: Places) -> Array | None:
-        """Return the commands before some rows of their episodes; None where none is known."""
-        step = self.steps[first]
-        if not self.consecutive or self.simulator is None or (self.earlier is None and not step.any()):
-            return None
-        back = np.arange(-EARLIER, 0)
-        known = self._held if self.earlier is None else self.earlier
-        outside = known[self.episodes[first][:, None], np.minimum(step[:, None] + back, -1)]
-        inside = self._commands[np.maximum(first[:, None] + back, 0)]
-        before: Array = np.where((step[:, None] + back < 0)[..., None], outside, inside)
-        return before
-
-    @property
-    def _commands(self) -> Array:
-        return self.X[:, 0 if self.simulator is None else len(self.simulator.state_names) :]
-
-    @property
-    def _held(self) -> Array:
-        """The first command of each episode, as if it had held before."""
-        return np.repeat(self._commands[self.steps == 0][:, None], EARLIER, axis=1)
 
     @property
     def parts(self) -> list["Log"]:
@@ -245,9 +219,6 @@ class Log:
             episodes=np.concatenate([one.episodes + offset for one, offset in zip(parts, offsets)]),
             labels=labels,
             source=np.repeat(np.arange(len(parts)), [len(one) for one in parts]),
-            earlier=None
-            if all(one.earlier is None for one in parts)
-            else np.concatenate([one._held if one.earlier is None else one.earlier for one in parts]),
         )
 
     def _is_one_episode(self, test_size: float) -> bool:
@@ -268,7 +239,7 @@ class Log:
             if not episodes and most > 0:
                 episodes = [int(np.argmin(sizes))]
             return np.isin(self.episodes, episodes)
-        n_pieces = min(n, max(FEWEST_ROWS, min(MOST_PIECES, n // ROWS_OF_PIECE)))
+        n_pieces = min(n, PIECES)
         piece = np.arange(n) * n_pieces // n
         fewest_fitted = -(-FEWEST_FITTED_ROWS * n_pieces // n)
         count = max(1, min(round(test_size * n_pieces), n_pieces - fewest_fitted))
