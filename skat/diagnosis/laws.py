@@ -75,18 +75,16 @@ class Likeliest:
 
 
 def likeliest(
-    looks: Sequence[tuple[Sequence[Regressor], Quadratic]], scale: float, n_directions: int
+    regressors: Sequence[Regressor], quadratic: Quadratic, scale: float, n_directions: int
 ) -> Likeliest:
-    """Return the likeliest law of one of some directions, as each look has it; `scale` is the force there."""
-    tried = []
-    for regressors, quadratic in looks:
-        # Own laws have half of the weight for themselves.
-        n_own = sum(one.is_own for one in regressors)
-        n_other = len(regressors) - n_own
-        for one in regressors:
-            nats, size = worth_of(*quadratic(one.columns), scale)
-            weight = (0.5 if n_other else 1.0) / n_own if one.is_own else 0.5 / n_other
-            tried.append((nats + np.log(weight / len(looks)), size, one))
+    """Return the likeliest law of one of some directions; `scale` is the force there."""
+    # Own laws have half of the weight for themselves.
+    n_own = sum(one.is_own for one in regressors)
+    n_other, tried = len(regressors) - n_own, []
+    for one in regressors:
+        nats, size = worth_of(*quadratic(one.columns), scale)
+        weight = (0.5 if n_other else 1.0) / n_own if one.is_own else 0.5 / n_other
+        tried.append((nats + np.log(weight), size, one))
     _, size, chosen = max(tried, key=lambda entry: entry[0])
     evidence = float(logsumexp([nats for nats, *_ in tried]) - np.log(n_directions))
     return Likeliest(chosen, size, evidence)

@@ -11,8 +11,6 @@ which is what it gains in predicting each row from those before it, added up. Th
 as the filter has it from earlier rows alone. So where nothing is left, :math:`E_s` has a mean of at most 1, and so has
 any mean of such numbers over sizes s, regressors and joints: the chance that it exceeds :math:`1 / \alpha` is at most
 :math:`\alpha`, whatever was tried. (For the noise as it is; the noise was estimated.)
-Where tails were found heavy, half of the weight is for the same with normal noise: what acts in few places passes for
-outliers else.
 
 The size of a law comes from two halves of the log, blocks of time in turns: the mean of the product of what either half
 has it to be is free of what each takes for the law by chance.
@@ -32,7 +30,7 @@ from skat.diagnosis.filtering import Smoothed, kalman_filter, smooth
 from skat.diagnosis.findings import Gain
 from skat.diagnosis.fitting import NOTHING_KNOWN, Columns, Fitted, Known, response
 from skat.diagnosis.laws import OWN_BINS, Law, Likeliest, Regressor, binned, likeliest, regressors_of
-from skat.diagnosis.noise import Estimate, Noise, estimate_noise, normal_noise, passed
+from skat.diagnosis.noise import Estimate, Noise, estimate_noise, passed
 from skat.diagnosis.prediction import ends, horizon_rows, windows
 from skat.diagnosis.statespace import StateSpace, steps_of
 
@@ -147,11 +145,10 @@ def find_remainder(
     h = horizon_rows(space.simulator) if horizon is None else horizon
     directions, rows = _directions(space, fitted), _rows_as_known(space, seen)
     white = _white_spectra(space, fitted, directions, random_state)
-    looks = [seen, *_with_normal_noise(space, seen, known)]
-    runs = _runs(space, looks[-1], fitted.values, h)
-    laws = [_likeliest(space, looks, directions, index, rows, h) for index in range(len(directions.names))]
+    runs = _runs(space, seen, fitted.values, h)
+    laws = [_likeliest(space, seen, directions, index, rows, h) for index in range(len(directions.names))]
     # How large it is, is a matter of mean squares: heavy tails would take a law's largest forces for outliers.
-    sized = _without_laws(space, looks[-1], directions, laws, known)
+    sized = _without_laws(space, seen, directions, laws, known)
     parts = [
         _left(space, seen, sized, directions, index, law, runs, (white[0], white[1][index]))
         for index, law in enumerate(laws)
@@ -173,7 +170,7 @@ def beside_laws(space: StateSpace, fitted: Fitted, columns: Columns, needed: flo
     taken = np.linalg.qr(columns.columns)[0]
     found = []
     for index in range(len(directions.names)):
-        law = _likeliest(space, [seen], directions, index, rows, h, taken)
+        law = _likeliest(space, seen, directions, index, rows, h, taken)
         if law.evidence > needed:
             own = _response(space, seen, directions.columns[..., index], law.regressor.columns)
             found.append(own[seen.chains.mask] * law.size)
@@ -189,7 +186,7 @@ def beside_laws(space: StateSpace, fitted: Fitted, columns: Columns, needed: flo
 
 def _likeliest(
     space: StateSpace,
-    looks: Sequence[Seen],
+    seen: Seen,
     directions: _Directions,
     index: int,
     rows: Array,
@@ -202,13 +199,10 @@ def _likeliest(
         directions.columns[..., index],
         len(directions.names),
     )
-    simulator, found = space.simulator, []
-    names, own = simulator.input_names, directions.own[index]
-    of_rows = regressors_of(simulator, names, rows, own, space.groups, n) + _of_time(space)
-    for look in looks:
-        past = _own_past(space, look, direction, scale, horizon)
-        found.append(([*of_rows, *past], partial(_told, space, look, direction, taken=taken)))
-    return likeliest(found, scale, n)
+    simulator, own = space.simulator, directions.own[index]
+    regressors = regressors_of(simulator, simulator.input_names, rows, own, space.groups, n)
+    regressors += [*_of_time(space), *_own_past(space, seen, direction, scale, horizon)]
+    return likeliest(regressors, partial(_told, space, seen, direction, taken=taken), scale, n)
 
 
 def _told(
@@ -391,15 +385,6 @@ def _past(seen: Seen, index: int) -> float:
     remembered = memory.variance(force[k:])[index]
     total = remembered + force[index]
     return float(memory.predicted * remembered / total) if total > 0 else 0.0
-
-
-def _with_normal_noise(space: StateSpace, seen: Seen, known: Known) -> list[Seen]:
-    """Return the log as normal noise has it, if the noise has heavy tails."""
-    noise = seen.estimate.noise
-    if not np.isfinite(np.c_[noise.force_nu, noise.error_nu]).any():
-        return []
-    normal = replace(normal_noise(seen.chains, noise.force, noise.error, noise.law), mixing=noise.mixing)
-    return [replace(seen, estimate=_normal_estimate(seen.chains, normal, space, known))]
 
 
 # -- what predicts it -------------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ from scipy import special, stats
 from skat.diagnosis.ahead import Seen
 from skat.diagnosis.chains import NO_MEMORY, Memory
 from skat.diagnosis.findings import Gain
-from skat.diagnosis.fitting import NOTHING_KNOWN, Fitted, Known, first_fit
+from skat.diagnosis.fitting import Fitted, Known, first_fit
 from skat.diagnosis.laws import (
     SIZES,
     WAYS,
@@ -39,7 +39,6 @@ from skat.diagnosis.remainder import (
     _turned_back,
     _welch,
     _white_spectra,
-    _with_normal_noise,
     find_remainder,
     is_unexplained,
     word_of,
@@ -423,18 +422,6 @@ def test_the_past_predicts_of_a_force_with_memory_what_is_left_of_it_a_row_later
     # The first pushes act on the second joint, too: white ones of 9 and 1, and lasting ones of 4 and 1.
     mixing = np.array([[[1.0, 0.0], [1.0, 1.0]]])
     assert past(Memory(2, 0.5), [9.0, 1.0, 3.0, 0.75], 1, mixing) == pytest.approx(0.25 * 5 / 15)
-
-
-def test_a_log_with_heavy_tails_is_looked_at_with_normal_noise_too():
-    space, fitted = one_shot(40, 0)
-    noise = fitted.estimate.noise
-    seen = Seen(fitted.linear, fitted.chains, fitted.estimate, fitted.memory)
-    assert _with_normal_noise(space, seen, NOTHING_KNOWN) == []
-    heavy = replace(fitted.estimate, noise=replace(noise, error_nu=np.array([[3.0]])))
-    (normal,) = _with_normal_noise(space, replace(seen, estimate=heavy), NOTHING_KNOWN)
-    assert np.isinf(normal.estimate.noise.error_nu).all()
-    y = space.measured[:, 1, 0]
-    assert normal.estimate.noise.error[0] == pytest.approx(np.mean(y**2), rel=0.05)
 
 
 def resting(lengths, *, error=0.1, force=0.0):

@@ -94,7 +94,7 @@ def _left(
     nv = len(names) // 2
     own = names[joint.place], names[nv + joint.place]
     regressors = regressors_of(simulator, names, states, own, joint.half.stretches, nv)
-    law = likeliest([(regressors, joint.quadratic)], scale, nv)
+    law = likeliest(regressors, joint.quadratic, scale, nv)
     columns = law.regressor.columns
     first, second = (columns @ law.strengths(*joint.quadratic(columns, which)) for which in (False, True))
     effect = simulator.joint_forces()[joint.place][0]
