@@ -47,8 +47,6 @@ VELOCITIES = ("auto", "measured", "computed")
 ACTIONS = ("auto", "commanded", "measured")
 # A log in which the simulation diverges in a larger share of the rows is not explained by it.
 MOST_DIVERGED = 0.1
-# A typical size of which squares, and what they are multiplied with, stay numbers.
-SIZES = 1e-30, 1e30
 # Readings are multiples of a step if none misses one by more than this share of it.
 ROUNDED = 0.01
 
@@ -650,7 +648,11 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
                 raise ValueError(
                     unknown_name_message(name, {one.name: one for one in self.simulator.effects(also="all")})
                 )
-            _check_size(name, size)
+            if not (size > 0 and 0 < size * size < np.inf):
+                raise ValueError(
+                    f"the typical size of {name} must be positive, in its unit, and a number whose square is one; it "
+                    f"is {size!r}."
+                )
 
     def _chosen_effects(self) -> list[Effect]:
         known = {effect.name: effect for effect in self.simulator.effects(also="all")}
@@ -850,16 +852,7 @@ def _checked_effect(given: Effect, known: Effect) -> Effect:
             f"{given.name} must be in {known.unit}, neutral at {known.neutral:g}, with bounds within {known.bounds}; "
             f"it is in {given.unit}, neutral at {given.neutral:g}, with bounds {given.bounds}."
         )
-    _check_size(given.name, given.typical)
     return given
-
-
-def _check_size(name: str, size: Any) -> None:
-    """Raise if the typical size of an effect is none."""
-    if not SIZES[0] <= size <= SIZES[1]:
-        raise ValueError(
-            f"the typical size of {name} must lie between {SIZES[0]:g} and {SIZES[1]:g}, in its unit; it is {size!r}."
-        )
 
 
 def _rows_of(log: Log) -> tuple[Array, Array, NDArray[np.intp]]:

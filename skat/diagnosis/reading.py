@@ -12,9 +12,6 @@ from skat.diagnosis.chains import Array
 from skat.diagnosis.log import Log, check_log, check_matrix, put_together, tangent_variances
 from skat.simulators import Simulator
 
-# Rates of a log and of its simulator that differ by no more than this share are one.
-SAME_RATE = 1e-3
-
 
 @dataclass(frozen=True)
 class Given:
@@ -122,7 +119,7 @@ def _parts(simulator: Simulator, name: str, one: Any) -> tuple[Any, Any, Any, An
 def _check_rate(simulator: Simulator, name: str, log: Any) -> None:
     """Raise where a log's rows are not as far apart as the simulator's."""
     given, dt = getattr(getattr(log, "simulator", None), "dt", None), simulator.dt
-    if given and dt and abs(given / dt - 1) > SAME_RATE:
+    if given and dt and not np.isclose(given, dt, rtol=1e-3, atol=0):
         raise ValueError(
             f"{name} has rows of {given:g} s, and a step of the simulator is {dt:g} s. Take the simulator that goes "
             f"with the log, SimulationDiagnosis(log.simulator), or read the log with load_log(..., rate={1 / dt:g})."

@@ -24,8 +24,6 @@ ORDER = 6
 PIECE, QUIET = 10, 0.25
 # Of what independent noise would leave: far from 1 for the scatter of a variance, far from 0 for a log's own rounding.
 SHARE = 0.03
-# Neighbours, to each side, that may tell of a position what is motion and no noise.
-NEAR = 3
 # Rows for each regressor.
 ROWS_EACH = 4
 
@@ -69,9 +67,9 @@ def _unpredictable(positions: Array, episodes: NDArray[Any], others: Array | Non
     """Return the variance of what neighbours and all else tell nothing of: noise is no larger."""
     if others is None or not others.shape[1]:
         return np.inf
-    windows = _windows(np.column_stack([positions, others]), episodes, NEAR)
-    target, beside = windows[:, 0, NEAR], windows[:, 1:].reshape(len(windows), -1)
-    design = np.column_stack([np.delete(windows[:, 0], NEAR, axis=1), beside])
+    windows = _windows(np.column_stack([positions, others]), episodes, POSITIONS)
+    target, beside = windows[:, 0, POSITIONS], windows[:, 1:].reshape(len(windows), -1)
+    design = np.column_stack([np.delete(windows[:, 0], POSITIONS, axis=1), beside])
     kept = np.isfinite(target)
     design, target = design[kept], target[kept]
     design = design[:, np.isfinite(design).all(axis=0)]

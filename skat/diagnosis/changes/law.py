@@ -10,8 +10,8 @@ from skat.diagnosis.changes.windows import Quadratic
 from skat.diagnosis.evidence import bounded_solution
 from skat.diagnosis.forces.force_space import LEFT_AT_LEAST, NOISE_TURNS, Rows, joined, noise_of
 
-# Effects differ between windows by this share of their typical size, told as by so many windows.
-APART_AT_LEAST, PSEUDO = 0.1, 1.0
+# Effects differ between windows by this share of their typical size, told as by one window.
+APART_AT_LEAST = 0.1
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def settled_law(sides: Sequence[Rows], possible: tuple[Array, Array] | None = No
         told = np.sum(1 - unsure / spread, axis=0)
         # MacKay's fixed point: squares over how many of them the rows tell, and not the law itself.
         last = inner, apart, value, cover, means
-        spread = (moments + PSEUDO * APART_AT_LEAST**2) / (np.maximum(told, 0) + PSEUDO)
+        spread = (moments + APART_AT_LEAST**2) / (np.maximum(told, 0) + 1)
         weights = 2 / (1 + solved**2)
         squares = np.empty(len(noise))
         for (_, own), *of_window in zip(windows, *last):

@@ -27,8 +27,6 @@ from skat.simulators import MujocoSimulator
 
 # Rows by which commands may come late, or early: of a row that a smoothed motion and a time step blur.
 LATE_IN_BOTH = tuple(0.25 * one for one in range(-16, 33))
-# Of what something is to explain, that it explains at least.
-MOST = 0.5
 # Turns of the machines about which forces are linear, and of what is wrong in both logs or was found to differ.
 TURNS = 3
 # Odds of a fault of its own: a motor lost nearly all that it exerts, or columns of a log were mixed up.

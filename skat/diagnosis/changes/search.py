@@ -8,7 +8,7 @@ import numpy as np
 from skat.diagnosis.chains import Array
 from skat.diagnosis.changes.candidates import priors_of, rivals_of
 from skat.diagnosis.changes.mixups import mistake_of
-from skat.diagnosis.changes.question import MOST, TURNS, Question, question_of
+from skat.diagnosis.changes.question import TURNS, Question, question_of
 from skat.diagnosis.changes.strengths import Logs, OverStrengths
 from skat.diagnosis.changes.telling import Changes, causes_of, detectable_of, gain_of, sizes_of
 from skat.diagnosis.changes.windows import total, windows_of
@@ -78,7 +78,7 @@ def find_changes(
     gain = gain_of(question, value, differences)
     reason = ""
     # On windows that were not used the logs differ by something else.
-    if causes and gain is not None and gain.nominal > gain.floor and gain.explained < MOST:
+    if causes and gain is not None and gain.nominal > gain.floor and gain.explained < 0.5:
         told = ", ".join(one.name for one in causes)
         reason = f"The logs differ as if by {told}, but that explains too little of parts of the log after not used."
     if question.weak and (reason or not causes or _contradict(causes, question.weak)):
