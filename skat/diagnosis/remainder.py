@@ -1,19 +1,8 @@
-r"""What is left of a log beside the causes: how large it is, what predicts it, and what it looks like over time.
+"""What is left of a log beside the causes: how large it is, what predicts it, and what it looks like over time.
 
-A force on a joint that is :math:`\phi(c_t)'\beta` moves the whitened innovations z by :math:`N\beta`, N being the
-filter's response to the columns :math:`F_t \phi(c_t)`, so that with :math:`G = N'N, b = N'z` the log likelihood gains
-:math:`b'\beta - \beta'G\beta / 2`. That holds however little of the force the sensors show, where a regression of
-smoothed forces, which are drawn to zero, would not. With :math:`\beta \sim N(0, s^2)` a law is worth
-
-.. math:: \ln E_s = \tfrac12 b'(G + s^{-2})^{-1} b - \tfrac12 \ln |1 + s^2 G|,
-
-which is what it gains in predicting each row from those before it, added up. The coordinate c is taken from the state
-as the filter has it from earlier rows alone. So where nothing is left, :math:`E_s` has a mean of at most 1, and so has
-any mean of such numbers over sizes s, regressors and joints: the chance that it exceeds :math:`1 / \alpha` is at most
-:math:`\alpha`, whatever was tried. (For the noise as it is; the noise was estimated.)
-
-The size of a law comes from two halves of the log, blocks of time in turns: the mean of the product of what either half
-has it to be is free of what each takes for the law by chance.
+A law of forces is asked of the whitened innovations, which it moves by the filter's response to its columns; the theory
+page derives what it is worth. Its size comes from two halves of the log, blocks of time in turns: the mean of the
+product of what either half has it to be is free of what each takes for the law by chance.
 """
 
 from collections.abc import Callable, Mapping, Sequence

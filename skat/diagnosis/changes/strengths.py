@@ -1,10 +1,7 @@
-r"""Sets of changes, weighed where logs may differ though nothing changed, by as much as makes both logs most likely.
+"""Sets of changes, weighed where logs may differ though nothing changed, by as much as makes both logs most likely.
 
-Of a model that is not right, two logs differ by more than noise: by what its misfit looks like in the one motion and in
-the other. A change is in one effect; misfit is in all of them, on each joint by the same share of what no effect
-explains there. How large that share is all of them tell together, anew for each set of changes: a variance component,
-as the heterogeneity of studies [1]_, over which the marginal likelihood is summed. So a change on one joint is no
-misfit as long as nothing else differs.
+How large a share of misfit looks like effects is a variance component, as the heterogeneity of studies [1]_, over which
+the marginal likelihood is summed, anew for each set of changes.
 
 References
 ----------
