@@ -29,7 +29,7 @@ def compare(
 ) -> None:
     """Several logs of one robot: side by side, what each names, and whether they agree."""
     with clear_errors():
-        from skat.diagnosis.agreement import agreement_sentences, compare_findings
+        from skat.diagnosis.report.agreement import agreement_sentences, compare_findings
 
         output = None if output is None else output_file(output, force=force)
         found = [_read(path) for path in findings]
@@ -49,7 +49,7 @@ def compare(
 
 
 def _read(path: Path) -> Any:
-    from skat.diagnosis.agreement import check_findings
+    from skat.diagnosis.report.agreement import check_findings
 
     text = existing_file(path, "findings in JSON").read_bytes()
     try:

@@ -361,7 +361,7 @@ def check(
 ) -> None:
     """Say how LOG is read with MODEL, and what it could show: names, units, clock, limits, excitation; no diagnosis."""
     with clear_errors():
-        from skat.diagnosis.checks import channel_table
+        from skat.logs.checks import channel_table
 
         check_logs_apart(log)
         save_map = None if save_map is None else output_file(save_map, force=force)
@@ -572,7 +572,7 @@ def _show_preflight(
     log: "Log", effect: Sequence[str] | None, alpha: float, most: int | None = None
 ) -> "pd.DataFrame":
     from skat.diagnosis import SimulationDiagnosis
-    from skat.diagnosis.checks import rows_of
+    from skat.logs.checks import rows_of
 
     X, groups = rows_of(log, most)
     diagnosis = SimulationDiagnosis(log.simulator, effects=effect or "all", alpha=alpha)

@@ -33,14 +33,7 @@ class Memory:
     ``z[t+1] = share z[t] + (1 - share) w[t]`` takes back from w[t], so that nothing is left of a push in the end, as
     of a vibration's: spectra that fall off above a frequency, or below it.
 
-    Attributes
-    ----------
-    n_forces : int, default=0
-        0: there are none.
-    share : float, default=0
-        What is left of z a row later.
-    returns : bool, default=False
-        Whether pushes are taken back.
+    `n_forces`: 0: there are none. `share`: what is left of z a row later. `returns`: whether pushes are taken back.
     """
 
     n_forces: int = 0
@@ -79,22 +72,12 @@ NO_MEMORY = Memory()
 class Chains:
     """Linear dynamics and measurements of chains, padded to the longest one.
 
-    Attributes
-    ----------
-    transitions : ndarray of shape (n_chains, n_steps, d, d)
-    drive : ndarray of shape (n_chains, n_steps, d)
-        c, what the model adds to the deviation in a step.
-    bends : ndarray of shape (n_chains, n_steps, d, d)
-        Covariance of what the linearisation leaves.
-    carrier : ndarray of shape (n_chains, n_steps, d, n_forces)
-        F, by which random forces enter the state.
-    measured : ndarray of shape (n_chains, n_steps + 1, d)
-        m; any number where nothing was measured.
-    mask : ndarray of bool of shape (n_chains, n_steps + 1, d)
-    prior : ndarray of shape (d,)
-        Variance of a chain's first state about the path.
-    before : ndarray of shape (n_chains, d, n_forces), optional
-        By which forces of the first step's variances enter that state, beside the prior.
+    `transitions` (n_chains, n_steps, d, d). `drive` (n_chains, n_steps, d): c, what the model adds to the deviation in
+    a step. `bends` (n_chains, n_steps, d, d): covariance of what the linearisation leaves. `carrier` (n_chains,
+    n_steps, d, n_forces): F, by which random forces enter the state. `measured` (n_chains, n_steps + 1, d): m; any
+    number where nothing was measured. `mask` (n_chains, n_steps + 1, d). `prior` (d,): variance of a chain's first
+    state about the path. `before` (n_chains, d, n_forces): by which forces of the first step's variances enter that
+    state, beside the prior.
     """
 
     transitions: Array
@@ -150,10 +133,7 @@ class Chains:
     def mixed(self, mixing: Array | None) -> "Chains":
         """Return these chains as pushes drive them each of which acts on several joints.
 
-        Parameters
-        ----------
-        mixing : ndarray of shape (n_chains, k, k) or None
-            Forces on k joints are this times k pushes, as are those of memory.
+        `mixing` (n_chains, k, k): forces on k joints are this times k pushes, as are those of memory.
         """
         if mixing is None or not mixing.shape[-1]:
             return self

@@ -144,14 +144,7 @@ def compare_transports(
 def ceiling_sentence(frame: pd.DataFrame) -> str:
     """Return in a sentence whether a map learned from the data beats the named causes.
 
-    Parameters
-    ----------
-    frame : DataFrame
-        From `compare_transports`.
-
-    Returns
-    -------
-    str
+    `frame`: from `compare_transports`.
 
     Examples
     --------
@@ -188,19 +181,10 @@ def is_beaten(frame: pd.DataFrame) -> bool:
 class _Rows:
     """Inputs with outputs three times: measured, and simulated by the nominal and the extended model.
 
-    Attributes
-    ----------
-    inputs : ndarray of shape (n_rows, n_context)
-    measured, nominal, extended : ndarray of shape (n_rows, n_columns)
-    difference : callable
-        ``difference(prediction)`` returns measured minus predicted, (n_rows, n_channels).
-    spread : ndarray of shape (n_channels,)
-        Standard deviations of the measured outputs, 1 for constant ones.
-    channels : tuple of str
-    blocks : ndarray of int of shape (n_rows,)
-        Pieces of time that count as independent.
-    n_lost : int
-        Rows left out because a simulation diverged.
+    `inputs` (n_rows, n_context). `measured`, `nominal`, `extended` (n_rows, n_columns). `difference`:
+    ``difference(prediction)`` returns measured minus predicted, (n_rows, n_channels). `spread` (n_channels,): standard
+    deviations of the measured outputs, 1 for constant ones. `blocks` (n_rows,): pieces of time that count as
+    independent. `n_lost`: rows left out because a simulation diverged.
     """
 
     inputs: Array

@@ -50,13 +50,7 @@ HINGE, SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE
 class Sign:
     """What a statistic finds in a log.
 
-    Attributes
-    ----------
-    size : float
-    names : tuple of str
-        Columns concerned.
-    words : mapping from str to object
-        What the doubt's sentence has beside them.
+    `names`: columns concerned. `words`: what the doubt's sentence has beside them.
     """
 
     size: float
@@ -68,21 +62,10 @@ class Sign:
 class Doubt:
     """Something that a log may have and hardly anybody means.
 
-    Attributes
-    ----------
-    name : str
-    statistic : callable
-        ``statistic(look)`` yields signs.
-    threshold : float
-        A sign that is larger is worth a warning.
-    sentence : str
-        With places for ``names``, ``has``, ``is`` and the sign's words.
-    refused : float
-        A sign that is larger than this, too, is an error: no answer would be one.
-    unless : tuple of str
-        Names of doubts that explain this one.
-    together : bool
-        Whether signs share a sentence.
+    `statistic`: ``statistic(look)`` yields signs. `threshold`: A sign that is larger is worth a warning. `sentence`:
+    with places for ``names``, ``has``, ``is`` and the sign's words. `refused`: A sign that is larger than this, too, is
+    an error: no answer would be one. `unless`: names of doubts that explain this one. `together`: whether signs share a
+    sentence.
     """
 
     name: str
@@ -113,18 +96,8 @@ class Raised:
 def warn_of_doubts(simulator: Simulator, log: Log, name: str = "") -> None:
     """Warn of what in a log is well-formed but hardly meant.
 
-    Parameters
-    ----------
-    simulator : Simulator
-    log : Log
-        NaN where nothing was measured.
-    name : str, default=""
-        Which log it is, where there are several.
-
-    Raises
-    ------
-    ValueError
-        If angles are certainly in degrees, or the simulation is random.
+    `log`: NaN where nothing was measured. `name`: which log it is, where there are several. Raises a ValueError if
+    angles are certainly in degrees, or the simulation is random.
     """
     for doubt in doubts_about(simulator, log):
         sentence = f"{name}: {doubt.sentence}" if name else doubt.sentence
@@ -136,11 +109,7 @@ def warn_of_doubts(simulator: Simulator, log: Log, name: str = "") -> None:
 def doubts_about(simulator: Simulator, log: Log) -> Iterator[Raised]:
     """Yield the doubts that a log raises, in the order of the table.
 
-    Parameters
-    ----------
-    simulator : Simulator
-    log : Log
-        NaN where nothing was measured.
+    `log`: NaN where nothing was measured.
     """
     look, raised = Look(simulator, log), set[str]()
     for doubt in DOUBTS:

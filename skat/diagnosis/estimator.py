@@ -47,8 +47,6 @@ VELOCITIES = ("auto", "measured", "computed")
 ACTIONS = ("auto", "commanded", "measured")
 # A log in which the simulation diverges in a larger share of the rows is not explained by it.
 MOST_DIVERGED = 0.1
-# A typical size of which squares, and what they are multiplied with, stay numbers.
-SIZES = 1e-30, 1e30
 # Readings are multiples of a step if none misses one by more than this share of it.
 ROUNDED = 0.01
 
@@ -347,8 +345,7 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             With `changes_`, a list of `Cause` whose value is by how much an effect is more in the log after, or, of a
             factor, how many times what it was; `verdict_`, "nothing changed", "named", "ambiguous" or "unexplained",
             where columns of the log after seem to be mixed up, where a motor seems to have died in it, or a joint to be
-            stuck, which no change explains, where changes explain too little of parts that were held out, or where logs
-            differ by more than any misfit of the simulation makes, and by no effect that was asked about; `reason_`,
+            stuck, which no change explains, or where changes explain too little of parts that were held out; `reason_`,
             which of these it is; `gain_`, on parts of the log after that were held out; and `common_`: for
             each degree of freedom the rms force that the simulation lacks in both logs, and what is left with all that
             is common in it, N or N m. Where nothing changed `detectable_` says of each effect by how much it would have
@@ -651,7 +648,11 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
                 raise ValueError(
                     unknown_name_message(name, {one.name: one for one in self.simulator.effects(also="all")})
                 )
-            _check_size(name, size)
+            if not (size > 0 and 0 < size * size < np.inf):
+                raise ValueError(
+                    f"the typical size of {name} must be positive, in its unit, and a number whose square is one; it "
+                    f"is {size!r}."
+                )
 
     def _chosen_effects(self) -> list[Effect]:
         known = {effect.name: effect for effect in self.simulator.effects(also="all")}
@@ -786,7 +787,6 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             chain_length=chain_length,
             origins=log.source,
             n_jobs=self.n_jobs,
-            earlier=log.earlier,
         )
 
     def _start(self, log: Log, effects: Sequence[Effect]) -> dict[str, float]:
@@ -852,16 +852,7 @@ def _checked_effect(given: Effect, known: Effect) -> Effect:
             f"{given.name} must be in {known.unit}, neutral at {known.neutral:g}, with bounds within {known.bounds}; "
             f"it is in {given.unit}, neutral at {given.neutral:g}, with bounds {given.bounds}."
         )
-    _check_size(given.name, given.typical)
     return given
-
-
-def _check_size(name: str, size: Any) -> None:
-    """Raise if the typical size of an effect is none."""
-    if not SIZES[0] <= size <= SIZES[1]:
-        raise ValueError(
-            f"the typical size of {name} must lie between {SIZES[0]:g} and {SIZES[1]:g}, in its unit; it is {size!r}."
-        )
 
 
 def _rows_of(log: Log) -> tuple[Array, Array, NDArray[np.intp]]:

@@ -51,27 +51,11 @@ def identifiability(
 ) -> pd.DataFrame:
     """Return a table of what a log shows of each effect, given the causes found.
 
-    Parameters
-    ----------
-    gram : Gram
-        Of all effects.
-    priors : Priors
-    effects : sequence of Effect
-        In the order of both.
-    values : mapping from name to value
-        The causes found.
-    alpha : float, default=0.01
-        A cause is named where the odds for it are 1 / alpha.
-    power : float, default=1.0
-        To which the likelihood is taken, as `evidence.weigh`'s.
-    value_at : callable, optional
-        ``value_at(effect, place)`` returns the value at a coordinate of the priors.
-
-    Returns
-    -------
-    DataFrame
-        Indexed by effect: `smallest` (size that would be named with a chance of one half, in the effect's unit; inf
-        where the log does not show it), `unit`, `nearest_alias`, `similarity` (cosine, 0 to 1).
+    `gram`: of all effects. `effects`: in the order of both. `values`: the causes found. `alpha`: A cause is named where
+    the odds for it are 1 / alpha. `power`: to which the likelihood is taken, as `evidence.weigh`'s. `value_at`:
+    ``value_at(effect, place)`` returns the value at a coordinate of the priors. Returns: indexed by effect: `smallest`
+    (size that would be named with a chance of one half, in the effect's unit; inf where the log does not show it),
+    `unit`, `nearest_alias`, `similarity` (cosine, 0 to 1).
 
     Notes
     -----
@@ -132,17 +116,8 @@ def _smallest(information: float, priors: Priors, k: int, needed: float, reach: 
 def beside_causes(gram: Gram, found: Sequence[int]) -> tuple[Array, Array]:
     """Return each effect's likeliest coordinate beside the causes found, whose values may give way, and its error.
 
-    Parameters
-    ----------
-    gram : Gram
-        Of all effects.
-    found : sequence of int
-        Places of the causes.
-
-    Returns
-    -------
-    places, errors : ndarray of shape (k,)
-        Without priors and bounds; the error is a standard deviation, inf of what the causes hide.
+    `gram`: of all effects. `found`: places of the causes. Returns `places, errors` (k,): without priors and bounds; the
+    error is a standard deviation, inf of what the causes hide.
     """
     shares, left = _left_by(gram.products, found, gram.projections)
     information = np.diag(gram.products) * shares
@@ -184,28 +159,12 @@ def preflight(
 ) -> pd.DataFrame:
     """Return the identifiability of planned transitions, and what would tell each effect from its nearest alias.
 
-    Parameters
-    ----------
-    simulator : Simulator
-    X : array-like of shape (n_rows, n_inputs)
-        NaN in columns of the state: will not be measured.
-    groups : array-like of shape (n_rows,) or None
-        Episode of each row. Rows that are planned need not follow each other.
-    effects : sequence of Effect
-    noise : array-like of shape (n_residuals,), optional
-        Standard deviations; by default 1 % of each channel's spread.
-    hidden : sequence of str, default=()
-        Channels of the state that will not be measured; their columns in X, where they hold numbers, say how it moves.
-    alpha : float, default=0.01
-    typical : mapping from name to size, optional
-        Scales of the priors of a user's own.
-
-    Returns
-    -------
-    DataFrame
-        As `identifiability`, with `separating_excitation`: more rows in which an input is large or small, "no single
-        input" where that does not do, "nothing in these rows" where none tells the two apart, and "" where they are not
-        nearly alike.
+    `X` (n_rows, n_inputs): NaN in columns of the state: will not be measured. `groups` (n_rows,): episode of each row.
+    Rows that are planned need not follow each other. `noise` (n_residuals,): standard deviations; by default 1 % of
+    each channel's spread. `hidden`: channels of the state that will not be measured; their columns in X, where they
+    hold numbers, say how it moves. `typical`: scales of the priors of a user's own. Returns: as `identifiability`, with
+    `separating_excitation`: more rows in which an input is large or small, "no single input" where that does not do,
+    "nothing in these rows" where none tells the two apart, and "" where they are not nearly alike.
     """
     log = _planned(simulator, X, groups)
     filled = log.filled.y

@@ -29,14 +29,12 @@ from skat.simulators.tables import refuse_text
 FEWEST_ROWS = 4
 # A split leaves so many rows that are independent.
 FEWEST_FITTED_ROWS = 10
-# A single episode is split into pieces of time of so many rows, if that makes no more than so many.
-ROWS_OF_PIECE, MOST_PIECES = 20, 20
+# A single episode is split into so many pieces of time.
+PIECES = 10
 # Rows of which more than this share begin where the one before has ended are in time order.
 FOLLOWING = 0.9
 # Of a channel's spread, and in its unit: what rounding may put between the end of a row and the begin of the next.
 ROUNDING, SMALLEST = 1e-4, 1e-9
-# Rows before a piece of an episode whose commands are kept: as many as delays and lags of commands reach back.
-EARLIER = 40
 # A first look takes so many stretches of a log, each so long (s), with at least and at most so many rows: in shorter
 # ones a force that has a memory looks like one that does not change, as causes do.
 STRETCHES, STRETCH_S, STRETCH_ROWS = 2, 0.8, (80, 320)
@@ -46,26 +44,11 @@ STRETCHES, STRETCH_S, STRETCH_ROWS = 2, 0.8, (80, 320)
 class Log:
     """Rows of inputs and outputs in episodes.
 
-    Attributes
-    ----------
-    X : ndarray of shape (n_rows, n_inputs)
-        NaN in the columns of the state where nothing was measured.
-    y : ndarray of shape (n_rows, n_outputs)
-        NaN where nothing was measured.
-    episodes : ndarray of int of shape (n_rows,)
-        0, 1, ... in the order of the rows.
-    consecutive : bool
-        Whether the rows of an episode follow each other in time.
-    labels : tuple or None
-        What the user calls each episode.
-    simulator : Simulator or None
-        Whose columns these are; needed where something was not measured.
-    sources : tuple of str
-        Names of the logs that were put together; empty of one.
-    source : ndarray of int of shape (n_rows,) or None
-        Which of them each row is of.
-    earlier : ndarray of shape (n_episodes, EARLIER, n_actions) or None
-        Commands before the first row of each episode, where it is a piece of a longer one: they may act in it still.
+    `X` (n_rows, n_inputs): NaN in the columns of the state where nothing was measured. `y` (n_rows, n_outputs): NaN
+    where nothing was measured. `episodes` (n_rows,): 0, 1, ... in the order of the rows. `consecutive`: whether the
+    rows of an episode follow each other in time. `labels`: what the user calls each episode. `simulator`: whose columns
+    these are; needed where something was not measured. `sources`: names of the logs that were put together; empty of
+    one. `source` (n_rows,): which of them each row is of.
     """
 
     X: Array
@@ -76,7 +59,6 @@ class Log:
     simulator: Simulator | None = None
     sources: tuple[str, ...] = ()
     source: Places | None = None
-    earlier: Array | None = None
 
     def __len__(self) -> int:
         return len(self.X)
@@ -158,29 +140,7 @@ class Log:
             episodes=episodes,
             labels=labels,
             source=source,
-            earlier=self._commands_before(chosen[np.unique(episodes, return_index=True)[1]]),
         )
-
-    def _commands_before(self, first: Places) -> Array | None:
-        """Return the commands before some rows of their episodes; None where none is known."""
-        step = self.steps[first]
-        if not self.consecutive or self.simulator is None or (self.earlier is None and not step.any()):
-            return None
-        back = np.arange(-EARLIER, 0)
-        known = self._held if self.earlier is None else self.earlier
-        outside = known[self.episodes[first][:, None], np.minimum(step[:, None] + back, -1)]
-        inside = self._commands[np.maximum(first[:, None] + back, 0)]
-        before: Array = np.where((step[:, None] + back < 0)[..., None], outside, inside)
-        return before
-
-    @property
-    def _commands(self) -> Array:
-        return self.X[:, 0 if self.simulator is None else len(self.simulator.state_names) :]
-
-    @property
-    def _held(self) -> Array:
-        """The first command of each episode, as if it had held before."""
-        return np.repeat(self._commands[self.steps == 0][:, None], EARLIER, axis=1)
 
     @property
     def parts(self) -> list["Log"]:
@@ -210,16 +170,8 @@ class Log:
     def split(self, test_size: float, random_state: np.random.RandomState) -> tuple["Log", "Log | None"]:
         """Return (fitted, held out) logs: whole episodes where there are several, otherwise blocks of time.
 
-        Parameters
-        ----------
-        test_size : float
-            Share of the rows to hold out, 0 <= test_size < 1.
-        random_state : numpy.random.RandomState
-
-        Returns
-        -------
-        Log, Log or None
-            None where nothing is held out: nothing was asked for, or too little would be left, which is warned of.
+        `test_size`: share of the rows to hold out, 0 <= test_size < 1. Returns: None where nothing is held out: nothing
+        was asked for, or too little would be left, which is warned of.
         """
         if not test_size:
             return self, None
@@ -267,9 +219,6 @@ class Log:
             episodes=np.concatenate([one.episodes + offset for one, offset in zip(parts, offsets)]),
             labels=labels,
             source=np.repeat(np.arange(len(parts)), [len(one) for one in parts]),
-            earlier=None
-            if all(one.earlier is None for one in parts)
-            else np.concatenate([one._held if one.earlier is None else one.earlier for one in parts]),
         )
 
     def _is_one_episode(self, test_size: float) -> bool:
@@ -290,7 +239,7 @@ class Log:
             if not episodes and most > 0:
                 episodes = [int(np.argmin(sizes))]
             return np.isin(self.episodes, episodes)
-        n_pieces = min(n, max(FEWEST_ROWS, min(MOST_PIECES, n // ROWS_OF_PIECE)))
+        n_pieces = min(n, PIECES)
         piece = np.arange(n) * n_pieces // n
         fewest_fitted = -(-FEWEST_FITTED_ROWS * n_pieces // n)
         count = max(1, min(round(test_size * n_pieces), n_pieces - fewest_fitted))
@@ -302,27 +251,11 @@ def check_log(
 ) -> Log:
     """Return the Log of checked rows.
 
-    Parameters
-    ----------
-    simulator : Simulator
-    X : array-like of shape (n_rows, n_inputs)
-        NaN in columns of the state: not measured.
-    y : array-like of shape (n_rows, n_outputs)
-        NaN: not measured. Of a quaternion all or nothing was measured.
-    groups : array-like of shape (n_rows,) or None
-        Episode of each row; the rows of an episode are consecutive and in time order.
-    fewest_rows : int, default=4
-
-    Returns
-    -------
-    Log
-        The state between two rows that follow each other is measured in both where it is in one of them.
-
-    Raises
-    ------
-    ValueError
-        Where the rows cannot be what the simulator takes and gives, with the row and the column; where nothing at all
-        was measured.
+    `X` (n_rows, n_inputs): NaN in columns of the state: not measured. `y` (n_rows, n_outputs): NaN: not measured. Of a
+    quaternion all or nothing was measured. `groups` (n_rows,): episode of each row; the rows of an episode are
+    consecutive and in time order. Returns: the state between two rows that follow each other is measured in both where
+    it is in one of them. Raises a ValueError where the rows cannot be what the simulator takes and gives, with the row
+    and the column; where nothing at all was measured.
     """
     n_states = len(simulator.state_names)
     X = check_matrix(X, "X", simulator.input_names, optional=simulator.state_names)
@@ -380,10 +313,7 @@ def check_log(
 def put_together(logs: Sequence[Log], names: Sequence[str]) -> Log:
     """Return several checked logs of one simulator as one that knows which rows are of which.
 
-    Raises
-    ------
-    ValueError
-        If the rows of some are in time order, and of others not.
+    Raises a ValueError if the rows of some are in time order, and of others not.
     """
     first = logs[0]
     for name, one in zip(names[1:], logs[1:]):
@@ -402,17 +332,8 @@ def put_together(logs: Sequence[Log], names: Sequence[str]) -> Log:
 def without_channels(simulator: Simulator, log: Log, names: Iterable[str]) -> Log:
     """Return the log as if some channels of the state, or outputs of a one-shot simulation, had not been measured.
 
-    Parameters
-    ----------
-    simulator : Simulator
-    log : Log
-    names : iterable of str
-        A part of a quaternion stands for all of it.
-
-    Raises
-    ------
-    ValueError
-        If there is no such channel, or nothing would be left.
+    `names`: A part of a quaternion stands for all of it. Raises a ValueError if there is no such channel, or nothing
+    would be left.
     """
     names = list(names)
     known = simulator.output_names
@@ -460,20 +381,9 @@ def check_matrix(values: Any, what: str, names: Sequence[str], *, optional: Sequ
 
     A single output may be one-dimensional, as scikit-learn's targets are.
 
-    Parameters
-    ----------
-    values : array-like of shape (n_rows, n_columns) or data frame
-    what : str
-        How the caller names the table, for messages.
-    names : sequence of str
-        The columns expected.
-    optional : sequence of str, default=()
-        Columns in which NaN, or nothing in a data frame, stands for what was not measured.
-
-    Raises
-    ------
-    ValueError
-        If a column is missing, or a value is no finite number where one has to be.
+    `values` (n_rows, n_columns). `what`: how the caller names the table, for messages. `names`: the columns expected.
+    `optional`: columns in which NaN, or nothing in a data frame, stands for what was not measured. Raises a ValueError
+    if a column is missing, or a value is no finite number where one has to be.
     """
     if hasattr(values, "columns") and hasattr(values, "to_numpy"):
         known = set(names) & set(values.columns)

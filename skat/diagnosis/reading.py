@@ -12,21 +12,13 @@ from skat.diagnosis.chains import Array
 from skat.diagnosis.log import Log, check_log, check_matrix, put_together, tangent_variances
 from skat.simulators import Simulator
 
-# Rates of a log and of its simulator that differ by no more than this share are one.
-SAME_RATE = 1e-3
-
 
 @dataclass(frozen=True)
 class Given:
     """A log, or several put together.
 
-    Attributes
-    ----------
-    log : Log
-    least : ndarray of shape (n_residuals,) or (n_logs, n_residuals)
-        Least variance of each channel's noise.
-    actions : {"commanded", "measured"}
-        What the log says of its actions; rows by themselves say nothing, and are taken for commands.
+    `least` (n_residuals,), (n_logs, n_residuals): least variance of each channel's noise. `actions` in {"commanded",
+    "measured"}: what the log says of its actions; rows by themselves say nothing, and are taken for commands.
     """
 
     log: Log
@@ -39,10 +31,7 @@ def read_logs(
 ) -> Given:
     """Return what `SimulationDiagnosis.fit` was given; ``actions`` is what a user says of them, or "auto".
 
-    Raises
-    ------
-    ValueError
-        If the rows of a log do not fit the simulator, or logs hold different things.
+    Raises a ValueError if the rows of a log do not fit the simulator, or logs hold different things.
     """
     own = "commanded" if actions == "auto" else actions
     if y is not None:
@@ -74,10 +63,7 @@ def read_logs(
 def read_change(simulator: Simulator, before: Any, after: Any) -> tuple[Log, Log]:
     """Return the two logs that `SimulationDiagnosis.fit_change` was given; without groups one is a single episode.
 
-    Raises
-    ------
-    ValueError
-        If one is no log, or its rows do not fit the simulator, with which one it is.
+    Raises a ValueError if one is no log, or its rows do not fit the simulator, with which one it is.
     """
     first, second = (
         _log_of(simulator, f"the log {name}", one) for name, one in (("before", before), ("after", after))
@@ -133,7 +119,7 @@ def _parts(simulator: Simulator, name: str, one: Any) -> tuple[Any, Any, Any, An
 def _check_rate(simulator: Simulator, name: str, log: Any) -> None:
     """Raise where a log's rows are not as far apart as the simulator's."""
     given, dt = getattr(getattr(log, "simulator", None), "dt", None), simulator.dt
-    if given and dt and abs(given / dt - 1) > SAME_RATE:
+    if given and dt and not np.isclose(given, dt, rtol=1e-3, atol=0):
         raise ValueError(
             f"{name} has rows of {given:g} s, and a step of the simulator is {dt:g} s. Take the simulator that goes "
             f"with the log, SimulationDiagnosis(log.simulator), or read the log with load_log(..., rate={1 / dt:g})."

@@ -1,51 +1,30 @@
-r"""What is left of a log beside the causes: how large it is, what predicts it, and what it looks like over time.
+"""What is left of a log beside the causes: how large it is, what predicts it, and what it looks like over time.
 
-A force on a joint that is :math:`\phi(c_t)'\beta` moves the whitened innovations z by :math:`N\beta`, N being the
-filter's response to the columns :math:`F_t \phi(c_t)`, so that with :math:`G = N'N, b = N'z` the log likelihood gains
-:math:`b'\beta - \beta'G\beta / 2`. That holds however little of the force the sensors show, where a regression of
-smoothed forces, which are drawn to zero, would not. With :math:`\beta \sim N(0, s^2)` a law is worth
-
-.. math:: \ln E_s = \tfrac12 b'(G + s^{-2})^{-1} b - \tfrac12 \ln |1 + s^2 G|,
-
-which is what it gains in predicting each row from those before it, added up. The coordinate c is taken from the state
-as the filter has it from earlier rows alone. So where nothing is left, :math:`E_s` has a mean of at most 1, and so has
-any mean of such numbers over sizes s, regressors and joints: the chance that it exceeds :math:`1 / \alpha` is at most
-:math:`\alpha`, whatever was tried. (For the noise as it is; the noise was estimated.)
-Where tails were found heavy, half of the weight is for the same with normal noise: what acts in few places passes for
-outliers else.
-
-The size of a law comes from two halves of the log, blocks of time in turns: the mean of the product of what either half
-has it to be is free of what each takes for the law by chance.
+A law of forces is asked of the whitened innovations, which it moves by the filter's response to its columns; the theory
+page derives what it is worth. Its size comes from two halves of the log, blocks of time in turns: the mean of the
+product of what either half has it to be is free of what each takes for the law by chance.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy import signal
-from scipy.special import logsumexp
 
 from skat.diagnosis.ahead import Seen, ahead, filtered
 from skat.diagnosis.chains import Array, Chains, Mask, Memory, Places
-from skat.diagnosis.evidence import WIDTH_95, Gram
+from skat.diagnosis.evidence import Gram
 from skat.diagnosis.filtering import Smoothed, kalman_filter, smooth
 from skat.diagnosis.findings import Gain
 from skat.diagnosis.fitting import NOTHING_KNOWN, Columns, Fitted, Known, response
-from skat.diagnosis.noise import Estimate, Noise, estimate_noise, normal_noise, passed
+from skat.diagnosis.laws import OWN_BINS, Law, Likeliest, Regressor, binned, likeliest, regressors_of
+from skat.diagnosis.noise import Estimate, Noise, estimate_noise, passed
 from skat.diagnosis.prediction import ends, horizon_rows, windows
 from skat.diagnosis.statespace import StateSpace, steps_of
 
-# Bins of a law of a joint's own coordinate, and of any other.
-OWN_BINS, OTHER_BINS = 12, 5
-# Sizes of a law that are tried, over the force on the joint.
-SIZES = (0.01, 0.03, 0.1, 0.3, 1.0)
-# Laws of other joints' coordinates are tried up to so many columns in all.
-MOST_COLUMNS = 1500
-LONGEST_TABLE = 5
 # Rows of a block of time, of which each half of a log has every other.
 BLOCK_ROWS = 16
-# Ways, as shares of a joint's travel, over which a force forgets where the joint came from: a cable's, a tendon's.
-WAYS = (0.03, 0.1, 0.3)
 # What a force's own past is called, and how many rows of it there are from the horizon on.
 PAST, PAST_ROWS = "its own past", 12
 # Fewer episodes do not tell a law of time from chance.
@@ -60,55 +39,18 @@ MAJORITY, FEW_ROWS, WIDTH, SLOW = 0.5, 0.02, 0.15, 0.1
 
 
 @dataclass(frozen=True)
-class Law:
-    """A force as a function of one coordinate.
-
-    Attributes
-    ----------
-    coordinate : str
-        An input, "time", a product of two inputs, or `PAST`.
-    edges : ndarray of shape (n_bins + 1,)
-    mean, low, high : ndarray of shape (n_bins,)
-        Force in each bin, and its 95 % interval.
-    """
-
-    coordinate: str
-    edges: Array
-    mean: Array
-    low: Array
-    high: Array
-
-
-@dataclass(frozen=True)
 class Left:
     """What is left in one direction: a force on a joint, or an error of one output.
 
-    Attributes
-    ----------
-    name, unit : str
-    rms : float
-        Of the force, what sensors hide of it included; no less than what is predictable.
-    scale : float
-        Root mean square of the force that the nominal model has there, same unit.
-    predictable : float
-        Root mean square of the part that the best single regressor predicts.
-    regressor : str
-        That regressor, such as ``"|v|v"`` of a coordinate.
-    evidence : float
-        What there is for a law in this direction, nats, corrected for all that was tried: above ln(1 / alpha) in at
-        most a share alpha of logs in which nothing is left.
-    law : Law
-        Of the best regressor's coordinate.
-    past : float
-        Share of the variance that is predicted a row ahead by the force's own past; 0 for a white one.
-    ahead : float
-        What the predictable part adds to the mean square error at the horizon, in units of a right model's.
-    frequencies, spectrum : ndarray of shape (n_frequencies,)
-        Hz (or per row), and the power density of what no law but its own past predicts, as if sensors hid nothing.
-    word : str
-        "drift", "vibration at 22 Hz", "impacts", "white", or "none" where sensors show no force.
-    tried : tuple of (str, float)
-        The best regressors and their evidence, uncorrected.
+    `rms`: of the force, what sensors hide of it included; no less than what is predictable. `scale`: root mean square
+    of the force that the nominal model has there, same unit. `predictable`: root mean square of the part that the best
+    single regressor predicts. `regressor`: that regressor, such as ``"|v|v"`` of a coordinate. `evidence`: what there
+    is for a law in this direction, nats, corrected for all that was tried: above ln(1 / alpha) in at most a share alpha
+    of logs in which nothing is left. `law`: of the best regressor's coordinate. `past`: share of the variance that is
+    predicted a row ahead by the force's own past; 0 for a white one. `ahead`: what the predictable part adds to the
+    mean square error at the horizon, in units of a right model's. `frequencies`, `spectrum` (n_frequencies,): Hz (or
+    per row), and the power density of what no law but its own past predicts, as if sensors hid nothing. `word`:
+    "drift", "vibration at 22 Hz", "impacts", "white", or "none" where sensors show no force.
     """
 
     name: str
@@ -124,7 +66,6 @@ class Left:
     frequencies: Array
     spectrum: Array
     word: str
-    tried: tuple[tuple[str, float], ...]
 
     @property
     def share(self) -> float:
@@ -146,17 +87,6 @@ class Remainder:
 
 
 @dataclass(frozen=True)
-class Regressor:
-    """What may predict a force: columns of it, and the coordinate that they are of."""
-
-    name: str
-    coordinate: str
-    values: Array  # (n_rows,)
-    columns: Array  # (n_rows, k)
-    is_own: bool
-
-
-@dataclass(frozen=True)
 class _Directions:
     """Where something may act: names, units, and the derivative of the next state, (n_rows, d, n)."""
 
@@ -174,15 +104,8 @@ def is_unexplained(
 ) -> bool:
     """Whether what is predictable, and no cause explains, is too much.
 
-    Parameters
-    ----------
-    remainder : Remainder
-    gain : Gain, optional
-        On the log held out, at the same horizon.
-    tolerance : float, default=0.1
-        Share of the excess error at the horizon that may be left; where a law that is left adds less than this share to
-        a right model's error, of the joint's force.
-    alpha : float, default=0.01
+    `gain`: on the log held out, at the same horizon. `tolerance`: share of the excess error at the horizon that may be
+    left; where a law that is left adds less than this share to a right model's error, of the joint's force.
     """
     clear = [part for part in remainder.parts if part.evidence > -np.log(alpha)]
     if not clear:
@@ -204,27 +127,17 @@ def find_remainder(
 ) -> Remainder:
     """Return what is left of a log beside the causes.
 
-    Parameters
-    ----------
-    space : StateSpace
-    fitted : Fitted
-        On this log, at the values of the causes.
-    known : Known, optional
-        Of the sensors' noise.
-    horizon : int, optional
-        In rows; as `horizon_rows` by default.
-    random_state : numpy.random.RandomState
-        Draws white forces, for comparison of spectra.
+    `fitted`: on this log, at the values of the causes. `known`: of the sensors' noise. `horizon`: in rows; as
+    `horizon_rows` by default. `random_state`: draws white forces, for comparison of spectra.
     """
     seen = Seen(fitted.linear, fitted.chains, fitted.estimate, fitted.memory)
     h = horizon_rows(space.simulator) if horizon is None else horizon
     directions, rows = _directions(space, fitted), _rows_as_known(space, seen)
     white = _white_spectra(space, fitted, directions, random_state)
-    looks = [seen, *_with_normal_noise(space, seen, known)]
-    runs = _runs(space, looks[-1], fitted.values, h)
-    laws = [_likeliest(space, looks, directions, index, rows, h) for index in range(len(directions.names))]
+    runs = _runs(space, seen, fitted.values, h)
+    laws = [_likeliest(space, seen, directions, index, rows, h) for index in range(len(directions.names))]
     # How large it is, is a matter of mean squares: heavy tails would take a law's largest forces for outliers.
-    sized = _without_laws(space, looks[-1], directions, laws, known)
+    sized = _without_laws(space, seen, directions, laws, known)
     parts = [
         _left(space, seen, sized, directions, index, law, runs, (white[0], white[1][index]))
         for index, law in enumerate(laws)
@@ -238,13 +151,7 @@ def beside_laws(space: StateSpace, fitted: Fitted, columns: Columns, needed: flo
     A law that stands for no effect of the list is noise of a known shape, of a size that the log asks for. What a cause
     is worth beside it is what the law cannot do; a cause that is worth nothing there stands for the law.
 
-    Parameters
-    ----------
-    space, fitted
-    columns : Columns
-        Of the causes, at this fit.
-    needed : float
-        Nats that there must be for a law.
+    `columns`: of the causes, at this fit. `needed`: nats that there must be for a law.
     """
     seen = Seen(fitted.linear, fitted.chains, fitted.estimate, fitted.memory)
     directions, rows = _directions(space, fitted), _rows_as_known(space, seen)
@@ -252,7 +159,7 @@ def beside_laws(space: StateSpace, fitted: Fitted, columns: Columns, needed: flo
     taken = np.linalg.qr(columns.columns)[0]
     found = []
     for index in range(len(directions.names)):
-        law = _likeliest(space, [seen], directions, index, rows, h, taken)
+        law = _likeliest(space, seen, directions, index, rows, h, taken)
         if law.evidence > needed:
             own = _response(space, seen, directions.columns[..., index], law.regressor.columns)
             found.append(own[seen.chains.mask] * law.size)
@@ -266,51 +173,46 @@ def beside_laws(space: StateSpace, fitted: Fitted, columns: Columns, needed: flo
     return Gram(gram.products - moved.T @ moved, gram.projections - moved.T @ shown, gram.origin)
 
 
-@dataclass(frozen=True)
-class _Likeliest:
-    """The regressor of a direction that most speaks for, what there is for any, and those that came near."""
-
-    regressor: Regressor
-    size: float
-    evidence: float
-    tried: tuple[tuple[str, float], ...]
-
-
 def _likeliest(
     space: StateSpace,
-    looks: Sequence[Seen],
+    seen: Seen,
     directions: _Directions,
     index: int,
     rows: Array,
     horizon: int,
     taken: Array | None = None,
-) -> _Likeliest:
+) -> Likeliest:
     """Return the likeliest law of a direction, beside what orthonormal columns `taken` of innovations stand for."""
-    scale = float(directions.scales[index])
-    of_rows = _regressors(space, directions, index, rows)
-    tried = []
-    for look in looks:
-        regressors = [*of_rows, *_own_past(space, look, directions.columns[..., index], scale, horizon)]
-        # Own laws have half of the weight for themselves.
-        n_own = sum(one.is_own for one in regressors)
-        n_other = len(regressors) - n_own
-        for one in regressors:
-            N = _response(space, look, directions.columns[..., index], one.columns)
-            nats, size = worth_of(*_gram(look, N, taken=taken), scale)
-            weight = (0.5 if n_other else 1.0) / n_own if one.is_own else 0.5 / n_other
-            tried.append((nats, nats + np.log(weight / len(looks)), size, one))
-    evidence = float(logsumexp([weighted for _, weighted, *_ in tried])) - float(
-        np.log(len(directions.names))
+    scale, direction, n = (
+        float(directions.scales[index]),
+        directions.columns[..., index],
+        len(directions.names),
     )
-    ranked = sorted(tried, key=lambda entry: -entry[1])
-    _, _, size, chosen = ranked[0]
-    return _Likeliest(
-        chosen, size, evidence, tuple((one.name, nats) for nats, _, _, one in ranked[:LONGEST_TABLE])
+    simulator, own = space.simulator, directions.own[index]
+    regressors = regressors_of(simulator, simulator.input_names, rows, own, space.groups, n)
+    regressors += [*_of_time(space), *_own_past(space, seen, direction, scale, horizon)]
+    return likeliest(regressors, partial(_told, space, seen, direction, taken=taken), scale, n)
+
+
+def _told(
+    space: StateSpace, seen: Seen, direction: Array, columns: Array, *, taken: Array | None = None
+) -> tuple[Array, Array]:
+    """Return what innovations tell of the strengths of columns of a force, G and b."""
+    return _gram(seen, _response(space, seen, direction, columns), taken=taken)
+
+
+def _of_time(space: StateSpace) -> list[Regressor]:
+    """Return the law of time since an episode began, where they are enough to tell it from chance."""
+    steps = steps_of(space.groups)
+    if not space.simulator.state_names or np.count_nonzero(steps == 0) < EPISODES_FOR_TIME:
+        return []
+    return binned(
+        "time", np.asarray(steps * (space.simulator.dt or 1.0), dtype=np.float64), OWN_BINS, is_own=True
     )
 
 
 def _without_laws(
-    space: StateSpace, seen: Seen, directions: _Directions, laws: Sequence[_Likeliest], known: Known
+    space: StateSpace, seen: Seen, directions: _Directions, laws: Sequence[Likeliest], known: Known
 ) -> Seen:
     """Return a log with the noise that is left when those laws act that there is more for than against.
 
@@ -320,10 +222,8 @@ def _without_laws(
     for index, law in enumerate(laws):
         if law.evidence > 0:
             own = _response(space, seen, directions.columns[..., index], law.regressor.columns)
-            shift += (
-                directions.columns[..., index]
-                * (law.regressor.columns @ _fit_of(seen, own, law.size))[:, None]
-            )
+            force = law.regressor.columns @ law.strengths(*_gram(seen, own))
+            shift += directions.columns[..., index] * force[:, None]
     if not shift.any():
         return seen
     hidden = seen.chains.drive.shape[-1] - space.d
@@ -338,19 +238,13 @@ def _normal_estimate(chains: Chains, start: Noise, space: StateSpace, known: Kno
     return estimate_noise(chains, start, space.real, floor=floor, held=held, heavy=False)
 
 
-def _fit_of(seen: Seen, response: Array, size: float, chosen: Mask | None = None) -> Array:
-    """Return the strengths of a regressor's columns, held by a normal law of a size."""
-    G, b = _gram(seen, response, chosen)
-    return np.asarray(np.linalg.solve(G + np.eye(len(b)) / size**2, b), dtype=np.float64)
-
-
 def _left(
     space: StateSpace,
     fitted: Seen,
     seen: Seen,
     directions: _Directions,
     index: int,
-    law: _Likeliest,
+    law: Likeliest,
     runs: "_Runs",
     white: tuple[Array, Array],
 ) -> Left:
@@ -358,7 +252,7 @@ def _left(
     own = _response(space, seen, column, chosen.columns)
     half = _halves(space)
     predicted: list[Array] = [
-        chosen.columns @ _fit_of(seen, own, law.size, half == which) for which in (False, True)
+        chosen.columns @ law.strengths(*_gram(seen, own, half == which)) for which in (False, True)
     ]
     predictable = float(np.sqrt(max(float(np.mean(predicted[0] * predicted[1])), 0.0)))
     added = _added(space, seen, column, np.stack(predicted, axis=-1), runs)
@@ -378,13 +272,12 @@ def _left(
         predictable,
         chosen.name,
         law.evidence,
-        _law(space, seen, column, chosen, law.size),
+        law.law(partial(_told, space, seen, column)),
         _past(fitted, index),
         added,
         frequencies,
         spectrum,
         word if shown > LEAST_SHOWN else "none",
-        law.tried,
     )
 
 
@@ -483,75 +376,7 @@ def _past(seen: Seen, index: int) -> float:
     return float(memory.predicted * remembered / total) if total > 0 else 0.0
 
 
-def _with_normal_noise(space: StateSpace, seen: Seen, known: Known) -> list[Seen]:
-    """Return the log as normal noise has it, if the noise has heavy tails."""
-    noise = seen.estimate.noise
-    if not np.isfinite(np.c_[noise.force_nu, noise.error_nu]).any():
-        return []
-    normal = replace(normal_noise(seen.chains, noise.force, noise.error, noise.law), mixing=noise.mixing)
-    return [replace(seen, estimate=_normal_estimate(seen.chains, normal, space, known))]
-
-
 # -- what predicts it -------------------------------------------------------------------------------------------------
-
-
-def _regressors(space: StateSpace, directions: _Directions, index: int, rows: Array) -> list[Regressor]:
-    simulator = space.simulator
-    places = {name: column for column, name in enumerate(simulator.input_names)}
-    own = directions.own[index]
-    first = rows[:, places[own[0]]] if own else np.zeros(len(rows))
-    found = [Regressor("constant", own[0] if own else "row", first, np.ones((len(rows), 1)), True)]
-    for name in own:
-        values = rows[:, places[name]]
-        found += binned(name, values, OWN_BINS, is_own=True)
-        if is_rate(name, simulator.units):
-            for law, column in (("sign", np.sign(values)), ("square", np.abs(values) * values)):
-                title = f"sign({name})" if law == "sign" else f"|{name}|{name}"
-                found += single(title, name, values, column)
-            for other in (one for one in own if one != name):
-                beside = rows[:, places[other]]
-                title = f"{other} {name}"
-                if other in simulator.state_names:
-                    found += single(title, title, beside * values)
-                if not is_rate(other, simulator.units):
-                    found += single(f"{other} |{name}|", title, beside * values, beside * np.abs(values))
-                    found += single(f"{other} {name}^2", title, beside * values, beside * values**2)
-        elif simulator.units.get(name) in ("rad", "m"):
-            along = unwrapped(values, space.groups) if simulator.units[name] == "rad" else values
-            travel = float(np.ptp(along))
-            for share in WAYS:
-                title = f"the way of {name}, {share:g} of its travel"
-                found += single(title, name, values, way_of(along, space.groups, share * travel))
-    if simulator.state_names:
-        steps = steps_of(space.groups)
-        if np.count_nonzero(steps == 0) >= EPISODES_FOR_TIME:
-            time = np.asarray(steps * (simulator.dt or 1.0), dtype=np.float64)
-            found += binned("time", time, OWN_BINS, is_own=True)
-    others = [name for name in simulator.input_names if name not in own]
-    if len(others) * OTHER_BINS * len(directions.names) <= MOST_COLUMNS:
-        for name in others:
-            found += binned(name, rows[:, places[name]], OTHER_BINS, is_own=False)
-    return found
-
-
-def unwrapped(angles: Array, groups: Places) -> Array:
-    """Return angles that do not jump by turns within an episode; each begins where it does."""
-    begins = np.flatnonzero(steps_of(groups) == 0)
-    return np.concatenate([np.unwrap(one) for one in np.split(angles, begins[1:])])
-
-
-def way_of(values: Array, groups: Places, length: float) -> Array:
-    """Return how far a coordinate came, what lies further back than a length along its way forgotten, by episode.
-
-    A force of it is one that pulls back and gives way: hysteresis.
-    """
-    begins = steps_of(groups) == 0
-    moved = np.where(begins, 0.0, np.diff(values, prepend=values[0]))
-    kept = np.where(begins, 0.0, np.exp(-np.abs(moved) / max(length, 1e-300)))
-    came, way = 0.0, np.empty(len(values))
-    for row, (share, step) in enumerate(zip(kept, np.sign(moved) * length * (1 - kept))):
-        came = way[row] = share * came + step
-    return way
 
 
 def _own_past(space: StateSpace, seen: Seen, direction: Array, scale: float, horizon: int) -> list[Regressor]:
@@ -591,40 +416,6 @@ def _turned_back(space: StateSpace, rows: Array) -> Array:
     return rows
 
 
-def is_rate(name: str, units: Mapping[str, str]) -> bool:
-    """Whether an input is a speed."""
-    return name.startswith("qvel.") or units.get(name, "").endswith("/s")
-
-
-def single(name: str, coordinate: str, values: Array, column: Array | None = None) -> list[Regressor]:
-    """Return the regressor of one column, by default the coordinate's values; none where it is zero."""
-    column = values if column is None else column
-    size = float(np.sqrt(np.mean(column**2)))
-    if size == 0:
-        return []
-    return [Regressor(name, coordinate, values, column[:, None] / size, True)]
-
-
-def binned(name: str, values: Array, n_bins: int, *, is_own: bool) -> list[Regressor]:
-    """Return the regressor that has a value in each bin of a coordinate; none where there are no two."""
-    columns = bins_of(values, n_bins)[1]
-    return [Regressor(name, name, values, columns, is_own)] if columns.shape[1] > 1 else []
-
-
-def bins_of(values: Array, n_bins: int) -> tuple[Array, Array]:
-    """Return edges, and which bin each row is in as columns: bins of about as many rows, equal values in one.
-
-    Few values, such as those of a command that is on or off, have a bin each.
-    """
-    levels, place, counts = np.unique(values, return_inverse=True, return_counts=True)
-    middles = (np.cumsum(counts) - counts / 2) / len(values)
-    bins = np.unique((n_bins * middles).astype(int), return_inverse=True)[1]
-    last = np.flatnonzero(np.diff(bins))
-    between = (levels[last] + levels[last + 1]) / 2
-    edges: Array = np.r_[levels[0], between, max(levels[-1], np.nextafter(levels[0], np.inf))]
-    return edges, np.eye(len(edges) - 1)[bins[place]]
-
-
 def _response(space: StateSpace, seen: Seen, direction: Array, columns: Array) -> Array:
     """Return by how much whitened innovations change with each column of force, (n_chains, n_steps + 1, d_all, k)."""
     drive = direction[:, :, None] * columns[:, None, :]
@@ -640,18 +431,6 @@ def _gram(
     if taken is not None:
         columns = columns - taken @ (taken.T @ columns)
     return columns.T @ columns, columns.T @ z
-
-
-def worth_of(G: Array, b: Array, scale: float) -> tuple[float, float]:
-    """Return what a law is worth, nats, as a mean over its sizes, and the size that is best."""
-    values, vectors = np.linalg.eigh(G)
-    values, turned = np.maximum(values, 0.0), vectors.T @ b
-    each = []
-    for size in SIZES:
-        prior = (size * scale) ** 2
-        nats = 0.5 * np.sum(turned**2 * prior / (1 + prior * values)) - 0.5 * np.sum(np.log1p(prior * values))
-        each.append(float(nats))
-    return float(logsumexp(each) - np.log(len(SIZES))), SIZES[int(np.argmax(each))] * scale
 
 
 def _halves(space: StateSpace) -> Mask:
@@ -687,15 +466,6 @@ def _added(space: StateSpace, seen: Seen, direction: Array, forces: Array, runs:
     mask = ends(space)[1][runs.starts + runs.horizon - 1]
     both = moved[..., 0] * moved[..., 1] / runs.right
     return float(max(both[mask].mean(), 0.0)) if mask.any() else 0.0
-
-
-def _law(space: StateSpace, seen: Seen, direction: Array, chosen: Regressor, size: float) -> Law:
-    edges, columns = bins_of(chosen.values, OWN_BINS)
-    G, b = _gram(seen, _response(space, seen, direction, columns))
-    curvature = G + np.eye(len(G)) / size**2
-    mean = np.asarray(np.linalg.solve(curvature, b), dtype=np.float64)
-    half = WIDTH_95 * np.sqrt(np.diag(np.linalg.inv(curvature)))
-    return Law(chosen.coordinate, edges, mean, mean - half, mean + half)
 
 
 # -- what it looks like over time -------------------------------------------------------------------------------------

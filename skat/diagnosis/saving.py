@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from skat.diagnosis.archive import EffectRecord, digest, opened, skat_version, write_archive
+from skat.diagnosis.archive import bare, digest, opened, skat_version, write_archive
 from skat.diagnosis.causes import Search
 from skat.diagnosis.chains import Array, Places
 from skat.diagnosis.log import Log
@@ -98,19 +98,9 @@ def _with_plain_labels(log: Log) -> Log:
 class SavedSimulator:
     """A simulator as a file has it, and what tells another one from it.
 
-    Attributes
-    ----------
-    kind : str
-        Name of its class.
-    parameters : dict or None
-        Of its constructor; None of one that is Python code.
-    input_names, output_names, state_names : tuple of str
-    effects : tuple of EffectRecord
-    rows : ndarray of shape (n_probes, n_inputs)
-        Inputs of the first rows of the log, guesses where nothing was measured.
-    groups : ndarray of shape (n_probes,)
-    outputs : ndarray of shape (n_probes, n_outputs)
-        What it makes of them; NaN where it diverges.
+    `kind`: name of its class. `parameters`: of its constructor; None of one that is Python code. `rows` (n_probes,
+    n_inputs): inputs of the first rows of the log, guesses where nothing was measured. `groups` (n_probes,). `outputs`
+    (n_probes, n_outputs): what it makes of them; NaN where it diverges.
     """
 
     kind: str
@@ -118,7 +108,7 @@ class SavedSimulator:
     input_names: tuple[str, ...]
     output_names: tuple[str, ...]
     state_names: tuple[str, ...]
-    effects: tuple[EffectRecord, ...]
+    effects: tuple[Effect, ...]
     rows: Array
     groups: Places
     outputs: Array
@@ -133,7 +123,7 @@ class SavedSimulator:
             tuple(simulator.input_names),
             tuple(simulator.output_names),
             tuple(simulator.state_names),
-            tuple(EffectRecord.of(effect) for effect in simulator.effects(also="all")),
+            tuple(bare(effect) for effect in simulator.effects(also="all")),
             rows,
             groups,
             _outputs(simulator, rows, groups),
@@ -142,10 +132,7 @@ class SavedSimulator:
     def restored(self, given: Simulator | None, path: Path) -> Simulator:
         """Return the simulator that was saved, or the given one if it is the same.
 
-        Raises
-        ------
-        ValueError
-            If it is not, or none was given and none can be made.
+        Raises a ValueError if it is not, or none was given and none can be made.
         """
         if given is None and self.parameters is None:
             raise ValueError(
@@ -179,8 +166,8 @@ class SavedSimulator:
         if missing:
             return f"it has no {', '.join(missing[:5])}{' ...' if len(missing) > 5 else ''}"
         for one in self.effects:
-            if not one.is_like(known[one.name]):
-                now = EffectRecord.of(known[one.name])
+            now = known[one.name]
+            if not is_like(one, now):
                 return (
                     f"{one.name} is in {now.unit}, neutral at {now.neutral:g}, bounds {now.bounds}, and was in "
                     f"{one.unit}, neutral at {one.neutral:g}, bounds {one.bounds}"
@@ -196,6 +183,12 @@ class SavedSimulator:
                 f"predicted {self.outputs[row, column]:g}"
             )
         return ""
+
+
+def is_like(one: Effect, other: Effect) -> bool:
+    """Whether values of an effect mean what those of another one do."""
+    numbers = (one.neutral, *one.bounds), (other.neutral, *other.bounds)
+    return one.unit == other.unit and np.allclose(*numbers, rtol=1e-6, atol=1e-12)
 
 
 def _parameters(simulator: Simulator) -> dict[str, Any] | None:
@@ -248,15 +241,7 @@ def _outputs(simulator: Simulator, rows: Array, groups: Places) -> Array:
 
 @dataclass(frozen=True)
 class Begun:
-    """A fit that has begun: what was drawn, and how far the search has come.
-
-    Attributes
-    ----------
-    fitted : Log
-    held_out : Log or None
-    random_state : numpy.random.RandomState
-    search : Search or None
-    """
+    """A fit that has begun: what was drawn, and how far the search has come."""
 
     fitted: Log
     held_out: Log | None
@@ -267,19 +252,8 @@ class Begun:
 class Checkpoint:
     """The file from which an interrupted fit goes on.
 
-    Parameters
-    ----------
-    path : path
-    diagnosis : SimulationDiagnosis
-    log : Log
-        Checked, before rows are held out.
-    floor : ndarray of shape (d,)
-        Least variance of each channel's noise.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no folder to write it into.
+    `log`: checked, before rows are held out. `floor` (d,): least variance of each channel's noise. Raises a
+    FileNotFoundError if there is no folder to write it into.
     """
 
     def __init__(self, path: str | PathLike[str], diagnosis: Any, log: Log, floor: Array) -> None:
@@ -299,10 +273,7 @@ class Checkpoint:
     def resumed(self, begun: Begun) -> Begun:
         """Return where to go on: what the file says if it is there.
 
-        Raises
-        ------
-        ValueError
-            If the file is damaged, or of another log, simulator, setting or version of skat.
+        Raises a ValueError if the file is damaged, or of another log, simulator, setting or version of skat.
         """
         if not self._path.exists():
             return begun
@@ -337,6 +308,3 @@ class Checkpoint:
             f"the fit cannot go on from {self._path}: {reason}. Fit as it was begun, or begin anew with another "
             "resume=, or without that file."
         )
-
-
-__all__ = ["Begun", "Checkpoint", "read_diagnosis", "write_diagnosis"]

@@ -42,14 +42,8 @@ STRETCH_ROWS, TURNS = 200, 4
 class Smoothing:
     """A Butterworth filter that was run forward and backward.
 
-    Attributes
-    ----------
-    order : int
-        Of the filter; 0: there was none.
-    cutoff : float
-        Share of the Nyquist frequency.
-    channels : tuple of str
-        Positions that went through it.
+    `order`: of the filter; 0: there was none. `cutoff`: share of the Nyquist frequency. `channels`: positions that went
+    through it.
     """
 
     order: int
@@ -94,11 +88,7 @@ class Smoothing:
     def undone(self, simulator: Simulator, log: Log) -> Log:
         """Return a log with what was read of every second instant, and NaN at the others and at the ends of episodes.
 
-        Parameters
-        ----------
-        simulator : Simulator
-        log : Log
-            Rows of an episode follow each other.
+        `log`: rows of an episode follow each other.
         """
         names, n_states = simulator.state_names, len(simulator.state_names)
         columns = [names.index(name) for name in self.channels]
@@ -119,11 +109,6 @@ def smoothed_positions(simulator: Simulator, log: Log) -> Iterator[tuple[str, fl
     """Yield of each position how many times more power there is about half of the Nyquist frequency than towards it.
 
     And the order of a Butterworth filter, run forward and backward, behind which noise falls off as fast. Names first.
-
-    Parameters
-    ----------
-    simulator : Simulator
-    log : Log
     """
     if not log.consecutive or not simulator.dt:
         return
@@ -152,17 +137,9 @@ def smoothing_of(
 
     Cutoff and causes are told in turns, each with the other, until the cutoff stands still.
 
-    Parameters
-    ----------
-    simulator : Simulator
-    log : Log
-        As it was filtered.
-    likelihood : callable
-        ``likelihood(log, values=values)`` returns the log likelihood of what was read at values of effects.
-    causes : callable
-        ``causes(log)`` returns values of the effects that a log asks for.
-    progress : callable
-        ``progress(stage, done, total)``.
+    `log`: as it was filtered. `likelihood`: ``likelihood(log, values=values)`` returns the log likelihood of what was
+    read at values of effects. `causes`: ``causes(log)`` returns values of the effects that a log asks for. `progress`:
+    ``progress(stage, done, total)``.
     """
     rates, outputs = dict(motions(simulator)), simulator.output_names
     found = {

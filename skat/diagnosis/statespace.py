@@ -63,8 +63,6 @@ class StateSpace:
         Of several logs, which one each chain is of.
     n_jobs : int or None
         Processes of joblib that share the simulations of candidates.
-    earlier : ndarray of shape (n_episodes, n_earlier, n_actions) or None
-        Commands before the first row of each episode, where they are known.
     """
 
     simulator: Simulator
@@ -78,7 +76,6 @@ class StateSpace:
     spread: Array
     origin: Places
     n_jobs: int | None = None
-    earlier: Array | None = None
 
     @property
     def n_logs(self) -> int:
@@ -117,9 +114,7 @@ class StateSpace:
         self, rows: Array, candidates: Sequence[Mapping[str, float]], forces: Array | None = None
     ) -> Array:
         """Return the outputs of rows under each candidate, (n_candidates, n_rows, n_outputs); see `Linear.forces`."""
-        run = partial(
-            self.simulator.predict_many, rows, groups=self.groups, forces=forces, earlier=self.earlier
-        )
+        run = partial(self.simulator.predict_many, rows, groups=self.groups, forces=forces)
         jobs = effective_n_jobs(self.n_jobs)
         if jobs == 1 or len(candidates) < 2:
             return run(candidates)
@@ -131,7 +126,7 @@ class StateSpace:
 
     def past(self, rows: Array, candidates: Sequence[Mapping[str, float]], forces: Array | None) -> Past:
         """Return what rows have of those before them under each candidate; see `Simulator.past`."""
-        return self.simulator.past(rows, candidates, groups=self.groups, forces=forces, earlier=self.earlier)
+        return self.simulator.past(rows, candidates, groups=self.groups, forces=forces)
 
     def path_ends(self, path: Array) -> Array:
         """Return the states in which the rows end on a path, (n_rows, n_states)."""
@@ -246,7 +241,6 @@ def state_space(
     chain_length: int = CHAIN_LENGTH,
     origins: Places | None = None,
     n_jobs: int | None = None,
-    earlier: Array | None = None,
 ) -> StateSpace:
     """Lay out a checked log.
 
@@ -264,8 +258,6 @@ def state_space(
         Which log each row is of, where there are several.
     n_jobs : int, optional
         Processes of joblib that share the simulations of candidates.
-    earlier : ndarray of shape (n_episodes, n_earlier, n_actions), optional
-        Commands before the first row of each episode; by default the first one has held.
     """
     n_states = len(simulator.state_names)
     (chain, step), states = in_chains(
@@ -307,7 +299,6 @@ def state_space(
         3 * spread,
         origin,
         n_jobs,
-        earlier,
     )
 
 

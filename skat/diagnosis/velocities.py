@@ -24,8 +24,6 @@ ORDER = 6
 PIECE, QUIET = 10, 0.25
 # Of what independent noise would leave: far from 1 for the scatter of a variance, far from 0 for a log's own rounding.
 SHARE = 0.03
-# Neighbours, to each side, that may tell of a position what is motion and no noise.
-NEAR = 3
 # Rows for each regressor.
 ROWS_EACH = 4
 
@@ -35,19 +33,10 @@ def is_computed(
 ) -> bool:
     """Return whether one joint's velocities were computed from its positions.
 
-    Parameters
-    ----------
-    positions, velocities : ndarray of shape (n_instants,)
-        As measured, evenly spaced within an episode; NaN where nothing was.
-    episodes : ndarray of shape (n_instants,)
-    others : ndarray of shape (n_instants, n_others), optional
-        What else tells of the motion but knows nothing of the noise of these positions: other positions, commands.
-
-    Returns
-    -------
-    bool
-        False also where too few rows leave it open. Where positions have no noise, either answer may come: they then
-        tell what the velocity would.
+    `positions`, `velocities` (n_instants,): as measured, evenly spaced within an episode; NaN where nothing was.
+    `episodes` (n_instants,). `others` (n_instants, n_others): what else tells of the motion but knows nothing of the
+    noise of these positions: other positions, commands. Returns: False also where too few rows leave it open. Where
+    positions have no noise, either answer may come: they then tell what the velocity would.
 
     Examples
     --------
@@ -78,9 +67,9 @@ def _unpredictable(positions: Array, episodes: NDArray[Any], others: Array | Non
     """Return the variance of what neighbours and all else tell nothing of: noise is no larger."""
     if others is None or not others.shape[1]:
         return np.inf
-    windows = _windows(np.column_stack([positions, others]), episodes, NEAR)
-    target, beside = windows[:, 0, NEAR], windows[:, 1:].reshape(len(windows), -1)
-    design = np.column_stack([np.delete(windows[:, 0], NEAR, axis=1), beside])
+    windows = _windows(np.column_stack([positions, others]), episodes, POSITIONS)
+    target, beside = windows[:, 0, POSITIONS], windows[:, 1:].reshape(len(windows), -1)
+    design = np.column_stack([np.delete(windows[:, 0], POSITIONS, axis=1), beside])
     kept = np.isfinite(target)
     design, target = design[kept], target[kept]
     design = design[:, np.isfinite(design).all(axis=0)]
@@ -113,16 +102,8 @@ def _regression(design: Array, target: Array) -> tuple[Array, Array, int]:
 def noise_variance(series: Array, episodes: NDArray[Any]) -> float:
     """Return the variance of a channel's noise as neighbouring rows show it: what high differences leave.
 
-    Parameters
-    ----------
-    series : ndarray of shape (n_instants,)
-        NaN where nothing was measured.
-    episodes : ndarray of shape (n_instants,)
-
-    Returns
-    -------
-    float
-        0 where no piece is long enough to tell; pieces in which a sensor repeats itself are none.
+    `series` (n_instants,): NaN where nothing was measured. `episodes` (n_instants,). Returns: 0 where no piece is long
+    enough to tell; pieces in which a sensor repeats itself are none.
     """
     rough = [np.diff(series[episodes == episode], ORDER) for episode in np.unique(episodes)]
     squares = np.concatenate(rough) ** 2 / comb(2 * ORDER, ORDER)
@@ -137,11 +118,8 @@ def power_by_frequency(series: Array, fewest: int) -> tuple[Array, Array]:
 
     High differences take the motion out before a window that hardly leaks; what they do to noise is made good.
 
-    Parameters
-    ----------
-    series : ndarray of shape (n_instants,)
-    fewest : int
-        Instants; of a shorter series, or one of which some were not measured, there are no frequencies.
+    `series` (n_instants,). `fewest`: instants; of a shorter series, or one of which some were not measured, there are
+    no frequencies.
     """
     if len(series) < fewest or not np.isfinite(series).all():
         return np.zeros(0), np.zeros(0)
@@ -166,12 +144,7 @@ def states_in_time(
 def computed_velocities(simulator: Simulator, X: Array, y: Array, groups: NDArray[Any]) -> tuple[str, ...]:
     """Return the names of the velocities that were computed from positions.
 
-    Parameters
-    ----------
-    simulator : Simulator
-    X, y : ndarray of shape (n_rows, n_inputs), (n_rows, n_outputs)
-    groups : ndarray of shape (n_rows,)
-        Episode of each row.
+    `X`, `y` (n_rows, n_inputs), (n_rows, n_outputs). `groups` (n_rows,): episode of each row.
     """
     names, pairs = simulator.state_names, motions(simulator)
     states, episodes, actions = states_in_time(simulator, X, y, groups)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.base import BaseEstimator
 
 from skat.effects import Effect, checked_values
-from skat.simulators.tables import Array, checked_columns, episode_starts, with_earlier
+from skat.simulators.tables import Array, checked_columns, episode_starts
 
 # Of the bias of a sensor: half a turn, or nothing that a unit of one's own would say.
 HALF_TURNS = {"rad": math.pi, "deg": 180.0}
@@ -185,7 +185,6 @@ class Simulator(BaseEstimator, ABC):
         groups: ArrayLike | None = None,
         past: "Past | None" = None,
         forces: Array | None = None,
-        earlier: Array | None = None,
     ) -> Array:
         """Simulate each row under each candidate set of effect values.
 
@@ -199,9 +198,6 @@ class Simulator(BaseEstimator, ABC):
             What these rows have of those before them, as `past` returns it, in place of what `groups` says.
         forces : ndarray of shape (n_rows, n_forces), optional
             Forces on joints besides, in the order of `joint_forces`, N or N m; those of `past`, if that is given.
-        earlier : ndarray of shape (n_episodes, n_earlier, n_inputs - n_states), optional
-            Commands in the rows before the first one of each episode, the last one last. Without it, or where `past` is
-            given, see there.
 
         Returns
         -------
@@ -215,7 +211,7 @@ class Simulator(BaseEstimator, ABC):
             return outputs
         times = None
         if past is None:
-            past, times = self._begun(inputs, totals, groups, forces, earlier)
+            past, times = self._begun(inputs, totals, groups, forces)
         for kind, which in self._by_memory(totals):
             some, before = [totals[index] for index in which], past.under(which)
             true = self._true(inputs, some)
@@ -236,18 +232,17 @@ class Simulator(BaseEstimator, ABC):
         *,
         groups: ArrayLike | None = None,
         forces: Array | None = None,
-        earlier: Array | None = None,
     ) -> "Past":
         """Return what each row has of the rows before it under each candidate: with it, rows do not need each other.
 
         Parameters
         ----------
-        X, candidates, groups, forces, earlier
+        X, candidates, groups, forces
             As in `predict_many`.
         """
         inputs = checked_columns(X, self.input_names, "X")
         totals = [self._total(values) for values in candidates]
-        found, times = self._begun(inputs, totals, groups, forces, earlier)
+        found, times = self._begun(inputs, totals, groups, forces)
         for kind, which in self._by_memory(totals):
             if kind:
                 some = [totals[index] for index in which]
@@ -260,19 +255,10 @@ class Simulator(BaseEstimator, ABC):
         totals: Sequence[Mapping[str, float]],
         groups: ArrayLike | None,
         forces: Array | None,
-        earlier: Array | None,
     ) -> tuple["Past", NDArray[np.intp]]:
         """Return the past of rows as if each were an episode's first but for commands, and the time of each."""
         starts = episode_starts(groups, len(inputs))
-        physical = [self._physical(one) for one in totals]
-        if earlier is None:
-            acting = self._acting(self._actions(inputs), starts, physical)
-        else:
-            actions, firsts, own = with_earlier(self._actions(inputs), starts, earlier)
-            acting = [
-                None if one is None else tuple(part[own] for part in one)
-                for one in self._acting(actions, firsts, physical)
-            ]
+        acting = self._acting(self._actions(inputs), starts, [self._physical(one) for one in totals])
         begun = self._steady(totals, len(inputs), acting)
         return replace(begun, forces=forces), np.arange(len(inputs)) - starts
 

@@ -99,25 +99,3 @@ def earlier_rows(actions: Array, starts: NDArray[np.intp], n_lags: int) -> Array
     rows = np.arange(len(actions))[:, None] - np.arange(1, n_lags + 1)
     earlier: Array = actions[np.maximum(rows, starts[:, None])]
     return earlier
-
-
-def with_earlier(
-    actions: Array, starts: NDArray[np.intp], earlier: Array
-) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
-    """Return the actions of rows with those before each episode, the start of each, and where the rows' own are.
-
-    Parameters
-    ----------
-    actions : ndarray of shape (n_rows, n_actions)
-    starts : ndarray of shape (n_rows,)
-        First row of each row's episode.
-    earlier : ndarray of shape (n_episodes, n_earlier, n_actions)
-        Those before each episode, in the order of the episodes, the last one last.
-    """
-    firsts, episode = np.unique(starts, return_inverse=True)
-    before = np.repeat(firsts, earlier.shape[1])
-    place = np.argsort(np.r_[2 * np.arange(len(actions)) + 1, 2 * before], kind="stable")
-    both = np.concatenate([actions, earlier.reshape(len(before), -1)])[place]
-    label = np.r_[episode, np.repeat(np.arange(len(firsts)), earlier.shape[1])][place]
-    own = np.flatnonzero(place < len(actions))
-    return both, episode_starts(label, len(label)), own

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.stats import chi2, norm
 
 from skat.diagnosis import compare_findings
-from skat.diagnosis.agreement import agreement_sentences
+from skat.diagnosis.report.agreement import agreement_sentences
 from skat.diagnosis.report.machine import SCHEMA
 
 DRY = "dry_friction[elbow]"

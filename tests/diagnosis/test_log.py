@@ -5,12 +5,10 @@ import pandas as pd
 import pytest
 
 from skat.diagnosis.log import (
-    EARLIER,
     Log,
     check_log,
     check_matrix,
     measured_channels,
-    put_together,
     tangent_variances,
     without_channels,
 )
@@ -70,43 +68,6 @@ def test_a_first_look_takes_stretches_of_time_from_either_half_of_a_log(dt, leng
     assert abs(np.mean(places[length:]) - 750) <= 1
     short = check_log(simulator, *rows([2 * length]))
     assert short.few() is short
-
-
-@pytest.mark.parametrize("effects", [{"delay[action]": 0.25}, {"lag[force]": 0.2, "delay[force]": 0.1}])
-def test_commands_from_before_a_piece_of_an_episode_act_in_it_as_in_the_whole(effects):
-    names = {"input_names": ("x", "v", "force"), "output_names": ("x", "v"), "state_names": ("x", "v")}
-    simulator = FunctionSimulator(push, **names, effects=(), dt=DT)
-    X, y, groups = rows([70, 1, 130])
-    whole = check_log(simulator, X, y, groups)
-    expected = simulator.predict(X, effects=effects, groups=groups)
-    # Pieces of pieces, one of them with the begin of an episode.
-    chosen = np.r_[10:40, 60:120, 150:200]
-    once = whole.rows(chosen)
-    for log, own in ((once, chosen), (once.rows(np.arange(5, 130)), chosen[5:130])):
-        space = state_space(
-            simulator, log.X, log.y, log.episodes, consecutive=True, earlier=log.earlier, chain_length=7
-        )
-        np.testing.assert_allclose(space.simulated(log.X, [effects])[0], expected[own], atol=1e-12)
-        past = space.past(log.X, [effects], None)
-        found = simulator.predict_many(log.X, [effects], past=past)[0]
-        np.testing.assert_allclose(found, expected[own], atol=1e-12)
-    assert whole.rows(groups > 0).earlier is None
-
-
-def test_pieces_of_several_logs_keep_their_own_earlier_commands(simulator):
-    long, short = (
-        check_log(simulator, *rows(lengths, seed)) for seed, lengths in ((1, [200]), (2, [30, 30]))
-    )
-    with pytest.warns(UserWarning, match="single episode"):
-        fitted, test = put_together([long, short], ["long", "short"]).split(0.3, np.random.RandomState(0))
-    for log in (fitted, test):
-        firsts = np.flatnonzero(log.steps == 0)
-        for row, before in zip(firsts, log.earlier[..., 0]):
-            origin = (long, short)[log.source[row]]
-            place = int(np.flatnonzero((log.X[row] == origin.X).all(axis=1)).item())
-            begin = place - origin.steps[place]
-            expected = origin.X[np.maximum(np.arange(place - EARLIER, place), begin), 2]
-            np.testing.assert_array_equal(before, expected)
 
 
 def test_a_first_look_takes_rows_without_an_order_from_all_over(simulator):

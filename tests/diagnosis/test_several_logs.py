@@ -7,10 +7,10 @@ import pandas as pd
 import pytest
 
 from skat.diagnosis import SimulationDiagnosis
-from skat.diagnosis.agreement import agreement_sentences
 from skat.diagnosis.chains import Chains
 from skat.diagnosis.log import check_log, put_together
 from skat.diagnosis.noise import estimate_noise, normal_noise
+from skat.diagnosis.report.agreement import agreement_sentences
 from skat.diagnosis.report.machine import findings_as_data
 from skat.effects import Effect
 from skat.simulators import FunctionSimulator

@@ -1,10 +1,7 @@
-r"""Sets of changes, weighed where logs may differ though nothing changed, by as much as makes both logs most likely.
+"""Sets of changes, weighed where logs may differ though nothing changed, by as much as makes both logs most likely.
 
-Of a model that is not right, two logs differ by more than noise: by what its misfit looks like in the one motion and in
-the other. A change is in one effect; misfit is in all of them, on each joint by the same share of what no effect
-explains there. How large that share is all of them tell together, anew for each set of changes: a variance component,
-as the heterogeneity of studies [1]_, over which the marginal likelihood is summed. So a change on one joint is no
-misfit as long as nothing else differs.
+How large a share of misfit looks like effects is a variance component, as the heterogeneity of studies [1]_, over which
+the marginal likelihood is summed, anew for each set of changes.
 
 References
 ----------
@@ -12,7 +9,7 @@ References
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import logsumexp
@@ -23,9 +20,8 @@ from skat.diagnosis.changes.windows import Quadratic
 from skat.diagnosis.evidence import Gram, Priors, Weighed, Weigher, gains_alone
 from skat.diagnosis.search import search_sets
 
-# Of the variance of an effect's difference, over that if all misfit looked like it. No misfit exerts more than all of
-# itself; logs that differ by more do so by a change.
-STRENGTHS, BEYOND = np.power(8.0, np.arange(-5, 1), dtype=float), np.power(8.0, np.arange(1, 5), dtype=float)
+# Of the variance by which an effect differs, over that if all misfit looked like it: no misfit is more than all of it.
+STRENGTHS = np.power(8.0, np.arange(-5, 1), dtype=float)
 # Precision of an effect that no joint feels, in typical sizes.
 LEAST = 1e-6
 
@@ -34,15 +30,8 @@ LEAST = 1e-6
 class Logs:
     """Both logs as quadratics in effects, the second with candidates behind them, and the law of what is common.
 
-    Attributes
-    ----------
-    first, second : Quadratic
-        In (n_effects,) and (n_effects + n_candidates,) values, in units of typical sizes.
-    law : Law
-    firsts, seconds : tuple of Quadratic
-        The windows of each, one of which may be left out.
-    strengths : ndarray of shape (n_strengths,)
-        By which logs may differ, each as likely.
+    `first`, `second`: in (n_effects,) and (n_effects + n_candidates,) values, in units of typical sizes. `firsts`,
+    `seconds`: the windows of each, one of which may be left out.
     """
 
     first: Quadratic
@@ -50,7 +39,6 @@ class Logs:
     law: Law
     firsts: tuple[Quadratic, ...] = ()
     seconds: tuple[Quadratic, ...] = ()
-    strengths: Array = field(default_factory=lambda: STRENGTHS)
 
     def both(self, strength: float) -> Quadratic:
         """Return both logs where they differ by a strength."""
@@ -71,40 +59,21 @@ class Logs:
 
     def level(self) -> float:
         """Return the log density of both logs if nothing changed, nats."""
-        levels = [self.left(strength).level for strength in self.strengths]
+        levels = [self.left(strength).level for strength in STRENGTHS]
         return float(logsumexp(levels) - np.log(len(levels)))
-
-    def differ_beyond_misfit(self, evidence: float, needed: float) -> bool:
-        """Return whether logs are likelier by so many nats if all may differ by more than all misfit exerts.
-
-        Than with the changes of an ``evidence``, as of `OverStrengths`, nats; and, whichever window of either is left
-        out, than if nothing changed.
-        """
-
-        def beyond(logs: Logs) -> float:
-            return replace(logs, strengths=np.r_[STRENGTHS, BEYOND]).level()
-
-        return beyond(self) - evidence > needed and all(
-            beyond(logs) - logs.level() > needed for logs in self.shortened()
-        )
 
 
 class OverStrengths(Weigher):
     """Weighs sets at all strengths together.
 
-    Parameters
-    ----------
-    logs : Logs
-    priors : Priors
-    rivals : mapping from place to places
-        As `Weigher`'s.
+    `rivals`: as `Weigher`'s.
     """
 
     def __init__(self, logs: Logs, priors: Priors, rivals: Mapping[int, Sequence[int]]):
         nothing = Gram(np.zeros((0, 0)), np.zeros(0), np.zeros(0))
         super().__init__(nothing, priors, rivals)
         self.logs = logs
-        self._at = [self._weigher(logs, strength) for strength in logs.strengths]
+        self._at = [self._weigher(logs, strength) for strength in STRENGTHS]
         self._short: list[list[tuple[Weigher, float]]] = []
         tops = [search_sets(worth) for worth, _ in self._at]
         best = int(np.argmax([top.evidence + level for top, (_, level) in zip(tops, self._at)]))
@@ -137,7 +106,7 @@ class OverStrengths(Weigher):
 
     def strength(self, members: Sequence[int]) -> float:
         """Return the strength at which a set is worth most."""
-        return float(self.logs.strengths[np.argmax(self._worths(members))])
+        return float(STRENGTHS[np.argmax(self._worths(members))])
 
     def price(self, members: Sequence[int]) -> float:
         """Return by how much what a set is worth is less than what it explains, nats."""
@@ -161,8 +130,7 @@ class OverStrengths(Weigher):
         """Return for both logs without each of their windows what weighs sets at each strength."""
         if not self._short:
             self._short = [
-                [self._weigher(logs, strength) for strength in logs.strengths]
-                for logs in self.logs.shortened()
+                [self._weigher(logs, strength) for strength in STRENGTHS] for logs in self.logs.shortened()
             ]
         return self._short
 
@@ -171,10 +139,7 @@ class OverStrengths(Weigher):
 
         About, and whichever window of either log is left out.
 
-        Parameters
-        ----------
-        differences : ndarray of shape (..., n_candidates)
-            Of each candidate, in units of its scale, where no other changes.
+        `differences` (..., n_candidates): of each candidate, in units of its scale, where no other changes.
         """
         least = np.full(differences.shape, np.inf)
         for at in (self._at, *self._shortened()):

@@ -15,14 +15,8 @@ from skat.diagnosis.forces.force_space import Rows
 class Quadratic:
     r"""Log likelihood of whitened rows, a quadratic in effects x: :math:`c + h'x - x'Gx / 2`.
 
-    Attributes
-    ----------
-    products : ndarray of shape (k, k)
-        G, without a unit, as columns are those of typical sizes, over the noise.
-    projections : ndarray of shape (k,)
-        h.
-    level : float
-        c, nats; constants of the noise are left out.
+    `products` (k, k): G, without a unit, as columns are those of typical sizes, over the noise. `projections` (k,): h.
+    `level`: c, nats; constants of the noise are left out.
     """
 
     products: Array
@@ -76,13 +70,8 @@ class Quadratic:
 def windows_of(rows: Rows, noise: Array, spread: Array) -> tuple[Quadratic, ...]:
     """Return the windows of rows, with what each has of its own integrated out.
 
-    Parameters
-    ----------
-    rows : Rows
-    noise : ndarray of shape (n_rows,)
-        Deviations, in the rows' units.
-    spread : ndarray of shape (n_effects,)
-        Variances by which the first effects differ from window to window.
+    `noise` (n_rows,): deviations, in the rows' units. `spread` (n_effects,): variances by which the first effects
+    differ from window to window.
     """
     z, N = rows.whitened(noise)
     own = [rows.stretch == one for one in np.unique(rows.stretch)]

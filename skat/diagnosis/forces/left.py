@@ -5,32 +5,16 @@ for whitened innovations: laws of a joint's own position and speed, and of those
 are what is to be predicted.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import logsumexp
 
 from skat.diagnosis.chains import Array
-from skat.diagnosis.evidence import WIDTH_95
 from skat.diagnosis.forces.force_space import Motion, Rows, transformed
 from skat.diagnosis.forces.machines import Model
 from skat.diagnosis.forces.motions import lacking_forces
-from skat.diagnosis.remainder import (
-    LONGEST_TABLE,
-    MOST_COLUMNS,
-    OTHER_BINS,
-    OWN_BINS,
-    Law,
-    Left,
-    Regressor,
-    Remainder,
-    binned,
-    bins_of,
-    single,
-    word_of,
-    worth_of,
-)
+from skat.diagnosis.laws import likeliest, regressors_of
+from skat.diagnosis.remainder import Left, Remainder, word_of
 from skat.simulators import MujocoSimulator
 
 # Of the frequencies that are compared, for a spectrum.
@@ -106,65 +90,29 @@ def _left(
     left: Array,
     spectrum: tuple[Array, Array],
 ) -> Left:
-    names = simulator.state_names
-    nv, states = len(names) // 2, joint.half.states
-    regressors = _regressors(names, states, joint.place)
-    n_own = sum(one.is_own for one in regressors)
-    tried = []
-    for one in regressors:
-        nats, size = worth_of(*joint.quadratic(one.columns), scale)
-        tried.append(
-            (nats, nats + np.log(0.5 / (n_own if one.is_own else len(regressors) - n_own)), size, one)
-        )
-    ranked = sorted(tried, key=lambda entry: -entry[1])
-    _, _, size, chosen = ranked[0]
-    ridge = np.eye(chosen.columns.shape[1]) / size**2
-    predicted = []
-    for which in (False, True):
-        G, b = joint.quadratic(chosen.columns, which)
-        predicted.append(chosen.columns @ np.linalg.solve(G + ridge, b))
-    edges, columns = bins_of(chosen.values, OWN_BINS)
-    G, b = joint.quadratic(columns)
-    curvature = G + np.eye(len(G)) / size**2
-    mean = np.asarray(np.linalg.solve(curvature, b), dtype=np.float64)
-    reach = WIDTH_95 * np.sqrt(np.diag(np.linalg.inv(curvature)))
+    names, states = simulator.state_names, joint.half.states
+    nv = len(names) // 2
+    own = names[joint.place], names[nv + joint.place]
+    regressors = regressors_of(simulator, names, states, own, joint.half.stretches, nv)
+    law = likeliest(regressors, joint.quadratic, scale, nv)
+    columns = law.regressor.columns
+    first, second = (columns @ law.strengths(*joint.quadratic(columns, which)) for which in (False, True))
     effect = simulator.joint_forces()[joint.place][0]
     return Left(
         name=effect.target or effect.name,
         unit=effect.unit,
         rms=float(np.sqrt(np.sum(left**2) / len(states))),
         scale=scale,
-        predictable=float(np.sqrt(max(np.mean(predicted[0] * predicted[1]), 0.0))),
-        regressor=chosen.name,
-        evidence=float(logsumexp([weighted for _, weighted, *_ in tried]) - np.log(nv)),
-        law=Law(chosen.coordinate, edges, mean, mean - reach, mean + reach),
+        predictable=float(np.sqrt(max(float(np.mean(first * second)), 0.0))),
+        regressor=law.regressor.name,
+        evidence=law.evidence,
+        law=law.law(joint.quadratic),
         past=0.0,
         ahead=0.0,
         frequencies=spectrum[0],
         spectrum=spectrum[1],
         word=word_of(left, *spectrum, "Hz"),
-        tried=tuple((one.name, nats) for nats, _, _, one in ranked[:LONGEST_TABLE]),
     )
-
-
-def _regressors(names: Sequence[str], states: Array, place: int) -> list[Regressor]:
-    """Return laws of a joint's own position and speed, and of those of others."""
-    nv = len(names) // 2
-    q, v = states[:, place], states[:, nv + place]
-    position, speed = names[place], names[nv + place]
-    found = [
-        Regressor("constant", position, q, np.ones((len(q), 1)), True),
-        *binned(position, q, OWN_BINS, is_own=True),
-        *binned(speed, v, OWN_BINS, is_own=True),
-        *single(f"sign({speed})", speed, v, np.sign(v)),
-        *single(f"|{speed}|{speed}", speed, v, np.abs(v) * v),
-        *single(f"{position} {speed}", f"{position} {speed}", q * v),
-    ]
-    others = [one for one in range(len(names)) if one % nv != place]
-    if len(others) * OTHER_BINS * nv <= MOST_COLUMNS:
-        for one in others:
-            found += binned(names[one], states[:, one], OTHER_BINS, is_own=False)
-    return found
 
 
 def _spectrum(frequency: Array, left: Array, duration: float) -> tuple[Array, Array]:

@@ -21,15 +21,7 @@ READABLE = 6
 def model_changes(nominal: Any, extended: Any) -> tuple[tuple[Change, ...], tuple[str, ...]]:
     """Return what differs between the MJCF of two simulators, and in words what MJCF cannot express.
 
-    Parameters
-    ----------
-    nominal, extended : Simulator
-        Those that are not written as MJCF have no changes.
-
-    Returns
-    -------
-    changes : tuple of Change
-    beside : tuple of str
+    `nominal`, `extended`: those that are not written as MJCF have no changes.
     """
     if not (hasattr(nominal, "to_mjcf") and hasattr(extended, "to_mjcf")):
         return (), ()
@@ -49,16 +41,8 @@ def model_changes(nominal: Any, extended: Any) -> tuple[tuple[Change, ...], tupl
 def mjcf_changes(before: str, after: str) -> tuple[Change, ...]:
     """Return what differs between two texts of MJCF.
 
-    Parameters
-    ----------
-    before, after : str
-        Elements belong together that have the same tag and name in the same parent; without names, the same place
-        among those of their tag.
-
-    Returns
-    -------
-    tuple of Change
-        In the order of the elements.
+    `before`, `after`: elements belong together that have the same tag and name in the same parent; without names, the
+    same place among those of their tag. Returns: in the order of the elements.
 
     Examples
     --------

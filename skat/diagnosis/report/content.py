@@ -25,11 +25,7 @@ VERDICTS = ("nothing detected", "named", "ambiguous", "unexplained")
 class Alternative:
     """Another name, or set of names, that explains the log nearly as well.
 
-    Attributes
-    ----------
-    names : tuple of str
-    probability : float or None
-        None where the engine gives none.
+    `probability`: None where the engine gives none.
     """
 
     names: tuple[str, ...]
@@ -40,16 +36,9 @@ class Alternative:
 class Verdict:
     """The answer in one line, and what has to be said beside it.
 
-    Attributes
-    ----------
-    name : {"nothing detected", "named", "ambiguous", "unexplained"}
-    headline : str
-        Such as "1 cause named".
-    sentences : tuple of str
-    probability : float or None
-        Of the set of causes named; None where the engine gives none.
-    alternatives : tuple of Alternative
-        Other sets, most probable first.
+    `name` in {"nothing detected", "named", "ambiguous", "unexplained"}. `headline`: such as "1 cause named".
+    `probability`: of the set of causes named; None where the engine gives none. `alternatives`: other sets, most
+    probable first.
     """
 
     name: str
@@ -63,21 +52,8 @@ class Verdict:
 class ShownCause:
     """A cause with all that is known of it.
 
-    Attributes
-    ----------
-    name, unit : str
-    value : float
-    interval : tuple of two floats
-        95 %.
-    neutral : float
-        At which it does nothing.
-    sentence : str
-    probability : float or None
-    evidence : str
-        In the engine's own terms, such as "p = 0.002" or "34 nats".
-    aliases : tuple of Alternative
-    at_bound : bool
-        Whether the estimate stands at an end of the range allowed.
+    `interval`: 95 %. `neutral`: at which it does nothing. `evidence`: in the engine's own terms, such as "p = 0.002" or
+    "34 nats". `at_bound`: whether the estimate stands at an end of the range allowed.
     """
 
     name: str
@@ -99,12 +75,7 @@ class ShownCause:
 class Series:
     """A channel over time: measured, and simulated before and after.
 
-    Attributes
-    ----------
-    name, unit : str
-    measured, nominal : ndarray of shape (n_times,)
-        NaN where there is none: lines break there.
-    extended : ndarray of shape (n_times,) or None
+    `measured`, `nominal` (n_times,): NaN where there is none: lines break there. `extended` (n_times,).
     """
 
     name: str
@@ -118,14 +89,7 @@ class Series:
 class Episode:
     """Channels of an episode, those with the largest error first.
 
-    Attributes
-    ----------
-    label : str
-        Such as "episode 3, the worst".
-    time : ndarray of shape (n_times,)
-    time_label : str
-        With its unit: "time (s)", or "step".
-    channels : tuple of Series
+    `label`: such as "episode 3, the worst". `time` (n_times,). `time_label`: with its unit: "time (s)", or "step".
     """
 
     label: str
@@ -138,11 +102,7 @@ class Episode:
 class Cloud:
     """A channel of rows that do not follow each other: measured against simulated.
 
-    Attributes
-    ----------
-    name, unit : str
-    measured, nominal : ndarray of shape (n_rows,)
-    extended : ndarray of shape (n_rows,) or None
+    `measured`, `nominal` (n_rows,). `extended` (n_rows,).
     """
 
     name: str
@@ -156,17 +116,8 @@ class Cloud:
 class ChannelError:
     """Root mean squared error of a channel, in its unit.
 
-    Attributes
-    ----------
-    name, unit : str
-    nominal : float
-    extended : float or None
-    floor : float or None
-        What noise alone gives.
-    gain : float or None
-        Share of the excess over the floor that is gone.
-    interval : tuple of two floats or None
-        95 %, of `gain`.
+    `floor`: what noise alone gives. `gain`: share of the excess over the floor that is gone. `interval`: 95 %, of
+    `gain`.
     """
 
     name: str
@@ -182,18 +133,8 @@ class ChannelError:
 class MethodError:
     """Error of a simulation, or of a map from it to the data.
 
-    Attributes
-    ----------
-    method : str
-    error : float or None
-        In standard deviations of each output; None where the method has no answer.
-    kind : {"before", "after", "map"}
-    ratio : float or None
-        To the extended simulation's.
-    interval : tuple of two floats or None
-        95 %, of `ratio`.
-    n_rows : int
-        That it was fitted to.
+    `error`: in standard deviations of each output; None where the method has no answer. `kind` in {"before", "after",
+    "map"}. `ratio`: to the extended simulation's. `interval`: 95 %, of `ratio`. `n_rows`: that it was fitted to.
     """
 
     method: str
@@ -208,26 +149,10 @@ class MethodError:
 class ShownLog:
     """Data with which the simulations are compared: best those that nothing was fitted to.
 
-    Attributes
-    ----------
-    title : str
-        Such as "Rows held out".
-    is_fitted : bool
-        Whether the causes were fitted to these very rows, so that no gain is measured.
-    horizon : str
-        In words, how far ahead `errors` predict: "0.4 s ahead", "one step ahead", "whole episodes".
-    signal_horizon : str
-        The same of `episodes`.
-    sentences : tuple of str
-        What the gain is.
-    episodes : tuple of Episode
-        The worst first.
-    clouds : tuple of Cloud
-        In their place where rows do not follow each other.
-    errors : tuple of ChannelError
-    comparison : tuple of MethodError
-    comparison_sentences : tuple of str
-        What the comparison says, with its notes.
+    `title`: such as "Rows held out". `is_fitted`: whether the causes were fitted to these very rows, so that no gain is
+    measured. `horizon`: in words, how far ahead `errors` predict: "0.4 s ahead", "one step ahead", "whole episodes".
+    `signal_horizon`: the same of `episodes`. `sentences`: what the gain is. `episodes`: the worst first. `clouds`: in
+    their place where rows do not follow each other. `comparison_sentences`: what the comparison says, with its notes.
     """
 
     title: str
@@ -249,13 +174,8 @@ class ShownLog:
 class Law:
     """How a mean depends on a regressor, in bins.
 
-    Attributes
-    ----------
-    regressor, unit : str
-    x, mean, low, high : ndarray of shape (n_bins,)
-        Centre of each bin, the mean and its 95 % interval.
-    before : ndarray of shape (n_bins,) or None
-        The mean that the simulation as given leaves, for comparison.
+    `x`, `mean`, `low`, `high` (n_bins,): centre of each bin, the mean and its 95 % interval. `before` (n_bins,): the
+    mean that the simulation as given leaves, for comparison.
     """
 
     regressor: str
@@ -271,14 +191,8 @@ class Law:
 class Spectrum:
     """Power density of what is left.
 
-    Attributes
-    ----------
-    frequency : ndarray of shape (n_frequencies,)
-        In Hz.
-    density : ndarray of shape (n_frequencies,)
-        In squared units per Hz.
-    word : str
-        "white", "drift", "vibration at 22 Hz", "impacts".
+    `frequency` (n_frequencies,): in Hz. `density` (n_frequencies,): in squared units per Hz. `word`: "white", "drift",
+    "vibration at 22 Hz", "impacts".
     """
 
     frequency: Array
@@ -290,23 +204,10 @@ class Spectrum:
 class Left:
     """What no cause explains, at one joint or channel.
 
-    Attributes
-    ----------
-    name : str
-        Of the joint, or of the channel.
-    unit : str
-        "N m", "N", or the channel's own.
-    rms : float or None
-        Root mean square.
-    interval : tuple of two floats or None
-        95 %; where it is wide, the page gives a bound in the place of a number.
-    scale : float or None
-        What `rms` is to be held against: the root mean square of what the actuators do there.
-    predictable : float or None
-        Share of its variance that the regressor of `law` predicts, on rows not used to find it.
-    law : Law or None
-    spectrum : Spectrum or None
-    sentence : str
+    `name`: of the joint, or of the channel. `unit`: "N m", "N", or the channel's own. `rms`: root mean square.
+    `interval`: 95 %; where it is wide, the page gives a bound in the place of a number. `scale`: what `rms` is to be
+    held against: the root mean square of what the actuators do there. `predictable`: share of its variance that the
+    regressor of `law` predicts, on rows not used to find it.
     """
 
     name: str
@@ -324,15 +225,8 @@ class Left:
 class ChannelNoise:
     """Noise of a measured channel.
 
-    Attributes
-    ----------
-    name, unit : str
-    deviation : float
-        Standard deviation.
-    interval : tuple of two floats or None
-        95 %.
-    tail : float or None
-        Degrees of freedom of Student's law; infinite where it is normal.
+    `deviation`: standard deviation. `interval`: 95 %. `tail`: degrees of freedom of Student's law; infinite where it is
+    normal.
     """
 
     name: str
@@ -346,18 +240,10 @@ class ChannelNoise:
 class ForceNoise:
     """A random force on a joint.
 
-    Attributes
-    ----------
-    name, unit : str
-    rms : float
-    memory_s : float or None
-        Time constant; 0 where it is white.
-    returns : bool
-        Whether it is taken back within that time, as a vibration's; otherwise it lasts that long.
-    beside : str
-        The joint whose random force goes most with it; empty where there is no other.
-    correlation : float
-        Of both, from -1 to 1: a base that shakes or a link that bends pushes several joints at once.
+    `memory_s`: time constant; 0 where it is white. `returns`: whether it is taken back within that time, as a
+    vibration's; otherwise it lasts that long. `beside`: the joint whose random force goes most with it; empty where
+    there is no other. `correlation`: of both, from -1 to 1: a base that shakes or a link that bends pushes several
+    joints at once.
     """
 
     name: str
@@ -373,17 +259,9 @@ class ForceNoise:
 class Visibility:
     """How small an effect these data would have shown.
 
-    Attributes
-    ----------
-    name, unit : str
-    smallest : float
-        Away from neutral, named one time in two; infinite where these data say nothing of it.
-    nearest_alias : str
-    similarity : float or None
-        To that, from 0 to 1: at 1 the two cannot be told apart.
-    is_named : bool
-    excitation : str
-        What to measure so that the two could be told apart.
+    `smallest`: away from neutral, named one time in two; infinite where these data say nothing of it. `similarity`: to
+    that, from 0 to 1: at 1 the two cannot be told apart. `excitation`: what to measure so that the two could be told
+    apart.
     """
 
     name: str
@@ -402,14 +280,8 @@ class Visibility:
 class Change:
     """An attribute of an element of the model, before and after.
 
-    Attributes
-    ----------
-    element : str
-        Such as ``joint "elbow"``.
-    attribute : str
-        Empty where the element as a whole came or went.
-    before, after : str or None
-        None where it was not there.
+    `element`: such as ``joint "elbow"``. `attribute`: empty where the element as a whole came or went. `before`,
+    `after`: None where it was not there.
     """
 
     element: str
@@ -420,13 +292,7 @@ class Change:
 
 @dataclass(frozen=True)
 class Still:
-    """A picture of the robot.
-
-    Attributes
-    ----------
-    title, alt : str
-    png : bytes
-    """
+    """A picture of the robot."""
 
     title: str
     alt: str
@@ -437,16 +303,8 @@ class Still:
 class SourceFile:
     """A file that the findings come from.
 
-    Attributes
-    ----------
-    role : str
-        "model", "log", "test".
-    path : str
-        As the user gave it.
-    sha256 : str
-        Empty where it is a folder or is gone.
-    size : int or None
-        In bytes.
+    `role`: "model", "log", "test". `path`: as the user gave it. `sha256`: empty where it is a folder or is gone.
+    `size`: in bytes.
     """
 
     role: str
@@ -459,19 +317,8 @@ class SourceFile:
 class Provenance:
     """How the findings were made.
 
-    Attributes
-    ----------
-    date : str
-        ISO 8601, with the offset from UTC.
-    files : tuple of SourceFile
-    command : str
-        Empty where it was no command.
-    versions : tuple of (str, str)
-        Names of packages with their versions.
-    seed : str
-    settings : tuple of (str, str)
-    warnings, notes : tuple of str
-        All that was said while the log was read and the diagnosis ran.
+    `date`: ISO 8601, with the offset from UTC. `command`: empty where it was no command. `versions`: names of packages
+    with their versions. `warnings`, `notes`: all that was said while the log was read and the diagnosis ran.
     """
 
     date: str = ""
@@ -488,13 +335,7 @@ class Provenance:
 class Table:
     """A table of the user's own: texts, ready to be shown.
 
-    Attributes
-    ----------
-    title : str
-    columns : list of str
-    rows : list of list of str
-    numeric : list of bool
-        Which columns hold numbers.
+    `numeric`: which columns hold numbers.
     """
 
     title: str

@@ -79,22 +79,8 @@ NO_FORCE = 1e-9
 class TestedLog:
     """Rows that a diagnosis is shown and tested on.
 
-    Attributes
-    ----------
-    title : str
-    log : Log
-        NaN where nothing was measured.
-    gain : Gain or None
-    prediction : Prediction or None
-        At the diagnosis's horizon.
-    open_loop : Gain or None
-        Over whole episodes.
-    errors : DataFrame or None
-        From `compare_transports`.
-    note : str
-        Why there are none.
-    is_complete : bool
-        Whether all of these were sought.
+    `log`: NaN where nothing was measured. `prediction`: at the diagnosis's horizon. `open_loop`: over whole episodes.
+    `errors`: from `compare_transports`. `note`: why there are none. `is_complete`: whether all of these were sought.
     """
 
     title: str
@@ -124,14 +110,7 @@ class DiagnosisReport(Report):
     It stays as it is if the diagnosis is fitted again, pickles with it, and measures what only a page shows when
     that is asked for.
 
-    Parameters
-    ----------
-    diagnosis : SimulationDiagnosis
-        Fitted.
-    log : Log
-        The rows it was fitted to.
-    held_out : Log, optional
-        The rows that measured its gain.
+    `diagnosis`: fitted. `log`: the rows it was fitted to. `held_out`: the rows that measured its gain.
     """
 
     def __init__(self, diagnosis: Any, log: Log, held_out: Log | None = None) -> None:
@@ -169,16 +148,9 @@ class DiagnosisReport(Report):
     ) -> None:
         """Add a log that the diagnosis was not fitted to; the page shows it instead of the rows fitted.
 
-        Parameters
-        ----------
-        title : str
-            What was measured.
-        X, y, groups
-            As in `SimulationDiagnosis.fit`.
-        gain : Gain, optional
-            From ``diagnosis.evaluate``; by default it is measured at the diagnosis's horizon.
-        errors : DataFrame, optional
-            From `compare_transports`; by default it is computed when the page is made.
+        `title`: what was measured. `X`, `y`, `groups`: as in `SimulationDiagnosis.fit`. `gain`: from
+        ``diagnosis.evaluate``; by default it is measured at the diagnosis's horizon. `errors`: from
+        `compare_transports`; by default it is computed when the page is made.
         """
         diagnosis = self.diagnosis
         log = diagnosis._other_log(X, y, groups)

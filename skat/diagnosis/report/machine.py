@@ -27,21 +27,9 @@ def findings_as_data(
 ) -> dict[str, Any]:
     """Return what a diagnosis found, as what JSON holds: dictionaries, lists, texts, numbers, True, False, None.
 
-    Parameters
-    ----------
-    diagnosis : SimulationDiagnosis
-        Fitted.
-    gain : Gain, optional
-        Measured on data that were set aside; by default the diagnosis's own.
-    error_name : str, default=""
-        What the numbers of the gain are, with their unit.
-    **context
-        Further fields, such as where the log came from.
-
-    Returns
-    -------
-    dict
-        With the fields that the user guide lists. What is not finite is None: JSON has no such numbers.
+    `diagnosis`: fitted. `gain`: measured on data that were set aside; by default the diagnosis's own. `error_name`:
+    what the numbers of the gain are, with their unit. `**context`: further fields, such as where the log came from.
+    Returns: with the fields that the user guide lists. What is not finite is None: JSON has no such numbers.
     """
     gain = diagnosis.gain_ if gain is None else gain
     content = {
@@ -105,6 +93,6 @@ def _set(one: CauseSet) -> dict[str, Any]:
 def _left(part: Left) -> dict[str, Any]:
     """Return what is left in one direction, without what is only drawn."""
     fields = {**_fields(part), "share": part.share}
-    for name in ("frequencies", "spectrum", "tried"):
+    for name in ("frequencies", "spectrum"):
         del fields[name]
     return fields

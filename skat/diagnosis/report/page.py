@@ -75,11 +75,7 @@ ALIKE = 0.9
 class Section:
     """A part of the page.
 
-    Attributes
-    ----------
-    anchor, title : str
-    grid : Grid or None
-        Of a table that the user added.
+    `grid`: of a table that the user added.
     """
 
     anchor: str

@@ -37,14 +37,8 @@ SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 class Axis:
     """One axis of a plot.
 
-    Attributes
-    ----------
-    label : str
-        With its unit, and the power of ten that ticks are multiplied by.
-    low, high : float
-        Ends, in what the ticks say; of a logarithmic axis the exponents of ten.
-    ticks : tuple of (float, str)
-        Place in percent from `low` on, and text.
+    `label`: with its unit, and the power of ten that ticks are multiplied by. `low`, `high`: ends, in what the ticks
+    say; of a logarithmic axis the exponents of ten. `ticks`: place in percent from `low` on, and text.
     """
 
     label: str
@@ -57,13 +51,8 @@ class Axis:
 class Mark:
     """A path of a plot.
 
-    Attributes
-    ----------
-    kind : {"line", "dots", "band", "whisker"}
-    role : str
-        What it shows: "measured", "before", "after", "zero".
-    path : str
-        Of SVG.
+    `kind` in {"line", "dots", "band", "whisker"}. `role`: what it shows: "measured", "before", "after", "zero". `path`:
+    of SVG.
     """
 
     kind: str
@@ -75,16 +64,7 @@ class Mark:
 class Plot:
     """A plot, ready to be shown.
 
-    Attributes
-    ----------
-    title : str
-    summary : str
-        For who does not see it.
-    x, y : Axis
-    marks : tuple of Mark
-        From back to front.
-    grid : str
-        Path of SVG.
+    `summary`: for who does not see it. `marks`: from back to front. `grid`: path of SVG.
     """
 
     title: str
@@ -97,12 +77,7 @@ class Plot:
 
 @dataclass(frozen=True)
 class CauseLine:
-    """A cause between the value that does nothing and the far end of its interval, in percent of the line's width.
-
-    Attributes
-    ----------
-    neutral, value, low, high : float
-    """
+    """A cause between the value that does nothing and the far end of its interval, in percent of the line's width."""
 
     neutral: float
     value: float

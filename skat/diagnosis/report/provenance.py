@@ -30,20 +30,8 @@ def provenance(
 ) -> Provenance:
     """Return how findings are made here and now.
 
-    Parameters
-    ----------
-    files : iterable of (str, path)
-        Role and path of each: "model", "log", "test".
-    command : str, default=""
-    seed : object, optional
-    settings : mapping from str to object, optional
-        Those of None are left out.
-    warnings, notes : iterable of str
-        Each is said once.
-
-    Returns
-    -------
-    Provenance
+    `files`: role and path of each: "model", "log", "test". `settings`: those of None are left out. `warnings`, `notes`:
+    each is said once.
     """
     return Provenance(
         date=datetime.now().astimezone().isoformat(timespec="seconds"),
@@ -60,15 +48,7 @@ def provenance(
 def source_file(role: str, path: str | PathLike[str]) -> SourceFile:
     """Return a file with its size and hash; a folder has those of the list of its files' hashes.
 
-    Parameters
-    ----------
-    role : str
-    path : path
-        One that is not there has no hash.
-
-    Returns
-    -------
-    SourceFile
+    `path`: one that is not there has no hash.
     """
     place = Path(path)
     if place.is_file():

@@ -32,12 +32,7 @@ MOST_EXPLAINED = 1.05
 def verdict_sentences(diagnosis: SimulationDiagnosis, comparisons: Sequence[pd.DataFrame]) -> list[str]:
     """Return the verdict of a diagnosis in sentences.
 
-    Parameters
-    ----------
-    diagnosis : SimulationDiagnosis
-        Fitted.
-    comparisons : list of DataFrame
-        From `compare_transports`; where a transport does better, the verdict says so.
+    `diagnosis`: fitted. `comparisons`: from `compare_transports`; where a transport does better, the verdict says so.
     """
     unexplained = diagnosis.verdict_ == "unexplained"
     neutral = {effect.name: effect.neutral for effect in diagnosis.simulator.effects(also="all")}
@@ -213,11 +208,7 @@ def _hides_in_the_noise(diagnosis: SimulationDiagnosis) -> bool:
 def cause_sentence(cause: Cause, neutral: float = 0.0) -> str:
     """Return a Cause in a sentence, with its interval; without a size where the interval says none.
 
-    Parameters
-    ----------
-    cause : Cause
-    neutral : float, default=0
-        The value at which it does nothing.
+    `neutral`: the value at which it does nothing.
     """
     if is_guarded(cause.value, cause.interval, neutral):
         unit = "" if cause.unit in ("", "1") else f" {cause.unit}"

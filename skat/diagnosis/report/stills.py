@@ -22,17 +22,8 @@ COLOURS = 96
 def worst_moment(simulator: Any, episode: Episode | None) -> tuple[tuple[Still, ...], str]:
     """Draw an episode's worst moment: the simulated robot, before and after, and the measured one as a ghost.
 
-    Parameters
-    ----------
-    simulator : Simulator
-        As given. Where it is no MuJoCo model, or the episode has no positions, there is nothing to draw.
-    episode : Episode or None
-
-    Returns
-    -------
-    stills : tuple of Still
-    note : str
-        Why there are none, where there could be.
+    `simulator`: as given. Where it is no MuJoCo model, or the episode has no positions, there is nothing to draw.
+    Returns `note`: why there are none, where there could be.
     """
     from skat.replay import NoOpenGL, frames
     from skat.simulators import MujocoSimulator

@@ -38,15 +38,8 @@ GAP = "\N{NO-BREAK SPACE}"
 class Cell:
     """What stands in a cell.
 
-    Attributes
-    ----------
-    text : str
-    key : float or None
-        What its column is sorted by; None: the text.
-    share : float or None
-        Length of a bar below the text, in percent.
-    role : str
-        What the bar shows: "before", "after", "map".
+    `key`: what its column is sorted by; None: the text. `share`: length of a bar below the text, in percent. `role`:
+    what the bar shows: "before", "after", "map".
     """
 
     text: str
@@ -59,14 +52,8 @@ class Cell:
 class Grid:
     """A table, ready to be shown.
 
-    Attributes
-    ----------
-    title : str
-        For who does not see where it stands.
-    columns : tuple of str
-    kinds : tuple of {"text", "whole", "number", "bars"}
-        Of the columns: text, text that is not broken into lines, numbers, and numbers with bars.
-    rows : tuple of tuple of Cell
+    `title`: for who does not see where it stands. `kinds` in {"text", "whole", "number", "bars"}: of the columns: text,
+    text that is not broken into lines, numbers, and numbers with bars.
     """
 
     title: str
@@ -83,12 +70,7 @@ class Grid:
 def is_guarded(value: float, interval: tuple[float, float] | None, neutral: float = 0.0) -> bool:
     """Whether an interval is so wide that the value in it must not be read as a size.
 
-    Parameters
-    ----------
-    value : float
-    interval : tuple of two floats or None
-    neutral : float, default=0
-        From where sizes count.
+    `neutral`: from where sizes count.
     """
     if interval is None:
         return False

@@ -7,8 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skat.diagnosis.checks import RUNS, channel_table, rows_of
 from skat.logs import load_log
+from skat.logs.checks import RUNS, channel_table, rows_of
 from skat.simulators import MujocoSimulator
 
 CART = """

@@ -15,16 +15,9 @@ RUNS = 6
 def channel_table(log: Any) -> pd.DataFrame:
     """Return how each of a simulator's channels stands in a log.
 
-    Parameters
-    ----------
-    log : skat.logs.Log
-
-    Returns
-    -------
-    DataFrame
-        A row for each input of the simulator: name, column (the log's), unit (of the log; "" is the simulator's own),
-        measured (share of rows), lowest, highest, spread (standard deviation; simulator's unit), at limit (share of
-        the rows in which a command is at an end of its range, or a position beyond its joint's), remark.
+    Returns: A row for each input of the simulator: name, column (the log's), unit (of the log; "" is the simulator's
+    own), measured (share of rows), lowest, highest, spread (standard deviation; simulator's unit), at limit (share of
+    the rows in which a command is at an end of its range, or a position beyond its joint's), remark.
     """
     matches = {match.name: match for match in log.matches}
     limits = log.simulator.command_limits
@@ -67,17 +60,8 @@ def _remark(seen: NDArray[np.float64], saturated: float) -> str:
 def rows_of(log: Any, most: int | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Return the rows of a log that were measured as a whole, and their episodes.
 
-    Parameters
-    ----------
-    log : skat.logs.Log
-
-    most : int, default=None
-        Of a longer log only so many rows, in `RUNS` runs from all over it. None means all.
-
-    Returns
-    -------
-    X : ndarray of shape (n_rows, n_inputs)
-    groups : ndarray of shape (n_rows,)
+    `most`: of a longer log only so many rows, in `RUNS` runs from all over it. None means all. Returns `X` (n_rows,
+    n_inputs). Returns `groups` (n_rows,).
     """
     whole = log.rows(np.isfinite(log.X).all(axis=1))
     if most is not None and len(whole) > most:
