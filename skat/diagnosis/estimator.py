@@ -345,7 +345,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             With `changes_`, a list of `Cause` whose value is by how much an effect is more in the log after, or, of a
             factor, how many times what it was; `verdict_`, "nothing changed", "named", "ambiguous" or "unexplained",
             where columns of the log after seem to be mixed up, where a motor seems to have died in it, or a joint to be
-            stuck, which no change explains, or where changes explain too little of parts that were held out; `reason_`,
+            stuck, which no change explains, where changes explain too little of parts that were held out, or where logs
+            differ by more than any misfit of the simulation makes, and by no effect that was asked about; `reason_`,
             which of these it is; `gain_`, on parts of the log after that were held out; and `common_`: for
             each degree of freedom the rms force that the simulation lacks in both logs, and what is left with all that
             is common in it, N or N m. Where nothing changed `detectable_` says of each effect by how much it would have

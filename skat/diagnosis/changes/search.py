@@ -77,10 +77,12 @@ def find_changes(
     causes = causes_of(question, best, worth, found.nats)
     gain = gain_of(question, value, differences)
     reason = ""
-    # On windows that were not used the logs differ by something else.
+    # On windows that were not used the logs differ by something else, or they differ by more than misfit and changes.
     if causes and gain is not None and gain.nominal > gain.floor and gain.explained < 0.5:
         told = ", ".join(one.name for one in causes)
         reason = f"The logs differ as if by {told}, but that explains too little of parts of the log after not used."
+    elif worth.logs.differ_beyond_misfit(best.evidence, needed):
+        reason = "The logs differ by more than what the model misses in both, and by no effect that was asked about."
     if question.weak and (reason or not causes or _contradict(causes, question.weak)):
         told = " and ".join(question.weak)
         mistake = f"{told} were next to nothing: a motor that died, or a joint that is stuck"

@@ -9,7 +9,7 @@ References
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.special import logsumexp
@@ -20,8 +20,9 @@ from skat.diagnosis.changes.windows import Quadratic
 from skat.diagnosis.evidence import Gram, Priors, Weighed, Weigher, gains_alone
 from skat.diagnosis.search import search_sets
 
-# Of the variance by which an effect differs, over that if all misfit looked like it: no misfit is more than all of it.
-STRENGTHS = np.power(8.0, np.arange(-5, 1), dtype=float)
+# Of the variance of an effect's difference, over that if all misfit looked like it. No misfit exerts more than all of
+# itself; logs that differ by more do so by a change.
+STRENGTHS, BEYOND = np.power(8.0, np.arange(-5, 1), dtype=float), np.power(8.0, np.arange(1, 5), dtype=float)
 # Precision of an effect that no joint feels, in typical sizes.
 LEAST = 1e-6
 
@@ -31,7 +32,8 @@ class Logs:
     """Both logs as quadratics in effects, the second with candidates behind them, and the law of what is common.
 
     `first`, `second`: in (n_effects,) and (n_effects + n_candidates,) values, in units of typical sizes. `firsts`,
-    `seconds`: the windows of each, one of which may be left out.
+    `seconds`: the windows of each, one of which may be left out. `strengths` (n,): by
+    which logs may differ, each as likely.
     """
 
     first: Quadratic
@@ -39,6 +41,7 @@ class Logs:
     law: Law
     firsts: tuple[Quadratic, ...] = ()
     seconds: tuple[Quadratic, ...] = ()
+    strengths: Array = field(default_factory=lambda: STRENGTHS)
 
     def both(self, strength: float) -> Quadratic:
         """Return both logs where they differ by a strength."""
@@ -59,8 +62,22 @@ class Logs:
 
     def level(self) -> float:
         """Return the log density of both logs if nothing changed, nats."""
-        levels = [self.left(strength).level for strength in STRENGTHS]
+        levels = [self.left(strength).level for strength in self.strengths]
         return float(logsumexp(levels) - np.log(len(levels)))
+
+    def differ_beyond_misfit(self, evidence: float, needed: float) -> bool:
+        """Return whether logs are likelier by so many nats if all may differ by more than all misfit exerts.
+
+        Than with the changes of an ``evidence``, as of `OverStrengths`, nats; and, whichever window of either is left
+        out, than if nothing changed.
+        """
+
+        def beyond(logs: Logs) -> float:
+            return replace(logs, strengths=np.r_[STRENGTHS, BEYOND]).level()
+
+        return beyond(self) - evidence > needed and all(
+            beyond(logs) - logs.level() > needed for logs in self.shortened()
+        )
 
 
 class OverStrengths(Weigher):
@@ -73,7 +90,7 @@ class OverStrengths(Weigher):
         nothing = Gram(np.zeros((0, 0)), np.zeros(0), np.zeros(0))
         super().__init__(nothing, priors, rivals)
         self.logs = logs
-        self._at = [self._weigher(logs, strength) for strength in STRENGTHS]
+        self._at = [self._weigher(logs, strength) for strength in logs.strengths]
         self._short: list[list[tuple[Weigher, float]]] = []
         tops = [search_sets(worth) for worth, _ in self._at]
         best = int(np.argmax([top.evidence + level for top, (_, level) in zip(tops, self._at)]))
@@ -106,7 +123,7 @@ class OverStrengths(Weigher):
 
     def strength(self, members: Sequence[int]) -> float:
         """Return the strength at which a set is worth most."""
-        return float(STRENGTHS[np.argmax(self._worths(members))])
+        return float(self.logs.strengths[np.argmax(self._worths(members))])
 
     def price(self, members: Sequence[int]) -> float:
         """Return by how much what a set is worth is less than what it explains, nats."""
@@ -130,7 +147,8 @@ class OverStrengths(Weigher):
         """Return for both logs without each of their windows what weighs sets at each strength."""
         if not self._short:
             self._short = [
-                [self._weigher(logs, strength) for strength in STRENGTHS] for logs in self.logs.shortened()
+                [self._weigher(logs, strength) for strength in logs.strengths]
+                for logs in self.logs.shortened()
             ]
         return self._short
 

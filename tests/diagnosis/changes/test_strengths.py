@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal
 from skat.diagnosis.changes.law import Law, with_misfit
 from skat.diagnosis.changes.question import Question
 from skat.diagnosis.changes.search import _logs
-from skat.diagnosis.changes.strengths import LEAST, STRENGTHS, OverStrengths
+from skat.diagnosis.changes.strengths import BEYOND, LEAST, STRENGTHS, OverStrengths
 from skat.diagnosis.evidence import Gram, Priors, Weigher
 from skat.diagnosis.forces.force_space import Rows
 from skat.diagnosis.forces.machines import Candidate, Model
@@ -48,7 +48,7 @@ def assert_dense(left, question, strength, gone=(None, None)):
     np.testing.assert_allclose(left.projections, D.T @ over[:, -1], rtol=1e-8, atol=1e-8)
 
 
-@pytest.mark.parametrize("strength", [STRENGTHS[0], 0.1, 1.0, 1e3])
+@pytest.mark.parametrize("strength", [STRENGTHS[0], 0.1, 1.0, BEYOND[-1]])
 def test_candidates_alone_are_told_by_a_normal_law_of_all_else(simulator, strength):
     question = question_of_rows(simulator, differences=(1.0, 0.0, -2.0))
     assert_dense(_logs(question).left(strength), question, strength)
@@ -56,7 +56,7 @@ def test_candidates_alone_are_told_by_a_normal_law_of_all_else(simulator, streng
 
 def test_logs_that_have_to_be_alike_have_one_value_in_common_and_those_that_may_differ_two(simulator):
     logs = _logs(question_of_rows(simulator))
-    alike, free = logs.both(STRENGTHS[0]), logs.both(64.0)
+    alike, free = logs.both(STRENGTHS[0]), logs.both(BEYOND[1])
     own = logs.first.products
     # Of the second log an effect that may be anything tells nothing of what is common.
     assert np.linalg.norm(free.products[:2, :2] - own) < 0.1 * np.linalg.norm(alike.products[:2, :2] - own)
@@ -77,6 +77,29 @@ def test_both_logs_are_worth_what_no_change_is_at_all_strengths(simulator):
     levels = [logs.left(strength).level for strength in STRENGTHS]
     assert logs.level() == pytest.approx(logsumexp(levels) - np.log(len(levels)), abs=1e-9)
     assert logs.level() == pytest.approx(worth(()).evidence, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("moved", "shown", "beyond"), [(0.0, 8, False), (0.3, 8, False), (30.0, 8, True), (30.0, 1, False)]
+)
+def test_logs_that_differ_by_more_than_misfit_could_are_told_where_no_one_window_decides(
+    simulator, moved, shown, beyond
+):
+    question = misfit_question(simulator, 0, apart=0.0)
+    rows = question.sides[1]
+    # On one joint, by what is not alike in two windows, so that no one effect explains it.
+    step = moved * np.random.default_rng(3).normal(size=(WINDOWS, EFFECTS)) * (np.arange(EFFECTS) < EACH)
+    step[shown:] = 0.0
+    extra = np.sum(rows.columns[:, :EFFECTS] * step.mean(axis=0), axis=1) * (rows.stretch < shown)
+    logs = _logs(replace(question, sides=(question.sides[0], replace(rows, target=rows.target + extra))))
+    assert logs.differ_beyond_misfit(logs.level(), NEEDED) == beyond
+
+
+def test_a_change_of_one_effect_is_likelier_than_that_all_differ(simulator):
+    question = misfit_question(simulator, 0, apart=0.0, change=30.0)
+    logs = _logs(question)
+    assert logs.differ_beyond_misfit(logs.level(), NEEDED)
+    assert not logs.differ_beyond_misfit(named(question).evidence, NEEDED)
 
 
 def at(logs, strength, members):
