@@ -98,6 +98,7 @@ class Fits:
         # What the set has beside `near` cannot make the log less likely, but for a step too far.
         reached = near.fitted.bound - STILL if set(near.members) <= set(members) else -np.inf
         start, best, deviations = near.fitted, None, np.zeros(len(members))
+        borrowed = False
         # Values are known to about what they were moved by last.
         widths = np.abs(places - origin)
         for turn in range(FIT_TURNS):
@@ -116,18 +117,21 @@ class Fits:
             fit, one = self._weighed(members, fitted, widths)
             moved, deviations = one.values, one.deviations
             too_far = less and bool(np.any(np.abs(places - origin) > deviations))
-            gained = fit.evidence - (-np.inf if best is None else best.evidence)
+            gained = np.inf if best is None or borrowed else fit.evidence - best.evidence
             step = moved - np.asarray(places)
             if best is None or gained > 0 or fitted.bound >= reached:
                 best = fit
+            # What a log is worth about the path of other values is not what it is worth about its own.
+            borrowed = own_slopes and turn == 0 and values != near.values
             if too_far:
                 places = (np.asarray(places) + origin) / 2
                 widths = np.abs(places - origin)
                 continue
             still = np.all(np.abs(step) < STANDS_STILL * deviations)
-            if gained < STILL or (still and not own_slopes):
+            if gained < STILL or (still and not borrowed):
                 break
-            origin, places, start, reached = places, moved, fitted, fitted.bound - STILL
+            origin, places, start = places, moved, fitted
+            reached = reached if borrowed else fitted.bound - STILL
             widths = np.maximum(np.abs(step), deviations)
         if best is None:
             raise RuntimeError("no turn was made")
@@ -231,6 +235,14 @@ class Fits:
     def bends(self, fit: Fit) -> bool:
         """Whether some row of a fit is bent; see `fitting.bends`."""
         return bends(self.space, fit.fitted)
+
+    def is_pushed(self, fit: Fit, needed: float) -> bool:
+        """Whether random forces act: whether the log is less likely by so many nats without any."""
+        space, fitted = self.space, fit.fitted
+        chains, noise = fitted.linear.chains, fitted.estimate.noise
+        plain = noise.part(np.arange(space.d), np.arange(chains.carrier.shape[-1]))
+        unpushed = replace(chains, carrier=np.zeros_like(chains.carrier))
+        return fitted.bound - self.known.estimated(unpushed, plain, space.real).bound > needed
 
     def places(self, fit: Fit) -> Array:
         """Return the coordinates of a fit's values."""

@@ -43,6 +43,8 @@ MEMORIES = (2.0, 5.0, 10.0, 20.0, 40.0)
 SHARE_OF_EPISODE = 0.1
 NUMBER_WORTH = 2.0
 FEWEST_FOR_MEMORY = 10
+# Innovations are compared with so many before them: by more, chance says more of it.
+WHITE_LAGS = 5
 # Scores are compared between pieces of time of at most so many rows, about so many of them, at least so many.
 BLOCK_ROWS, MOST_BLOCKS, FEWEST_BLOCKS = 32, 60, 10
 
@@ -404,6 +406,12 @@ def _with_best_memory(
     ]
     worth = _worth_of_memories(linear.chains, without.estimate, memories)
     asked = {int(np.argmax(worth))} if max(worth, default=0.0) >= needed else set()
+    if _worth_beyond_white(linear.chains, without.estimate) >= needed:
+        # Of either kind, as what filters make of a force says little of which it is.
+        kinds = [
+            [place for place, one in enumerate(memories) if one.returns == kind] for kind in (False, True)
+        ]
+        asked |= {max(kind, key=lambda place: worth[place]) for kind in kinds if kind}
     if not asked and not len(last):
         return without
 
@@ -453,6 +461,20 @@ def _worth_of_memories(chains: Chains, estimate: Estimate, memories: Sequence[Me
         products = whitened[:, rows:] * before
         scores = products.sum(axis=(0, 1)) / np.sqrt(np.maximum(np.sum(products**2, axis=(0, 1)), 1e-300))
         worth.append(float(np.sum(np.maximum(-scores if memory.returns else scores, 0.0) ** 2)) / 2)
+    return worth
+
+
+def _worth_beyond_white(chains: Chains, estimate: Estimate) -> float:
+    """Return about how many nats a noise would add under which innovations go with none of the few before them.
+
+    By the squares of their correlations, less what chance makes of them.
+    """
+    whitened = np.clip(np.where(chains.mask, estimate.filtered.whitened, 0.0), -3.0, 3.0)
+    read, worth = np.any(whitened, axis=(0, 1)), 0.0
+    for lag in range(1, min(WHITE_LAGS, whitened.shape[1] - 1) + 1):
+        products = whitened[:, lag:] * whitened[:, :-lag]
+        scores = products.sum(axis=(0, 1))[read] / np.sqrt(np.sum(products**2, axis=(0, 1))[read] + 1e-300)
+        worth += float(np.sum(scores**2 - 1)) / 2
     return worth
 
 

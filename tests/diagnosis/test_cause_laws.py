@@ -20,6 +20,7 @@ from skat.diagnosis.fitting import (
     _force_guess,
     _steps,
     _with_memory,
+    _worth_beyond_white,
     _worth_of_memories,
     coordinate,
     first_fit,
@@ -242,6 +243,18 @@ def test_innovations_that_go_with_those_before_or_against_them_ask_for_a_memory(
     assert max(lasting) < 20
     # Of a memory that is longer than a chain nothing is known.
     assert worth(z[:, :12])[0][3:] == [0.0, 0.0]
+
+
+@pytest.mark.parametrize("away", [0.0, 0.3])
+def test_innovations_that_go_with_any_before_are_not_white(away):
+    """Neither sum of the five before says so where they go with one of them and against another."""
+    series = np.random.default_rng(0).normal(size=(4, 300, 2))
+    series[..., 1] = 0.0
+    series[:, 3:, 0] += away * (series[:, 2:-1, 0] - series[:, :-3, 0])
+    mask = np.array([True, False])
+    told = SimpleNamespace(filtered=SimpleNamespace(whitened=series))
+    worth = _worth_beyond_white(SimpleNamespace(mask=np.broadcast_to(mask, series.shape)), told)
+    assert (worth > 20) if away else (abs(worth) < 6)
 
 
 def columns_of(N, z, origin, blocks=None):

@@ -239,6 +239,28 @@ def test_a_search_goes_on_from_a_first_guess_that_is_likelier_as_it_is_than_noth
     assert _first_guess({"damping[hinge]": neutral + 0.13}, fits, nothing, 4.6, 0) is None
 
 
+def test_a_set_is_weighed_about_a_path_of_its_own():
+    """About that of no friction the friction that is there seems to be worth fourteen nats more than it is."""
+    law = lambda q, v, t, rng: rng.normal(scale=0.05) - 0.5 * np.sign(v)  # noqa: E731
+    X, y, groups = pendulum.measured(pendulum.NOMINAL, 0, law=law, rows=60, episodes=6)
+    X[:, 1] = y[:, 1] = np.nan
+    space = pendulum.laid_out(SIMULATOR, X, y, groups)
+    friction = next(effect for effect in SIMULATOR.effects() if effect.name == "dry_friction[hinge]")
+    fits = Fits(space, (friction,), priors_of((friction,)), Known(), 1.0)
+    nothing = fits.first()
+    far = fits.of((0,), np.array([0.25]), nothing)
+    near = fits.of((0,), fits.places(far), nothing)
+    assert near.evidence == pytest.approx(far.evidence, abs=2.0)
+
+
+@pytest.mark.parametrize("force", [0.0, 0.3])
+def test_what_pushes_a_log_is_told(force):
+    law = lambda q, v, t, rng: rng.normal(scale=force)  # noqa: E731
+    space = pendulum.laid_out(SIMULATOR, *pendulum.measured(pendulum.NOMINAL, 0, law=law, rows=125))
+    fits = Fits(space, (), priors_of(()), Known(), 1.0)
+    assert fits.is_pushed(fits.first(), 4.6) is bool(force)
+
+
 def test_forces_are_given_no_memory_where_none_is_looked_for(space, nothing, monkeypatch):
     assert len(nothing.fitted.memory)
     monkeypatch.setattr(fitting, "TURNS", 0)
