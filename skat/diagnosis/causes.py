@@ -38,7 +38,7 @@ from skat.diagnosis.search import (
     without_weak,
 )
 from skat.diagnosis.slopes import derivatives
-from skat.diagnosis.statespace import TIME_STEP, StateSpace
+from skat.diagnosis.statespace import StateSpace
 from skat.effects import Effect
 from skat.simulators.base import Simulator
 
@@ -265,12 +265,6 @@ def find_causes(
             continue
         if moved is None:
             held = {one for one in now.members if is_held(effects[one], now.values[priors.names[one]])}
-            # A coarser step than the model's is a simulator's, and nothing pushes a simulator.
-            coarse_step = {
-                one for one in now.members if effects[one].name == TIME_STEP and now.values[TIME_STEP] > 1
-            }
-            if coarse_step and fits.is_pushed(now, needed):
-                held |= coarse_step
             banned |= held
             if held:
                 rest = _without(worth, now, held)

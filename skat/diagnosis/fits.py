@@ -236,14 +236,6 @@ class Fits:
         """Whether some row of a fit is bent; see `fitting.bends`."""
         return bends(self.space, fit.fitted)
 
-    def is_pushed(self, fit: Fit, needed: float) -> bool:
-        """Whether random forces act: whether the log is less likely by so many nats without any."""
-        space, fitted = self.space, fit.fitted
-        chains, noise = fitted.linear.chains, fitted.estimate.noise
-        plain = noise.part(np.arange(space.d), np.arange(chains.carrier.shape[-1]))
-        unpushed = replace(chains, carrier=np.zeros_like(chains.carrier))
-        return fitted.bound - self.known.estimated(unpushed, plain, space.real).bound > needed
-
     def places(self, fit: Fit) -> Array:
         """Return the coordinates of a fit's values."""
         return np.array([self._place(one, fit.values) for one in fit.members])

@@ -253,14 +253,6 @@ def test_a_set_is_weighed_about_a_path_of_its_own():
     assert near.evidence == pytest.approx(far.evidence, abs=2.0)
 
 
-@pytest.mark.parametrize("force", [0.0, 0.3])
-def test_what_pushes_a_log_is_told(force):
-    law = lambda q, v, t, rng: rng.normal(scale=force)  # noqa: E731
-    space = pendulum.laid_out(SIMULATOR, *pendulum.measured(pendulum.NOMINAL, 0, law=law, rows=125))
-    fits = Fits(space, (), priors_of(()), Known(), 1.0)
-    assert fits.is_pushed(fits.first(), 4.6) is bool(force)
-
-
 def test_forces_are_given_no_memory_where_none_is_looked_for(space, nothing, monkeypatch):
     assert len(nothing.fitted.memory)
     monkeypatch.setattr(fitting, "TURNS", 0)
