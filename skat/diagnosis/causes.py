@@ -330,6 +330,9 @@ def _first_guess(
     places = np.array([coordinate(fits.effects[one], start[fits.effects[one].name]) for one in members])
     if not members or (most is not None and len(members) > most):
         return None
+    # What has the log likelier by so much as to be worth a start has it so by any slopes.
+    if fits.bound(tuple(members), places, now) <= now.fitted.bound:
+        return None
     about = fits.unweighed(members, places, now)
     if about.fitted.bound - needed * len(members) <= now.fitted.bound:
         return None

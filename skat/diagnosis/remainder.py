@@ -102,7 +102,8 @@ class Left:
     past : float
         Share of the variance that is predicted a row ahead by the force's own past; 0 for a white one.
     ahead : float
-        What the predictable part adds to the mean square error at the horizon, in units of a right model's.
+        What the predictable part adds to the mean square error at the horizon, in units of a right model's; 0 where
+        there is more against a law than for it.
     frequencies, spectrum : ndarray of shape (n_frequencies,)
         Hz (or per row), and the power density of what no law but its own past predicts, as if sensors hid nothing.
     word : str
@@ -221,8 +222,10 @@ def find_remainder(
     directions, rows = _directions(space, fitted), _rows_as_known(space, seen)
     white = _white_spectra(space, fitted, directions, random_state)
     looks = [seen, *_with_normal_noise(space, seen, known)]
-    runs = _runs(space, looks[-1], fitted.values, h)
     laws = [_likeliest(space, looks, directions, index, rows, h) for index in range(len(directions.names))]
+    # What there is more against than for adds to no error.
+    some = any(law.evidence > 0 for law in laws)
+    runs = _runs(space, looks[-1], fitted.values, h) if some else None
     # How large it is, is a matter of mean squares: heavy tails would take a law's largest forces for outliers.
     sized = _without_laws(space, looks[-1], directions, laws, known)
     parts = [
@@ -351,7 +354,7 @@ def _left(
     directions: _Directions,
     index: int,
     law: _Likeliest,
-    runs: "_Runs",
+    runs: "_Runs | None",
     white: tuple[Array, Array],
 ) -> Left:
     chosen, column = law.regressor, directions.columns[..., index]
@@ -361,7 +364,9 @@ def _left(
         chosen.columns @ _fit_of(seen, own, law.size, half == which) for which in (False, True)
     ]
     predictable = float(np.sqrt(max(float(np.mean(predicted[0] * predicted[1])), 0.0)))
-    added = _added(space, seen, column, np.stack(predicted, axis=-1), runs)
+    added = 0.0
+    if runs is not None and law.evidence > 0:
+        added = _added(space, seen, column, np.stack(predicted, axis=-1), runs)
     force, variance = directions.forces[:, index], directions.variances[:, index]
     mean_square = float(np.mean(force**2 + variance))
     # What its own past predicts is what a spectrum is to show.
