@@ -16,6 +16,7 @@ from skat.diagnosis.fitting import (
     Fitted,
     Known,
     acting_together,
+    bends,
     coordinate,
     doubled,
     gram_of,
@@ -570,11 +571,13 @@ def _slopes(fits: Fits, now: Fit, members: Sequence[int]) -> Array:
             ends[place] = own[towards == way]
     late = [place for place, effect in enumerate(chosen) if effect.family == "delay"]
     gains[late] = -np.inf
+    # Of what is further off slopes of rows that are bent know nothing.
+    bent = bends(space, fitted)
     for turn in range(max(map(len, ends.values()), default=0)):
         places = [place for place, own in ends.items() if len(own) > turn]
         at = np.array([coordinate(chosen[place], ends[place][turn]) for place in places])
         # Nor is it where the log would lose too much, as far as slopes know; those of a delay know of one step.
-        asked = np.isin(places, late) | (found.gained(places, at) > -DENIED)
+        asked = np.isin(places, late) | (found.gained(places, at) > -DENIED) | bent
         places, at = [place for place, one in zip(places, asked) if one], at[asked]
         if not places:
             continue

@@ -10,7 +10,7 @@ from skat.diagnosis.chains import NO_MEMORY, Array, Chains, Mask, Memory
 from skat.diagnosis.evidence import Gram, Priors
 from skat.diagnosis.filtering import Filtered, filter_columns, kalman_filter, updated
 from skat.diagnosis.noise import TOLERANCE, Estimate, Noise, estimate_noise, normal_noise, passed
-from skat.diagnosis.slopes import derivatives, derivatives_by_sensors
+from skat.diagnosis.slopes import derivatives
 from skat.diagnosis.statespace import (
     Forces,
     Linear,
@@ -24,7 +24,7 @@ from skat.diagnosis.statespace import (
 )
 from skat.diagnosis.velocities import noise_variance
 from skat.effects import Effect
-from skat.simulators.base import Simulator, is_sensor
+from skat.simulators.base import Simulator
 
 # A path stands still when taking it anew changes the bound by less than so many nats.
 STILL = 1.0
@@ -525,24 +525,11 @@ def slopes_of(
     steps = _steps(fitted.values, effects, widths) | _of_one_time_step(space, fitted, effects, widths)
     known = _so_far(fitted)[1][:, :-1, : space.d, : space.d][space.places] if means else None
     wide = _steps(fitted.values, effects, np.maximum(widths, BENT_SHARE * sizes))
-    slopes = np.empty((len(space.X), space.d, len(effects)))
-    read = np.array(
-        [is_sensor(effect.name) and bool(space.simulator.state_names) for effect in effects], bool
-    )
-    about = space, fitted.linear, fitted.values
-    slopes[..., read] = derivatives_by_sensors(*about, _of(steps, effects, read))
-    if not read.all():
-        slopes[..., ~read] = derivatives(*about, _of(steps, effects, ~read), known, _of(wide, effects, ~read))
+    slopes = derivatives(space, fitted.linear, fitted.values, steps, known, wide)
     for column, effect in enumerate(effects):
         low, high = steps[effect.name]
         slopes[..., column] *= (high - low) / (coordinate(effect, high) - coordinate(effect, low))
     return slopes
-
-
-def _of(
-    steps: Mapping[str, tuple[float, float]], effects: Sequence[Effect], chosen: Mask
-) -> dict[str, tuple[float, float]]:
-    return {effect.name: steps[effect.name] for effect, one in zip(effects, chosen) if one}
 
 
 def gram_of(space: StateSpace, fitted: Fitted, slopes: Array, effects: Sequence[Effect]) -> "Columns":

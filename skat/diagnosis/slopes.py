@@ -111,31 +111,6 @@ def derivatives(
     return columns
 
 
-def derivatives_by_sensors(
-    space: StateSpace,
-    linear: Linear,
-    values: Mapping[str, float],
-    steps: Mapping[str, tuple[float, float]],
-) -> Array:
-    """Return what `derivatives` does, by biases and scales of sensors of a state: no simulation is needed.
-
-    They displace the state that a row starts from, and slopes by that are known; and what is read of where it ends.
-    """
-    simulator, path = space.simulator, linear.path
-    begun, ends = path[:, :-1][space.places], finite(linear.outputs, space.path_ends(path))
-    columns = np.zeros((len(begun), space.d, len(steps)))
-    for column, (name, (low, high)) in enumerate(steps.items()):
-        read = []
-        for value in (low, high):
-            there = {**values, name: value}
-            moved = simulator.residual(simulator.sensed(begun, there, values), begun)
-            after = simulator.displace(ends, (linear.by_row.transitions @ moved[..., None])[..., 0])
-            read.append(simulator.sensed(after, values, there))
-        columns[..., column] = simulator.residual(read[1], read[0]) / (high - low)
-    columns[~linear.valid] = 0.0
-    return columns
-
-
 def _of_finer_steps(
     space: StateSpace,
     linear: Linear,

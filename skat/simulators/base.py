@@ -132,12 +132,6 @@ class Simulator(BaseEstimator, ABC):
         """Return of how many earlier rows the actions still act in a row: a delay, in transitions, rounded up."""
         return self._lags(self._total(effects))
 
-    def sensed(self, states: Array, values: Mapping[str, float], otherwise: Mapping[str, float]) -> Array:
-        """Return what sensors would read, were they otherwise, of what they read as `states` (n_rows, n_states)."""
-        true = self._true_inputs(states[None], [self._total(values)])
-        read: Array = self._measured(true.copy(), [self._total(otherwise)])[0]
-        return read
-
     def coarsely(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return values with about the same slopes, by all but what is left out, that take less time to simulate."""
         return dict(values)

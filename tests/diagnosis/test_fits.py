@@ -19,6 +19,7 @@ from skat.diagnosis.fitting import (
     first_fit,
     hits,
     next_fit,
+    nominal_look,
     priors_of,
 )
 from skat.diagnosis.search import rivals_of
@@ -263,9 +264,9 @@ def test_a_fit_is_the_same_wherever_it_was_begun(space):
 def test_only_where_something_hits_is_a_row_bent_and_only_where_all_is_measured_is_it_known(space):
     assert bends(bouncing(), first_fit(bouncing(), {}))
     assert not bends(space, first_fit(space, {}))
-    assert hits(bouncing())
-    assert not hits(bouncing(hidden=(1,)))
-    assert not hits(space)
+    assert hits(bouncing(), nominal_look(bouncing()))
+    assert not hits(bouncing(hidden=(1,)), nominal_look(bouncing(hidden=(1,))))
+    assert not hits(space, nominal_look(space))
 
 
 def test_a_set_is_fitted_to_where_its_slopes_move_it_no_more(fits, nothing):
