@@ -421,12 +421,12 @@ def linearise(
         past = space.past(rows, [rough], acting).of(np.flatnonzero(anew))
         there = _sloped(space, rows[anew], after[anew], outputs[anew], rough, part, unsure[anew], past)
         found = found.with_rows(anew, there)
-    elsewise = pushed & ~anew
-    if elsewise.any():
-        past = space.past(rows, [rough], acting).of(np.flatnonzero(elsewise))
-        (base,) = simulator.predict_many(rows[elsewise], [rough], past=past)
-        own = rows[elsewise], rough, base, after[elsewise], unsure[elsewise], past
-        found = found.with_forces(elsewise, *_joint_carrier(space, *own), unsure[elsewise])
+    forced = pushed & ~anew
+    if forced.any():
+        past = space.past(rows, [rough], acting).of(np.flatnonzero(forced))
+        (base,) = simulator.predict_many(rows[forced], [rough], past=past)
+        own = rows[forced], rough, base, after[forced], unsure[forced], past
+        found = found.with_forces(forced, *_joint_carrier(space, *own), unsure[forced])
     return _assembled(space, path, forces, found)
 
 
