@@ -341,3 +341,10 @@ def test_friction_that_holds_nothing_is_not_looked_for_below_what_is_found(monke
     found = fits.of((0,), [0.01], fits.first())
     assert 0 < found.values[friction.name] < 1e-3
     assert found.widths[0] > 0
+
+
+def test_a_fit_begun_with_known_slopes_is_the_one_begun_without():
+    space = bouncing()
+    begun, bare = first_fit(space, {}, begun=nominal_look(space)), first_fit(space, {})
+    assert begun.bound == pytest.approx(bare.bound, abs=1.0)
+    np.testing.assert_allclose(begun.estimate.noise.error, bare.estimate.noise.error, rtol=0.05)
