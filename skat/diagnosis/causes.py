@@ -16,6 +16,7 @@ from skat.diagnosis.fitting import (
     Fitted,
     Known,
     acting_together,
+    bends,
     coordinate,
     doubled,
     gram_of,
@@ -38,7 +39,7 @@ from skat.diagnosis.search import (
     without_weak,
 )
 from skat.diagnosis.slopes import derivatives
-from skat.diagnosis.statespace import StateSpace
+from skat.diagnosis.statespace import Linear, StateSpace
 from skat.effects import Effect
 from skat.simulators.base import Simulator
 
@@ -57,6 +58,8 @@ LIVE = 24
 REFITTED = 3
 # What acts only beyond some place has no slope, or one that says little of what it does further off.
 THRESHOLDS = ("backlash", "torque_speed", "dry_friction")
+# A chord is drawn to no place where slopes have the log less likely by more than so many nats.
+DENIED = 30.0
 # Effects whose responses make a smaller angle than this cosine may be the same: so many are fitted in a cause's place.
 ALIKE, RIVALS = 0.8, 3
 
@@ -173,6 +176,7 @@ def find_causes(
     turns: int = TURNS,
     coarse: bool = False,
     start: Mapping[str, float] | None = None,
+    look: Linear | None = None,
     resumed: Search | None = None,
     checkpoint: Callable[[Search], None] | None = None,
     progress: Callable[[str, int, int], None] | None = None,
@@ -202,6 +206,8 @@ def find_causes(
         and from what acts much like it; otherwise fits without it, and of the other in its place, do.
     start : mapping from name to value, optional
         What missing forces ask for, from where the search goes on if the log prefers it to nothing.
+    look : Linear, optional
+        Slopes to begin with; see `nominal_look`.
     resumed : Search, optional
         Go on from there.
     checkpoint : callable, optional
@@ -219,7 +225,7 @@ def find_causes(
     needed = -float(np.log(alpha))
     known = replace(known, tolerance=STILL) if coarse else known
     fits = Fits(space, tuple(effects), priors, known, power)
-    state = _begun(fits) if resumed is None else resumed
+    state = _begun(fits, look) if resumed is None else resumed
     ask = partial(search, families=families_of(effects), most=max_effects)
     exclusive = rivals_of(effects)
     rivals: list[Rival] = []
@@ -297,9 +303,9 @@ def find_causes(
     return told(fits, now, worth, ranked, rivals, also, needed, stands)
 
 
-def _begun(fits: Fits) -> Search:
+def _begun(fits: Fits, look: Linear | None) -> Search:
     """Return the search at its first fit, with a noise from which what all effects explain is taken out."""
-    space, effects, priors, now = fits.space, fits.effects, fits.priors, fits.first()
+    space, effects, priors, now = fits.space, fits.effects, fits.priors, fits.first(look)
     slopes = _slopes(fits, now, range(len(effects)))
     dense = now.fitted
     for _ in range(DENSE_TURNS):
@@ -324,6 +330,9 @@ def _first_guess(
     members = [place for place, effect in enumerate(fits.effects) if effect.name in start]
     places = np.array([coordinate(fits.effects[one], start[fits.effects[one].name]) for one in members])
     if not members or (most is not None and len(members) > most):
+        return None
+    # What has the log likelier by so much as to be worth a start has it so by any slopes.
+    if fits.bound(tuple(members), places, now) <= now.fitted.bound:
         return None
     about = fits.unweighed(members, places, now)
     if about.fitted.bound - needed * len(members) <= now.fitted.bound:
@@ -552,21 +561,31 @@ def _slopes(fits: Fits, now: Fit, members: Sequence[int]) -> Array:
         if effect.name not in fitted.values
     }
     # A slope is taken at its word, but where a delay has none; a chord holds as far as its end.
-    gains, way = _gains(fits, fitted, slopes, chosen, priors.low, priors.high)
+    found = _Promised.of(fits, fitted, slopes, chosen)
+    gains = found.gains(priors.low, priors.high)
     # Where a slope says so of one side, nothing is looked for on the other.
     for place, own in ends.items():
         towards = np.sign(own - chosen[place].neutral)
-        if not dead[place] and chosen[place].family not in THRESHOLDS and (towards == way[place]).any():
-            ends[place] = own[towards == way[place]]
-    gains[[place for place, effect in enumerate(chosen) if effect.family == "delay"]] = -np.inf
+        way = np.sign(found.projections[place])
+        if not dead[place] and chosen[place].family not in THRESHOLDS and (towards == way).any():
+            ends[place] = own[towards == way]
+    late = [place for place, effect in enumerate(chosen) if effect.family == "delay"]
+    gains[late] = -np.inf
+    # Of what is further off slopes of rows that are bent know nothing.
+    bent = bends(space, fitted)
     for turn in range(max(map(len, ends.values()), default=0)):
         places = [place for place, own in ends.items() if len(own) > turn]
+        at = np.array([coordinate(chosen[place], ends[place][turn]) for place in places])
+        # Nor is it where the log would lose too much, as far as slopes know; those of a delay know of one step.
+        asked = np.isin(places, late) | (found.gained(places, at) > -DENIED) | bent
+        places, at = [place for place, one in zip(places, asked) if one], at[asked]
+        if not places:
+            continue
         some = [chosen[place] for place in places]
-        steps = {effect.name: (effect.neutral, float(ends[at][turn])) for effect, at in zip(some, places)}
-        at = np.array([coordinate(effect, steps[effect.name][1]) for effect in some])
+        steps = {effect.name: (effect.neutral, float(ends[one][turn])) for effect, one in zip(some, places)}
         chords = derivatives(space, fitted.linear, fitted.values, steps)
         chords *= [(steps[effect.name][1] - effect.neutral) / one for effect, one in zip(some, at)]
-        own, _ = _gains(fits, fitted, chords, some, np.minimum(at, 0), np.maximum(at, 0))
+        own = _Promised.of(fits, fitted, chords, some).gains(np.minimum(at, 0), np.maximum(at, 0))
         better = own > gains[places]
         chosen_places = np.array(places)[better]
         slopes[..., chosen_places] = chords[..., better]
@@ -574,14 +593,34 @@ def _slopes(fits: Fits, now: Fit, members: Sequence[int]) -> Array:
     return slopes
 
 
-def _gains(
-    fits: Fits, fitted: Fitted, slopes: Array, effects: Sequence[Effect], low: Array, high: Array
-) -> tuple[Array, Array]:
-    """Return what each of some effects alone would gain by its slope, within bounds, nats, and to which side."""
-    gram = gram_of(fits.space, fitted, slopes, effects).gram
-    b, G = gram.projections, np.maximum(np.diag(gram.products), 1e-300)
-    at = np.clip(b / G, low, high)
-    return b * at - 0.5 * G * at**2, np.sign(b)
+@dataclass(frozen=True)
+class _Promised:
+    """What slopes by each of some effects alone say of the log, (k,).
+
+    Attributes
+    ----------
+    projections, products : ndarray of shape (k,)
+        Diagonals of `Gram`'s.
+    """
+
+    projections: Array
+    products: Array
+
+    @staticmethod
+    def of(fits: Fits, fitted: Fitted, slopes: Array, effects: Sequence[Effect]) -> "_Promised":
+        """Return what slopes (n_rows, d, k) at a fit say."""
+        gram = gram_of(fits.space, fitted, slopes, effects).gram
+        return _Promised(gram.projections, np.diag(gram.products))
+
+    def gained(self, places: Sequence[int], at: Array) -> Array:
+        """Return what each of some effects would gain by a move, nats."""
+        gained: Array = self.projections[places] * at - 0.5 * self.products[places] * at**2
+        return gained
+
+    def gains(self, low: Array, high: Array) -> Array:
+        """Return the most that each would gain, within bounds."""
+        at = np.clip(self.projections / np.maximum(self.products, 1e-300), low, high)
+        return self.gained(range(len(at)), at)
 
 
 def _ends_of_chords(simulator: Simulator, effect: Effect, typical: float, dead: bool) -> Array:

@@ -23,7 +23,7 @@ from skat.diagnosis.changes import find_changes
 from skat.diagnosis.doubts import warn_of_doubts
 from skat.diagnosis.evidence import coarsened
 from skat.diagnosis.findings import Alias, Cause, Gain
-from skat.diagnosis.fitting import Fitted, Known, coordinate, first_fit, hits, value_at
+from skat.diagnosis.fitting import Fitted, Known, coordinate, first_fit, hits, nominal_look, value_at
 from skat.diagnosis.forces.efforts import causes_of_efforts
 from skat.diagnosis.forces.start import start_in_forces
 from skat.diagnosis.found import Found, is_held
@@ -247,7 +247,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
         first_look = self.n_rows_fitted_ < self.n_rows_
         whole = self._space(fitted)
         # Where something hits, what a wrong model makes of a state misleads about the rows after it.
-        self._chain_length = 1 if hits(whole) else CHAIN_LENGTH
+        look = nominal_look(whole)
+        self._chain_length = 1 if hits(whole, look) else CHAIN_LENGTH
         space = self._space(fitted, chain_length=1) if self._chain_length == 1 else whole
         least = least + _rounding(whole)
         known = Known(least, self._given_deviations())
@@ -269,13 +270,14 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
                 turns=QUICK_TURNS if first_look else TURNS,
                 coarse=first_look,
                 start=self._start(fitted, effects),
+                look=look,
                 resumed=begun.search,
                 checkpoint=None if checkpoint is None else partial(checkpoint.write, begun),
                 **asked,
             )
         if space is not whole:
             # A force is told from noise by the rows beside it.
-            found = replace(found, fitted=first_fit(whole, found.values, known))
+            found = replace(found, fitted=first_fit(whole, found.values, known, found.fitted.linear))
         self._found = found
         self._values = dict(found.values)
         self.causes_ = _causes(found)

@@ -21,7 +21,7 @@ from skat.diagnosis.fitting import (
     slopes_of,
     value_at,
 )
-from skat.diagnosis.statespace import StateSpace
+from skat.diagnosis.statespace import Linear, StateSpace
 from skat.effects import Effect
 
 # Of its standard errors: values that move by less stand still.
@@ -74,9 +74,9 @@ class Fits:
     known: Known
     power: float
 
-    def first(self) -> Fit:
-        """Return the fit of no cause, about a path from the log alone."""
-        fitted = first_fit(self.space, {}, self.known)
+    def first(self, look: Linear | None = None) -> Fit:
+        """Return the fit of no cause, about a path from the log alone, begun with slopes that are known."""
+        fitted = first_fit(self.space, {}, self.known, look)
         return self._weighed((), fitted, np.zeros(0))[0]
 
     def of(self, members: Sequence[int], places: Array, near: Fit, *, own_slopes: bool = True) -> Fit:

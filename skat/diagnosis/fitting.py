@@ -16,6 +16,7 @@ from skat.diagnosis.statespace import (
     Linear,
     StateSpace,
     about_forces,
+    finite,
     is_bent,
     linearise,
     moved_path,
@@ -159,6 +160,7 @@ def first_fit(
     space: StateSpace,
     values: Mapping[str, float],
     known: Known = NOTHING_KNOWN,
+    begun: Linear | None = None,
 ) -> Fitted:
     """Return the fit at given values, begun at what was measured: path filtered, slopes taken, noise estimated.
 
@@ -171,11 +173,13 @@ def first_fit(
     space : StateSpace
     values : mapping from name to value
     known : Known, optional
+    begun : Linear, optional
+        Of the same rows, whose slopes are kept where they hold; see `nominal_look`.
     """
-    linear = linearise(space, space.measured, values)
+    linear = linearise(space, space.measured, values, slopes=begun)
     if not linear.valid.any():
         raise RuntimeError("The simulation diverges in every row: check the units of the states and actions.")
-    typical = np.minimum(_typical(space, linear), _rough(space))
+    typical = np.minimum(_typical(space, linear.chains.drive[space.places], linear.valid), _rough(space))
     if known.given is not None:
         typical = np.tile(known.given**2, (space.n_logs, 1))
     force = np.stack([_force_guess(linear, one) for one in typical])
@@ -185,7 +189,7 @@ def first_fit(
     for turn in range(TURNS):
         before = fitted.bound
         # A memory is looked for once more about a path that has come nearer.
-        fitted = next_fit(space, values, fitted, known, afresh=turn == 0, memories=turn < 2)
+        fitted = next_fit(space, values, fitted, known, afresh=turn == 0 and begun is None, memories=turn < 2)
         # What rows say of each other's noise may turn in a circle: a turn that does not raise the bound is the last.
         if turn and fitted.bound - before < STILL:
             break
@@ -312,12 +316,12 @@ def _estimated(
     return _with_memory_of(space, values, linear, noise, memory, known)
 
 
-def _typical(space: StateSpace, linear: Linear) -> Array:
-    """Return half of the typical square of what a row's end is off, of each log, (n_logs, d)."""
+def _typical(space: StateSpace, off: Array, valid: Mask) -> Array:
+    """Return half of the typical square of what valid rows' ends (n_rows, d) are off, of each log, (n_logs, d)."""
     found = []
     for log in range(space.n_logs):
-        own = linear.valid & (space.origins == log)
-        residuals = linear.chains.drive[space.places][own if own.any() else linear.valid]
+        own = valid & (space.origins == log)
+        residuals = off[own if own.any() else valid]
         found.append((1.4826 * np.median(np.abs(residuals), axis=0)) ** 2 / 2 + 1e-12 * space.spread**2)
     return np.stack(found)
 
@@ -342,19 +346,40 @@ def _rough(space: StateSpace) -> Array:
     return np.where(variances > 0, variances, np.inf)
 
 
-def hits(space: StateSpace) -> bool:
+def nominal_look(space: StateSpace) -> Linear | None:
+    """Return the nominal simulation about what was measured, over what may not be known of it.
+
+    None of a log in which a state was not measured, and of a simulation that diverges in every row.
+    """
+    if not space.simulator.state_names or not space.mask[space.places].all():
+        return None
+    (outputs,) = space.simulated(space.rows(space.measured), [{}])
+    valid = np.isfinite(outputs).all(axis=1)
+    if not valid.any():
+        return None
+    after = space.path_ends(space.measured)
+    off = space.simulator.residual(finite(outputs, after), after)
+    return linearise(
+        space, space.measured, {}, as_measured(space, np.minimum(_typical(space, off, valid), _rough(space)))
+    )
+
+
+def hits(space: StateSpace, look: Linear | None) -> bool:
     """Whether something hits in a log: some row is bent as far as sensors alone know where it starts.
 
     Of a log in which a state was not measured this is not known: False.
     """
-    noise = _rough(space)
-    if not space.simulator.state_names or not np.isfinite(noise).all():
+    if look is None:
         return False
-    least = np.minimum(noise, space.spread**2)[space.origin][:, None, :, None] * np.eye(space.d)
-    known = np.tile(least, (1, space.mask.shape[1], 1, 1))
-    chains, places = linearise(space, space.measured, {}, known).chains, space.places
-    bent = is_bent(chains.transitions[places], chains.bends[places], known[:, :-1][places], HIT)
+    known = look.by_row.roots @ look.by_row.roots.swapaxes(1, 2)
+    bent = is_bent(look.by_row.transitions, look.chains.bends[space.places], known, HIT)
     return bool(bent.any())
+
+
+def as_measured(space: StateSpace, noise: Array) -> Array:
+    """Return covariances of states of which a measurement with such a noise (n_logs, d) alone is known."""
+    least = np.minimum(noise, space.spread**2)[space.origin][:, None, :, None] * np.eye(space.d)
+    return np.tile(least, (1, space.mask.shape[1], 1, 1))
 
 
 def _with_memory_of(

@@ -22,7 +22,7 @@ from skat.diagnosis.ahead import SETTLED_ROWS, Seen, ahead, before, filtered
 from skat.diagnosis.chains import Array, Mask, Places
 from skat.diagnosis.filtering import kalman_filter, smooth, updated
 from skat.diagnosis.findings import Gain
-from skat.diagnosis.fitting import Fitted, known_forces
+from skat.diagnosis.fitting import Fitted, as_measured, known_forces
 from skat.diagnosis.forces.force_space import LEFT_AT_LEAST
 from skat.diagnosis.noise import (
     Estimate,
@@ -203,11 +203,13 @@ def look(space: StateSpace, fitted: Fitted, values: Mapping[str, float]) -> Seen
     Where heavy tails were found, each sample's weight is found anew in turns with the variances held.
     """
     noise, memory = _with_even_weights(fitted.estimate.noise, space), fitted.memory
-    path, covariances, forces = space.measured, None, None
+    path, covariances, forces, slopes = space.measured, None, None, None
+    if space.simulator.state_names and space.mask[space.places].all():
+        covariances = as_measured(space, variances_of(noise.error, noise.error_nu)[:, : space.d])
     heavy = bool(np.isfinite(np.c_[noise.force_nu, noise.error_nu]).any())
     turns = TURNS if space.simulator.state_names or heavy else 1
     for turn in range(turns):
-        linear = linearise(space, path, values, covariances, forces=forces)
+        linear = linearise(space, path, values, covariances, forces=forces, slopes=slopes, renewed=True)
         chains = linear.chains.with_memory(memory)
         for _ in range(TURNS if heavy else 0):
             estimate = passed(chains, noise, space.real)
@@ -215,7 +217,7 @@ def look(space: StateSpace, fitted: Fitted, values: Mapping[str, float]) -> Seen
         estimate = passed(chains, noise, space.real, covariances=True)
         if turn < turns - 1:
             means, known = updated(chains, estimate.filtered, noise.error_variances)
-            path = moved_path(space, linear.path, means[..., : space.d])
+            path, slopes = moved_path(space, linear.path, means[..., : space.d]), linear
             covariances = known[..., : space.d, : space.d]
             forces = known_forces(space, memory, noise, means, known)
     return Seen(linear, chains, estimate, memory)

@@ -48,9 +48,10 @@ class Left:
     is for a law in this direction, nats, corrected for all that was tried: above ln(1 / alpha) in at most a share alpha
     of logs in which nothing is left. `law`: of the best regressor's coordinate. `past`: share of the variance that is
     predicted a row ahead by the force's own past; 0 for a white one. `ahead`: what the predictable part adds to the
-    mean square error at the horizon, in units of a right model's. `frequencies`, `spectrum` (n_frequencies,): Hz (or
-    per row), and the power density of what no law but its own past predicts, as if sensors hid nothing. `word`:
-    "drift", "vibration at 22 Hz", "impacts", "white", or "none" where sensors show no force.
+    mean square error at the horizon, in units of a right model's; 0 where there is more against a law than for it.
+    `frequencies`, `spectrum` (n_frequencies,): Hz (or per row), and the power density of what no law but its own past
+    predicts, as if sensors hid nothing. `word`: "drift", "vibration at 22 Hz", "impacts", "white", or "none" where
+    sensors show no force.
     """
 
     name: str
@@ -134,8 +135,10 @@ def find_remainder(
     h = horizon_rows(space.simulator) if horizon is None else horizon
     directions, rows = _directions(space, fitted), _rows_as_known(space, seen)
     white = _white_spectra(space, fitted, directions, random_state)
-    runs = _runs(space, seen, fitted.values, h)
     laws = [_likeliest(space, seen, directions, index, rows, h) for index in range(len(directions.names))]
+    # What there is more against than for adds to no error.
+    some = any(law.evidence > 0 for law in laws)
+    runs = _runs(space, seen, fitted.values, h) if some else None
     # How large it is, is a matter of mean squares: heavy tails would take a law's largest forces for outliers.
     sized = _without_laws(space, seen, directions, laws, known)
     parts = [
@@ -245,7 +248,7 @@ def _left(
     directions: _Directions,
     index: int,
     law: Likeliest,
-    runs: "_Runs",
+    runs: "_Runs | None",
     white: tuple[Array, Array],
 ) -> Left:
     chosen, column = law.regressor, directions.columns[..., index]
@@ -255,7 +258,9 @@ def _left(
         chosen.columns @ law.strengths(*_gram(seen, own, half == which)) for which in (False, True)
     ]
     predictable = float(np.sqrt(max(float(np.mean(predicted[0] * predicted[1])), 0.0)))
-    added = _added(space, seen, column, np.stack(predicted, axis=-1), runs)
+    added = 0.0
+    if runs is not None and law.evidence > 0:
+        added = _added(space, seen, column, np.stack(predicted, axis=-1), runs)
     force, variance = directions.forces[:, index], directions.variances[:, index]
     mean_square = float(np.mean(force**2 + variance))
     # What its own past predicts is what a spectrum is to show.

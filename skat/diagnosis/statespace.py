@@ -32,7 +32,7 @@ PAIRS = 32
 # A row from near which states end so many times their spread away has diverged, as contacts do: it has no slopes.
 FAR = 1e3
 # Slopes are kept where a row ends off from where they say by no more than this share of what is not known of its state.
-UNSEEN = 1e-3
+UNSEEN = 3e-3
 TIME_STEP = "timestep"
 QUATERNION = ("qw", "qx", "qy", "qz")
 
@@ -201,6 +201,14 @@ class ByRow:
             if whole is not None:
                 filled[name] = whole.copy()
                 filled[name][chosen] = part
+        return replace(self, **filled)
+
+    def with_forces(self, chosen: Mask, carrier: Array | None, kinks: Array, unsure: Array) -> "ByRow":
+        """Return these rows with other slopes by forces in some of them."""
+        own = {"carrier": carrier, "kinks": kinks, "unsure": unsure}
+        filled = {name: getattr(self, name).copy() for name, part in own.items() if part is not None}
+        for name, whole in filled.items():
+            whole[chosen] = own[name]
         return replace(self, **filled)
 
 
@@ -397,12 +405,19 @@ def linearise(
     found = replace(slopes.by_row, outputs=np.where(slopes.valid[:, None], outputs, np.nan))
     if not renewed or covariances is None:
         return _assembled(space, path, forces, found)
-    anew = ~(slopes.valid & _as_expected(space, slopes, path, forces, outputs, covariances))
+    hold, pushed = _as_expected(space, slopes, path, forces, outputs, covariances)
+    anew = ~(slopes.valid & hold)
     if anew.any():
         part = covariances[:, :-1][places][anew]
         past = space.past(rows, [rough], acting).of(np.flatnonzero(anew))
         there = _sloped(space, rows[anew], after[anew], outputs[anew], rough, part, unsure[anew], past)
         found = found.with_rows(anew, there)
+    forced = pushed & ~anew
+    if forced.any():
+        past = space.past(rows, [rough], acting).of(np.flatnonzero(forced))
+        (base,) = simulator.predict_many(rows[forced], [rough], past=past)
+        own = rows[forced], rough, base, after[forced], unsure[forced], past
+        found = found.with_forces(forced, *_joint_carrier(space, *own), unsure[forced])
     return _assembled(space, path, forces, found)
 
 
@@ -418,17 +433,19 @@ def about_forces(space: StateSpace, linear: Linear, values: Mapping[str, float],
     outputs = base if rough == values else space.simulated(rows, [values], forces.means)[0]
     base, outputs = (np.where(linear.valid[:, None], one, np.nan) for one in (base, outputs))
     carrier, kinks = _joint_carrier(space, rows, rough, base, after, forces.deviations, past)
-    found = replace(linear.by_row, outputs=outputs, carrier=carrier, kinks=kinks)
+    found = replace(linear.by_row, outputs=outputs, carrier=carrier, kinks=kinks, unsure=forces.deviations)
     return _assembled(space, linear.path, forces, found)
 
 
 def _as_expected(
     space: StateSpace, slopes: Linear, path: Array, forces: Forces, outputs: Array, covariances: Array
-) -> Mask:
+) -> tuple[Mask, Mask]:
     """Return of which rows slopes still say where they end, as far as the states there are known.
 
     Either the simulation is as good as linear between the states about which they were taken and those of the path, or
     what is known of both is about the same: no mean over it is known better than by so much.
+
+    And of which rows slopes by forces would be taken over other ones.
     """
     simulator, places, own = space.simulator, space.places, slopes.by_row
     moved = simulator.residual(path[:, :-1][places], own.origins)
@@ -446,11 +463,12 @@ def _as_expected(
     wider = inverse @ roots
     wider = np.abs(wider @ wider.swapaxes(1, 2) - np.eye(space.d)).max(axis=(1, 2))
     away = np.abs((inverse @ moved[..., None])[..., 0]).max(axis=1)
-    pushed = np.abs(forces.deviations - own.unsure) < BENT * own.unsure
-    same: Mask = (
-        (wider < 2 * BENT) & (away < BENT) & pushed.all(axis=1) & np.all(off < BENT * unknown, axis=1)
-    )
-    return (as_said | same) & np.isfinite(outputs).all(axis=1)
+    same: Mask = (wider < 2 * BENT) & (away < BENT) & np.all(off < BENT * unknown, axis=1)
+    before, now = (_force_steps(simulator, one) for one in (own.unsure, forces.deviations))
+    # What is linear over a force is so over less of it.
+    kinked = np.any(np.abs(own.kinks) > UNSEEN * unknown[..., None], axis=1)
+    pushed: Mask = np.any((now > (1 + BENT) * before) | kinked & (now < (1 - BENT) * before), axis=1)
+    return (as_said | same) & np.isfinite(outputs).all(axis=1), pushed
 
 
 def _without_states(outputs: Array, d: int) -> ByRow:
@@ -625,8 +643,7 @@ def _joint_carrier(
     columns, kinks = np.zeros((2, len(rows), space.d, len(forces)))
     if not forces:
         return None, kinks
-    largest = np.array([effect.bounds[1] for effect in forces])
-    steps = np.clip(OUTER * unsure, SMALL_FORCE * largest, largest)
+    steps = _force_steps(space.simulator, unsure)
     names = [effect.name for effect in forces]
     base = finite(base, safe)
     for group in told_apart(space, names):
@@ -640,8 +657,15 @@ def _joint_carrier(
             channels, place = space.channels_of(name), names.index(name)
             up, down = (end[:, channels] for end in ends)
             columns[:, channels, place] = (up - down) / (2 * steps[:, place, None])
-            kinks[:, channels, place] = np.where(unsure[:, place, None] > 0, up + down, 0.0)
+            kinks[:, channels, place] = up + down
     return columns, kinks
+
+
+def _force_steps(simulator: Simulator, unsure: Array) -> Array:
+    """Return over which forces slopes are taken, where so much is not known of them, (n_rows, n_forces)."""
+    largest = np.array([effect.bounds[1] for effect, _ in simulator.joint_forces()])
+    steps: Array = np.clip(OUTER * unsure, SMALL_FORCE * largest, largest)
+    return steps
 
 
 def told_apart(space: StateSpace, names: Sequence[str]) -> list[list[str]]:
@@ -672,9 +696,9 @@ def moved_path(space: StateSpace, path: Array, deviations: Array) -> Array:
 
 def _assembled(space: StateSpace, path: Array, forces: Forces, found: ByRow) -> Linear:
     after = space.path_ends(path)
-    drive = (
-        space.simulator.residual(finite(found.outputs, after), after) + found.beyond + _mean_of(found.kinks)
-    )
+    # Of a force that is known all is linear.
+    kinks = np.where(forces.deviations[:, None] > 0, found.kinks, 0.0)
+    drive = space.simulator.residual(finite(found.outputs, after), after) + found.beyond + _mean_of(kinks)
     if found.carrier is not None:
         # Forces of a chain are whole ones, and begin at zero.
         drive -= (found.carrier @ forces.means[..., None])[..., 0]
@@ -701,7 +725,7 @@ def _assembled(space: StateSpace, path: Array, forces: Forces, found: ByRow) -> 
     chains = Chains(
         whole,
         space.padded(np.where(valid[:, None], drive, 0.0)),
-        space.padded(found.bends + _left_by(found.kinks)),
+        space.padded(found.bends + _left_by(np.where(there, kinks, 0.0))),
         carrier,
         np.where(space.mask, space.simulator.residual(space.measured, path), 0.0),
         space.mask,

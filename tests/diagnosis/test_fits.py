@@ -19,6 +19,7 @@ from skat.diagnosis.fitting import (
     first_fit,
     hits,
     next_fit,
+    nominal_look,
     priors_of,
 )
 from skat.diagnosis.search import rivals_of
@@ -277,9 +278,9 @@ def test_a_fit_is_the_same_wherever_it_was_begun(space):
 def test_only_where_something_hits_is_a_row_bent_and_only_where_all_is_measured_is_it_known(space):
     assert bends(bouncing(), first_fit(bouncing(), {}))
     assert not bends(space, first_fit(space, {}))
-    assert hits(bouncing())
-    assert not hits(bouncing(hidden=(1,)))
-    assert not hits(space)
+    assert hits(bouncing(), nominal_look(bouncing()))
+    assert not hits(bouncing(hidden=(1,)), nominal_look(bouncing(hidden=(1,))))
+    assert not hits(space, nominal_look(space))
 
 
 def test_a_set_is_fitted_to_where_its_slopes_move_it_no_more(fits, nothing):
@@ -354,3 +355,10 @@ def test_friction_that_holds_nothing_is_not_looked_for_below_what_is_found(monke
     found = fits.of((0,), [0.01], fits.first())
     assert 0 < found.values[friction.name] < 1e-3
     assert found.widths[0] > 0
+
+
+def test_a_fit_begun_with_known_slopes_is_the_one_begun_without():
+    space = bouncing()
+    begun, bare = first_fit(space, {}, begun=nominal_look(space)), first_fit(space, {})
+    assert begun.bound == pytest.approx(bare.bound, abs=1.0)
+    np.testing.assert_allclose(begun.estimate.noise.error, bare.estimate.noise.error, rtol=0.05)
