@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from skat.diagnosis.chains import Array
-from skat.diagnosis.evidence import WIDTH_95, Gram, Priors, Weighed, Weigher, at_bound, weigh
+from skat.diagnosis.evidence import WIDTH_95, Gram, Law, Priors, Weighed, Weigher, at_bound, law_of, weigh
 from skat.diagnosis.fits import Fit, Fits
 from skat.diagnosis.fitting import Fitted, coordinate, value_at
 from skat.diagnosis.search import ALIAS_FACTOR, Ranked, without_weak
@@ -111,7 +111,7 @@ def told(
     """
     effects, priors, gram = fits.effects, fits.priors, worth.gram
     names, best = priors.names, worth(now.members)
-    ranked = _with_fits(ranked, worth, best, rivals)
+    ranked = _with_laws(_with_fits(ranked, worth, best, rivals), worth)
     probabilities = {name: ranked.probability(place) for place, name in enumerate(names)}
     aliases = {
         names[one]: tuple((names[other], share) for other, share in others.items())
@@ -142,28 +142,43 @@ def told(
     )
 
 
+def _with_laws(ranked: Ranked, worth: Weigher) -> Ranked:
+    """Return sets, those that are likely with what Laplace's approximation leaves out; see `law_of`."""
+    sets, least = [], ranked.sets[0].evidence + np.log(LEAST_SHARE)
+    for one in ranked.sets:
+        slopes = worth(one.members)
+        if one.evidence > least:
+            law = law_of(worth.gram, worth.priors, slopes, power=worth.power)
+            one = replace(one, evidence=one.evidence + law.evidence - slopes.evidence)
+        sets.append(one)
+    return Ranked(tuple(sorted(sets, key=lambda one: -one.evidence)))
+
+
 def _ends(gram: Gram, priors: Priors, best: Weighed, ranked: Ranked) -> dict[int, tuple[float, float]]:
     """Return the ends of each cause's 95 % interval, from its value in the best set, coordinates.
 
-    Over all sets with the cause, each a normal law by the whole likelihood: where another cause may hide beside it, its
-    value is known no better than that.
+    Over all sets with the cause, of the whole likelihood: where another cause may hide beside it, its value is known no
+    better than that.
     """
-    likely = [
-        (share, weigh(gram, priors, one.members))
+    laws = [
+        (share, law_of(gram, priors, weigh(gram, priors, one.members)))
         for share, one in zip(ranked.probabilities, ranked.sets)
         if share > LEAST_SHARE or one.members == best.members
     ]
     centres = dict(zip(best.members, weigh(gram, priors, best.members).values))
-    return {one: _quantiles(*_marginal(one, likely, centres[one])) for one in best.members}
+    return {
+        one: _quantiles(*_marginal(one, [law for law in laws if one in law[1].members], centre))
+        for one, centre in centres.items()
+    }
 
 
-def _marginal(cause: int, sets: Sequence[tuple[float, Weighed]], centre: float) -> tuple[Array, Array, Array]:
-    """Return weights, means from a centre and deviations of a cause's value in those of some sets that have it."""
-    own = [(share, one, one.members.index(cause)) for share, one in sets if cause in one.members]
-    shares, means, deviations = np.array(
-        [(share, one.values[at] - centre, one.deviations[at]) for share, one, at in own]
-    ).T
-    return shares / shares.sum(), means, deviations
+def _marginal(cause: int, laws: Sequence[tuple[float, Law]], centre: float) -> tuple[Array, Array, Array]:
+    """Return weights, means from a centre and deviations of a cause's value in the laws of some sets that have it."""
+    at = [law.members.index(cause) for _, law in laws]
+    shares = np.concatenate([share * law.shares for share, law in laws])
+    means = np.concatenate([law.means[:, place] for (_, law), place in zip(laws, at)])
+    deviations = np.concatenate([law.deviations[:, place] for (_, law), place in zip(laws, at)])
+    return shares / shares.sum(), means - centre, deviations
 
 
 def _quantiles(weights: Array, means: Array, deviations: Array) -> tuple[float, float]:
