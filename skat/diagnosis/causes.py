@@ -112,7 +112,7 @@ class Comparison:
         """Return the sets that were fitted beside the present one, small ones first."""
         others = sorted((one for one in self._fits if one != self.now.members), key=len)
         places = [self.fits.places(self._fits[one]) for one in others]
-        return [Rival(one, float(np.mean(self.gains(one, at)))) for one, at in zip(others, places)]
+        return [Rival(one, at, float(np.mean(self.gains(one, at)))) for one, at in zip(others, places)]
 
     def near(self, other: Fit, within: float) -> dict[tuple[int, ...], Array]:
         """Return the sets that were fitted and are as likely as another one but for so many nats: their coordinates."""
@@ -312,19 +312,29 @@ def find_causes(
     stands = stands and firm is now
     slopes = state.slopes[..., list(now.members)] if firm is now else _slopes(fits, firm, firm.members)
     own = firm if coarse else _without_stand_ins(fits, firm, slopes, needed)
-    misled, firm = misled or own is not firm, own
-    dropped = set(now.members) - set(firm.members)
-    rivals = [
-        replace(one, members=_less(one.members, dropped)) for one in rivals if dropped <= set(one.members)
-    ]
-    now = firm
+    dropped = set(now.members) - set(own.members)
+    rivals = [one.without(dropped) for one in rivals if dropped <= set(one.members)]
+    now, beside_a_law = own, own is not firm
     best = worth(now.members)
-    if misled:
+    if misled or beside_a_law:
         # What slopes say of other sets was seen to be wrong, or does not know of laws.
-        inside = (one for one in ranked.sets if set(one.members) < set(now.members))
-        ranked = Ranked(tuple(sorted((best, *inside), key=lambda one: -one.evidence)))
+        ranked = _comparable(ranked, best, 0.0 if beside_a_law else needed)
+    misled = misled or beside_a_law
     also = {} if misled else also_seen(ask, gram, priors, effects, exclusive, best, needed, state.banned)
     return told(fits, now, worth, ranked, rivals, also, needed, stands)
+
+
+def _comparable(ranked: Ranked, best: Weighed, needed: float) -> Ranked:
+    """Return a set with those that have less, and those that have more but not by what more names need."""
+
+    def is_one(one: Weighed) -> bool:
+        more = len(one.members) - len(best.members)
+        if more < 0:
+            return set(one.members) < set(best.members)
+        return set(best.members) < set(one.members) and one.evidence < best.evidence + needed * more
+
+    kept = (one for one in ranked.sets if is_one(one))
+    return Ranked(tuple(sorted((best, *kept), key=lambda one: -one.evidence)))
 
 
 def _begun(fits: Fits) -> Search:

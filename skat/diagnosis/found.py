@@ -1,7 +1,7 @@
 """What a search ends with: causes with their intervals and probabilities, aliases, and what else the log shows."""
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -71,12 +71,20 @@ class Rival:
     Attributes
     ----------
     members : tuple of int
+    places : ndarray of shape (len(members),)
+        Coordinates.
     gain : float
         By how much this set may be likelier, nats.
     """
 
     members: tuple[int, ...]
+    places: Array
     gain: float
+
+    def without(self, dropped: Container[int]) -> "Rival":
+        """Return the same where some causes are in neither."""
+        kept = [place for place, one in enumerate(self.members) if one not in dropped]
+        return Rival(tuple(self.members[place] for place in kept), self.places[kept], self.gain)
 
 
 def told(
@@ -121,9 +129,9 @@ def told(
     strong, _ = without_weak(best, worth, needed)
     kept = [one for one in strong.members if not is_held(effects[one], now.values[names[one]])]
     losses, intervals = worth.losses(best), {}
-    for one, (lower, upper) in _ends(gram, priors, best, ranked).items():
+    for one, ends in _ends(worth, best, ranked).items():
         place = coordinate(effects[one], now.values[names[one]])
-        low, high = (value_at(effects[one], place + end) for end in (lower, upper))
+        low, high = (value_at(effects[one], place + end) for end in ends)
         intervals[names[one]] = low, max(high, value_at(effects[one], fits.most_likely(now, one)))
     return Found(
         effects,
@@ -154,22 +162,23 @@ def _with_laws(ranked: Ranked, worth: Weigher) -> Ranked:
     return Ranked(tuple(sorted(sets, key=lambda one: -one.evidence)))
 
 
-def _ends(gram: Gram, priors: Priors, best: Weighed, ranked: Ranked) -> dict[int, tuple[float, float]]:
+def _ends(worth: Weigher, best: Weighed, ranked: Ranked) -> dict[int, tuple[float, float]]:
     """Return the ends of each cause's 95 % interval, from its value in the best set, coordinates.
 
-    Over all sets with the cause, of the whole likelihood: where another cause may hide beside it, its value is known no
-    better than that.
+    Over all sets with the cause, of the whole likelihood, those that were fitted where their fits are: where another
+    cause may hide beside it, its value is known no better than that.
     """
-    laws = [
-        (share, law_of(gram, priors, weigh(gram, priors, one.members)))
-        for share, one in zip(ranked.probabilities, ranked.sets)
-        if share > LEAST_SHARE or one.members == best.members
-    ]
-    centres = dict(zip(best.members, weigh(gram, priors, best.members).values))
-    return {
-        one: _quantiles(*_marginal(one, [law for law in laws if one in law[1].members], centre))
-        for one, centre in centres.items()
-    }
+    gram, priors, laws = worth.gram, worth.priors, []
+    for share, one in zip(ranked.probabilities, ranked.sets):
+        if share > LEAST_SHARE or one.members == best.members:
+            law = law_of(gram, priors, weigh(gram, priors, one.members))
+            moved = one.values - worth(one.members).values
+            laws.append((share, replace(law, means=law.means + moved)))
+    found = {}
+    for cause, centre in zip(best.members, weigh(gram, priors, best.members).values):
+        lower, upper = _quantiles(*_marginal(cause, [law for law in laws if cause in law[1].members], centre))
+        found[cause] = min(lower, 0.0), max(upper, 0.0)
+    return found
 
 
 def _marginal(cause: int, laws: Sequence[tuple[float, Law]], centre: float) -> tuple[Array, Array, Array]:
@@ -201,7 +210,8 @@ def _with_fits(ranked: Ranked, worth: Weigher, best: Weighed, rivals: Sequence[R
     for rival in rivals:
         slopes = sets.get(rival.members) or worth(rival.members)
         more = len(rival.members) > len(best.members)
-        found = replace(slopes, evidence=best.evidence + (rival.gain if more else min(rival.gain, 0.0)))
+        gain = rival.gain if more else min(rival.gain, 0.0)
+        found = replace(slopes, values=rival.places, evidence=best.evidence + gain)
         lost, missing = max(slopes.evidence - found.evidence, 0.0), set(best.members) - set(rival.members)
         # What is lost by a cause less may be made up for by what is added.
         fewer = set(rival.members) < set(best.members)
