@@ -16,6 +16,7 @@ from skat.diagnosis.fitting import (
     Fitted,
     Known,
     acting_together,
+    bent_rows,
     coordinate,
     doubled,
     gram_of,
@@ -25,7 +26,7 @@ from skat.diagnosis.fitting import (
     time_step,
     value_at,
 )
-from skat.diagnosis.found import Found, Rival, also_seen, exchanged, is_held, stand_ins, told
+from skat.diagnosis.found import LEAST_SHARE, Found, Rival, also_seen, exchanged, is_held, stand_ins, told
 from skat.diagnosis.noise import TOLERANCE
 from skat.diagnosis.remainder import beside_laws
 from skat.diagnosis.search import (
@@ -109,10 +110,18 @@ class Comparison:
         return gain, self._turned[other.members]
 
     def rivals(self) -> list[Rival]:
-        """Return the sets that were fitted beside the present one, small ones first."""
-        others = sorted((one for one in self._fits if one != self.now.members), key=len)
-        places = [self.fits.places(self._fits[one]) for one in others]
-        return [Rival(one, at, float(np.mean(self.gains(one, at)))) for one, at in zip(others, places)]
+        """Return the sets that were fitted beside the present one, small ones first.
+
+        By their slopes, too, unless they would be as good as impossible though these liked them as well.
+        """
+        found = []
+        for members in sorted((one for one in self._fits if one != self.now.members), key=len):
+            places = self.fits.places(self._fits[members])
+            gain = self.gain(members, places)
+            if gain > 2 * np.log(LEAST_SHARE):
+                gain = float(np.mean(self.gains(members, places)))
+            found.append(Rival(members, places, gain))
+        return found
 
     def near(self, other: Fit, within: float) -> dict[tuple[int, ...], Array]:
         """Return the sets that were fitted and are as likely as another one but for so many nats: their coordinates."""
@@ -295,7 +304,7 @@ def find_causes(
                 _as_one(compared, worth, exclusive)
                 or _superfluous(compared, worth, needed)
                 or _again(compared, state.near, needed)
-                or _in_place(compared, worth, state.first or gram, ranked, banned)
+                or _in_place(compared, worth, state.first or gram, state.slopes, ranked, banned)
             )
         if moved is None:
             rivals = [] if coarse else compared.rivals()
@@ -495,20 +504,21 @@ def _again(compared: Comparison, near: Mapping[tuple[int, ...], Array], needed: 
 
 
 def _in_place(
-    compared: Comparison, worth: Weigher, first: Gram, ranked: Ranked, banned: Container[int]
+    compared: Comparison,
+    worth: Weigher,
+    first: Gram,
+    slopes: Array,
+    ranked: Ranked,
+    banned: Container[int],
 ) -> Fit | None:
     """Return the fit of a set in which an effect that acts much like a cause has its place, if one does better.
 
     Slopes say that two effects act alike for small values; whether they do at this one, a fit must say. Some act alike
-    only where neither is a cause yet: of two limits the lower one hides the other.
+    only where neither is a cause yet: of two limits the lower one hides the other. And of what hits slopes tell effects
+    apart that are the same in all other rows, as those of a weight over less than those of a push.
     """
-    now, fits = compared.now, compared.fits
-    grams = [worth.gram, first]
-    if fits.bends(now):
-        # At a point what hits tells effects apart that are the same over what is not known of where a row starts.
-        widths = dict(zip(now.members, now.widths))
-        every = range(len(fits.effects))
-        grams.append(fits.gram(now.fitted, every, np.array([widths.get(one, 0.0) for one in every])))
+    now = compared.now
+    grams = worth.gram, first, _unbent(compared.fits, now, slopes)
     others_of = stand_ins(ranked, worth.gram, worth(now.members), worth.priors.names)
     for cause in _weakest(worth, now):
         looks = np.stack([gram.cosines(cause) for gram in grams])
@@ -526,6 +536,12 @@ def _in_place(
             ):
                 return moved
     return None
+
+
+def _unbent(fits: Fits, now: Fit, slopes: Array) -> Gram:
+    """Return the Gram matrices of a fit by those of its rows that are not bent."""
+    straight = np.where(bent_rows(fits.space, now.fitted)[:, None, None], 0.0, slopes)
+    return gram_of(fits.space, now.fitted, straight, fits.effects).gram
 
 
 def _without_doubtful(fits: Fits, now: Fit, worth: Weigher, needed: float) -> Fit:

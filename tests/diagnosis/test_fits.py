@@ -14,7 +14,7 @@ from skat.diagnosis.fitting import (
     FORCE_TURNS,
     Known,
     _blocks,
-    bends,
+    bent_rows,
     compared,
     first_fit,
     hits,
@@ -261,8 +261,8 @@ def test_a_fit_is_the_same_wherever_it_was_begun(space):
 
 
 def test_only_where_something_hits_is_a_row_bent_and_only_where_all_is_measured_is_it_known(space):
-    assert bends(bouncing(), first_fit(bouncing(), {}))
-    assert not bends(space, first_fit(space, {}))
+    assert bent_rows(bouncing(), first_fit(bouncing(), {})).any()
+    assert not bent_rows(space, first_fit(space, {})).any()
     assert hits(bouncing())
     assert not hits(bouncing(hidden=(1,)))
     assert not hits(space)
