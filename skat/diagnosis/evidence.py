@@ -15,6 +15,7 @@ cause at all.
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.linalg.lapack import dposv, dpotrf
@@ -30,9 +31,9 @@ RANK = 1e-12
 AT_BOUND = 1e-6
 # Of a normal law within its 95 % interval, in standard deviations.
 WIDTH_95 = 1.96
-# A value that is known to less than this, in the angles of its prior, has a normal law.
+# A value that is known to less than this, in the angles of its prior, has a normal law; another is told at so many places.
 LEAST_WIDTH = 0.15
-ANGLES, WEIGHTS = np.polynomial.legendre.leggauss(100)
+PLACES = 100
 # Steps of a posterior mode, each with a normal law in the place of each prior.
 STEPS = 30
 
@@ -256,8 +257,9 @@ def law_of(gram: Gram, priors: Priors, one: Weighed, *, power: float = 1.0) -> L
     k = int(np.argmax(widths)) if members else 0
     if not members or widths[k] < LEAST_WIDTH:
         return Law(one.members, one.evidence, np.ones(1), values[None], one.deviations[None])
+    angles, weights = _quadrature(PLACES)
     first, last = np.arctan(low[k] / scales[k]), np.arctan(high[k] / scales[k])
-    moves = scales[k] * np.tan((first + last) / 2 + (last - first) / 2 * ANGLES) - values[k]
+    moves = scales[k] * np.tan((first + last) / 2 + (last - first) / 2 * angles) - values[k]
     rest = [place for place in range(len(members)) if place != k]
     slopes = power * (gram.at_neutral[members] - gram.products[np.ix_(members, members)] @ values)
     inverse = np.linalg.inv(C[np.ix_(rest, rest)])
@@ -279,9 +281,14 @@ def law_of(gram: Gram, priors: Priors, one: Weighed, *, power: float = 1.0) -> L
     evidence = power * one.likelihood + priors.log_odds[members].sum()
     evidence += priors.log_density(members, values)[rest].sum()
     evidence += 0.5 * len(rest) * np.log(2 * np.pi) - 0.5 * _log_determinant(C[np.ix_(rest, rest)])
-    shares = WEIGHTS / 2 * np.exp(logs - logs.max())
+    shares = weights / 2 * np.exp(logs - logs.max())
     evidence += logs.max() + np.log(shares.sum())
     return Law(one.members, float(evidence), shares / shares.sum(), means, deviations)
+
+
+@cache
+def _quadrature(n: int) -> tuple[Array, Array]:
+    return np.polynomial.legendre.leggauss(n)
 
 
 def posterior_mode(
