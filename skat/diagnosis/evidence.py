@@ -31,7 +31,7 @@ RANK = 1e-12
 AT_BOUND = 1e-6
 # Of a normal law within its 95 % interval, in standard deviations.
 WIDTH_95 = 1.96
-# A value that is known to less than this, in the angles of its prior, has a normal law; another is told at so many places.
+# A value that is known to less than this, in the angles of its prior, has a normal law; another is told at places.
 LEAST_WIDTH = 0.15
 PLACES = 100
 # Steps of a posterior mode, each with a normal law in the place of each prior.
