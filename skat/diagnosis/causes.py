@@ -1,7 +1,7 @@
 """The causes that a log asks for: fit, search, fit anew, until the set stands still."""
 
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -16,7 +16,7 @@ from skat.diagnosis.fitting import (
     Fitted,
     Known,
     acting_together,
-    bends,
+    bent_rows,
     coordinate,
     doubled,
     gram_of,
@@ -26,7 +26,7 @@ from skat.diagnosis.fitting import (
     time_step,
     value_at,
 )
-from skat.diagnosis.found import Found, Rival, also_seen, exchanged, is_held, stand_ins, told
+from skat.diagnosis.found import LEAST_SHARE, Found, Rival, also_seen, exchanged, is_held, stand_ins, told
 from skat.diagnosis.noise import TOLERANCE
 from skat.diagnosis.remainder import beside_laws
 from skat.diagnosis.search import (
@@ -82,6 +82,7 @@ class Comparison:
         self.fits, self.now = fits, now
         self._look = now if look is None else look
         self._fits: dict[tuple[int, ...], Fit] = {}
+        self._turned: dict[tuple[int, ...], float] = {}
 
     def fit(self, members: Sequence[int], places: Array) -> Fit:
         """Return the fit of a set with these slopes, from values that may be near at first."""
@@ -104,9 +105,34 @@ class Comparison:
         if gain < -EXCHANGED or not self.fits.bends(self.now):
             return gain, gain
         other = self.fit(members, places)
-        look = self.fits.about(other.members, self.fits.places(other), self.now)
-        turned = Comparison(self.fits, self.now, look).gain(look.members, self.fits.places(look))
-        return gain, turned
+        if other.members not in self._turned:
+            look = self.fits.about(other.members, self.fits.places(other), self.now)
+            own = Comparison(self.fits, self.now, look)
+            self._turned[other.members] = own.gain(look.members, self.fits.places(look))
+        return gain, self._turned[other.members]
+
+    def rivals(self) -> list[Rival]:
+        """Return the sets that were fitted beside the present one, small ones first.
+
+        By their slopes, too, unless they would be as good as impossible though these liked them as well.
+        """
+        found = []
+        for members in sorted((one for one in self._fits if one != self.now.members), key=len):
+            places = self.fits.places(self._fits[members])
+            gain = self.gain(members, places)
+            if gain > 2 * np.log(LEAST_SHARE):
+                gain = float(np.mean(self.gains(members, places)))
+            found.append(Rival(members, places, gain))
+        return found
+
+    def near(self, other: Fit, within: float) -> dict[tuple[int, ...], Array]:
+        """Return the sets that were fitted and are as likely as another one but for so many nats: their coordinates."""
+        least = self._fits[other.members].evidence - within if other.members in self._fits else np.inf
+        return {
+            members: self.fits.places(fit)
+            for members, fit in self._fits.items()
+            if fit.evidence > least and members != other.members
+        }
 
     def prefers(self, members: Sequence[int], places: Array, needed: float) -> bool:
         """Whether a set is to be preferred to the present one: by what more names need.
@@ -117,16 +143,16 @@ class Comparison:
         gain = max(self.gains(members, places)) if fewer else self.gain(members, places)
         return self._is_better(members, gain, needed)
 
-    def taken(self, one: Weighed, needed: float) -> Fit | None:
+    def taken(self, members: Sequence[int], places: Array, needed: float) -> Fit | None:
         """Return the fit of a set with slopes of its own, if it is preferred.
 
         What more names are worth must be so with the slopes of both; fewer are preferred if those of one say so. Nor
         may fits with slopes of their own differ the other way.
         """
-        near = self.fit(one.members, one.values)
-        moved = self.fits.of(one.members, self.fits.places(near), self.now)
+        near = self.fit(members, places)
+        moved = self.fits.of(near.members, self.fits.places(near), self.now)
         own = Comparison(self.fits, self.now, moved).gain(moved.members, self.fits.places(moved))
-        gains = self.gain(one.members, one.values), own
+        gains = self.gain(members, places), own
         fewer = len(moved.members) < len(self.now.members)
         apart = moved.evidence - self.now.evidence
         gain = min((max if fewer else min)(gains), apart)
@@ -155,6 +181,8 @@ class Search:
         Of the first turn; None in it.
     banned : tuple of int
         Effects that were held at a bound.
+    near : mapping from members to coordinates
+        Sets that fits found nearly as likely as those that were preferred to them.
     """
 
     turn: int
@@ -163,6 +191,7 @@ class Search:
     slopes: Array
     first: Gram | None
     banned: tuple[int, ...]
+    near: Mapping[tuple[int, ...], Array] = field(default_factory=dict)
 
 
 def find_causes(
@@ -276,31 +305,50 @@ def find_causes(
                 rest = _without(worth, now, held)
                 moved = fits.of(rest.members, rest.values, now)
         if moved is None and not coarse:
-            moved = _as_one(compared, worth, exclusive) or _superfluous(compared, worth, needed)
-        if moved is None and not coarse:
-            rivals, moved = _rivals(compared, worth, state.first or gram, ranked, banned)
+            moved = (
+                _as_one(compared, worth, exclusive)
+                or _superfluous(compared, worth, needed)
+                or _again(compared, state.near, needed)
+                or _in_place(compared, worth, state.first or gram, state.slopes, ranked, banned)
+            )
         if moved is None:
+            rivals = [] if coarse else compared.rivals()
             stands = True
             break
         # Far from where slopes were taken they say nothing.
         live = list(range(len(effects))) if afar else _live(ranked, moved.members)
         slopes = state.slopes.copy()
         slopes[..., live] = _slopes(fits, moved, live)
-        state = Search(state.turn + 1, moved, None, slopes, state.first, tuple(sorted(banned)))
+        near = {**state.near, **compared.near(moved, needed + np.log(ALIAS_FACTOR))}
+        state = Search(state.turn + 1, moved, None, slopes, state.first, tuple(sorted(banned)), near)
     # Of a first look slopes alone tell; a search does not stand where fits and slopes differ on what is worth a name.
     firm = now if coarse else _without_doubtful(fits, now, worth, needed)
     stands = stands and firm is now
     slopes = state.slopes[..., list(now.members)] if firm is now else _slopes(fits, firm, firm.members)
     own = firm if coarse else _without_stand_ins(fits, firm, slopes, needed)
-    misled, firm = misled or own is not firm, own
-    now, rivals = firm, [one for one in rivals if one.cause in firm.members]
+    dropped = set(now.members) - set(own.members)
+    rivals = [one.without(dropped) for one in rivals if dropped <= set(one.members)]
+    now, beside_a_law = own, own is not firm
     best = worth(now.members)
-    if misled:
+    if misled or beside_a_law:
         # What slopes say of other sets was seen to be wrong, or does not know of laws.
-        inside = (one for one in ranked.sets if set(one.members) < set(now.members))
-        ranked = Ranked(tuple(sorted((best, *inside), key=lambda one: -one.evidence)))
+        ranked = _comparable(ranked, best, 0.0 if beside_a_law else needed)
+    misled = misled or beside_a_law
     also = {} if misled else also_seen(ask, gram, priors, effects, exclusive, best, needed, state.banned)
     return told(fits, now, worth, ranked, rivals, also, needed, stands)
+
+
+def _comparable(ranked: Ranked, best: Weighed, needed: float) -> Ranked:
+    """Return a set with those that have less, and those that have more but not by what more names need."""
+
+    def is_one(one: Weighed) -> bool:
+        more = len(one.members) - len(best.members)
+        if more < 0:
+            return set(one.members) < set(best.members)
+        return set(best.members) < set(one.members) and one.evidence < best.evidence + needed * more
+
+    kept = (one for one in ranked.sets if is_one(one))
+    return Ranked(tuple(sorted((best, *kept), key=lambda one: -one.evidence)))
 
 
 def _begun(fits: Fits, look: Linear | None) -> Search:
@@ -397,16 +445,19 @@ def _likeliest(compared: Comparison, worth: Weigher, asked: Sequence[Weighed], n
         if compared.prefers(one.members, one.values, needed):
             found[one.members] = compared.gain(one.members, one.values) - cost, one
     for _, one in sorted(found.values(), key=lambda pair: -pair[0]):
-        moved = compared.taken(one, needed)
+        moved = compared.taken(one.members, one.values, needed)
         if moved is not None:
             return moved
     return None
 
 
+def _less(members: Sequence[int], dropped: Container[int]) -> tuple[int, ...]:
+    return tuple(one for one in members if one not in dropped)
+
+
 def _without(worth: Weigher, now: Fit, dropped: Sequence[int] | set[int]) -> Weighed:
     """Return the present set without some members, at the values that slopes have for the others."""
-    rest = [one for one in now.members if one not in dropped]
-    return weigh(worth.gram, worth.priors, rest)
+    return weigh(worth.gram, worth.priors, _less(now.members, dropped))
 
 
 def _superfluous(compared: Comparison, worth: Weigher, needed: float) -> Fit | None:
@@ -415,7 +466,7 @@ def _superfluous(compared: Comparison, worth: Weigher, needed: float) -> Fit | N
     for one in _weakest(worth, now):
         rest = _without(worth, now, {one})
         if compared.prefers(rest.members, rest.values, needed):
-            moved = compared.taken(rest, needed)
+            moved = compared.taken(rest.members, rest.values, needed)
             if moved is not None:
                 return moved
     return None
@@ -428,7 +479,7 @@ def _as_one(compared: Comparison, worth: Weigher, exclusive: Mapping[int, Sequen
         if len(now.intersection(family)) > 1:
             one = _all_of(compared, worth, sorted(now.intersection(family)), every)
             if compared.prefers(one.members, one.values, 0.0):
-                moved = compared.taken(one, 0.0)
+                moved = compared.taken(one.members, one.values, 0.0)
                 if moved is not None:
                     return moved
     return None
@@ -450,16 +501,32 @@ def _weakest(worth: Weigher, now: Fit) -> list[int]:
     return sorted(losses, key=lambda one: losses[one])[:REFITTED]
 
 
-def _rivals(
-    compared: Comparison, worth: Weigher, first: Gram, ranked: Ranked, banned: Container[int]
-) -> tuple[list[Rival], Fit | None]:
-    """Return sets in which an effect that acts much like a cause has its place, and the one that does better, if any.
+def _again(compared: Comparison, near: Mapping[tuple[int, ...], Array], needed: float) -> Fit | None:
+    """Return the fit of a set that was nearly as likely as one preferred to it, if it is to be preferred now."""
+    for members, places in near.items():
+        if members != compared.now.members and compared.prefers(members, places, needed):
+            moved = compared.taken(members, places, needed)
+            if moved is not None:
+                return moved
+    return None
+
+
+def _in_place(
+    compared: Comparison,
+    worth: Weigher,
+    first: Gram,
+    slopes: Array,
+    ranked: Ranked,
+    banned: Container[int],
+) -> Fit | None:
+    """Return the fit of a set in which an effect that acts much like a cause has its place, if one does better.
 
     Slopes say that two effects act alike for small values; whether they do at this one, a fit must say. Some act alike
-    only where neither is a cause yet: of two limits the lower one hides the other.
+    only where neither is a cause yet: of two limits the lower one hides the other. And of what hits slopes tell effects
+    apart that are the same in all other rows, as those of a weight over less than those of a push.
     """
-    found: list[Rival] = []
-    now, grams = compared.now, (worth.gram, first)
+    now = compared.now
+    grams = worth.gram, first, _unbent(compared.fits, now, slopes)
     others_of = stand_ins(ranked, worth.gram, worth(now.members), worth.priors.names)
     for cause in _weakest(worth, now):
         looks = np.stack([gram.cosines(cause) for gram in grams])
@@ -471,10 +538,18 @@ def _rivals(
             if other in banned or not worth.allows(members):
                 continue
             one = weigh(grams[int(np.argmax(looks[:, other]))], worth.priors, members)
-            if compared.prefers(members, one.values, 0.0) and (moved := compared.taken(one, 0.0)) is not None:
-                return found, moved
-            found.append(Rival(cause, other, float(np.mean(compared.gains(members, one.values)))))
-    return found, None
+            if (
+                compared.prefers(members, one.values, 0.0)
+                and (moved := compared.taken(one.members, one.values, 0.0)) is not None
+            ):
+                return moved
+    return None
+
+
+def _unbent(fits: Fits, now: Fit, slopes: Array) -> Gram:
+    """Return the Gram matrices of a fit by those of its rows that are not bent."""
+    straight = np.where(bent_rows(fits.space, now.fitted)[:, None, None], 0.0, slopes)
+    return gram_of(fits.space, now.fitted, straight, fits.effects).gram
 
 
 def _without_doubtful(fits: Fits, now: Fit, worth: Weigher, needed: float) -> Fit:
@@ -572,7 +647,7 @@ def _slopes(fits: Fits, now: Fit, members: Sequence[int]) -> Array:
     late = [place for place, effect in enumerate(chosen) if effect.family == "delay"]
     gains[late] = -np.inf
     # Of what is further off slopes of rows that are bent know nothing.
-    bent = bends(space, fitted)
+    bent = bool(bent_rows(space, fitted).any())
     for turn in range(max(map(len, ends.values()), default=0)):
         places = [place for place, own in ends.items() if len(own) > turn]
         at = np.array([coordinate(chosen[place], ends[place][turn]) for place in places])

@@ -11,7 +11,7 @@ from skat.diagnosis.fitting import (
     STILL,
     Fitted,
     Known,
-    bends,
+    bent_rows,
     compared,
     coordinate,
     doubled,
@@ -233,8 +233,8 @@ class Fits:
         return Fit(tuple(members), dict(fitted.values), fitted, np.nan, np.zeros(len(members)))
 
     def bends(self, fit: Fit) -> bool:
-        """Whether some row of a fit is bent; see `fitting.bends`."""
-        return bends(self.space, fit.fitted)
+        """Whether some row of a fit is bent; see `bent_rows`."""
+        return bool(bent_rows(self.space, fit.fitted).any())
 
     def places(self, fit: Fit) -> Array:
         """Return the coordinates of a fit's values."""

@@ -254,14 +254,13 @@ def known_forces(space: StateSpace, memory: Memory, noise: Noise, means: Array, 
     return Forces(known, np.sqrt(variances))
 
 
-def bends(space: StateSpace, fitted: Fitted) -> bool:
-    """Whether some row of a fit is bent: then slopes depend on whose values they were taken at."""
+def bent_rows(space: StateSpace, fitted: Fitted) -> Mask:
+    """Return which rows of a fit are bent: their slopes depend on whose values they were taken at."""
     if not space.simulator.state_names:
-        return False
+        return np.zeros(len(space.X), dtype=bool)
     chains, places = fitted.linear.chains, space.places
     covariances = _so_far(fitted)[1][..., : space.d, : space.d]
-    bent = is_bent(chains.transitions[places], fitted.linear.by_row.bends, covariances[:, :-1][places])
-    return bool(bent.any())
+    return is_bent(chains.transitions[places], fitted.linear.by_row.bends, covariances[:, :-1][places])
 
 
 def compared(

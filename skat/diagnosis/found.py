@@ -1,16 +1,22 @@
 """What a search ends with: causes with their intervals and probabilities, aliases, and what else the log shows."""
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import brentq
+from scipy.special import ndtr
 
-from skat.diagnosis.evidence import Gram, Priors, Weighed, Weigher, at_bound, weigh
+from skat.diagnosis.chains import Array
+from skat.diagnosis.evidence import WIDTH_95, Gram, Law, Priors, Weighed, Weigher, at_bound, law_of, weigh
 from skat.diagnosis.fits import Fit, Fits
-from skat.diagnosis.fitting import Fitted, around, coordinate, value_at
+from skat.diagnosis.fitting import Fitted, coordinate, value_at
 from skat.diagnosis.search import ALIAS_FACTOR, Ranked, without_weak
 from skat.effects import Effect
+
+# Sets that are less likely say nothing of an interval.
+LEAST_SHARE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -60,18 +66,25 @@ class Found:
 
 @dataclass(frozen=True)
 class Rival:
-    """A set in which another effect stands in a cause's place, at a fit of its own.
+    """Another set of causes than the one that a search ends with, at a fit of its own beside that.
 
     Attributes
     ----------
-    cause, other : int
+    members : tuple of int
+    places : ndarray of shape (len(members),)
+        Coordinates.
     gain : float
-        By how much this set may be likelier than that with the cause, nats.
+        By how much this set may be likelier, nats.
     """
 
-    cause: int
-    other: int
+    members: tuple[int, ...]
+    places: Array
     gain: float
+
+    def without(self, dropped: Container[int]) -> "Rival":
+        """Return the same where some causes are in neither."""
+        kept = [place for place, one in enumerate(self.members) if one not in dropped]
+        return Rival(tuple(self.members[place] for place in kept), self.places[kept], self.gain)
 
 
 def told(
@@ -96,7 +109,7 @@ def told(
     ranked : Ranked
         What slopes say of sets.
     rivals : sequence of Rival
-        What fits say of those that they were asked of.
+        What fits say of those that they were asked of, small sets before larger ones.
     also : mapping from name to value
         What else the log shows.
     needed : float
@@ -106,33 +119,26 @@ def told(
     """
     effects, priors, gram = fits.effects, fits.priors, worth.gram
     names, best = priors.names, worth(now.members)
-    ranked = _with_fits(ranked, worth, best, rivals)
+    ranked = _with_laws(_with_fits(ranked, worth, best, rivals), worth)
     probabilities = {name: ranked.probability(place) for place, name in enumerate(names)}
-    shares = _shares(rivals)
-    for one, others in shares.items():
-        # Both together may be likelier than either, which does not make either of them the one.
-        probabilities[names[one]] = min(probabilities[names[one]], 1 - sum(share for _, share in others))
-    refitted = {
-        names[one]: tuple((names[other], share) for other, share in others) for one, others in shares.items()
-    }
-    alike = {
+    aliases = {
         names[one]: tuple((names[other], share) for other, share in others.items())
         for one, others in stand_ins(ranked, gram, best, names).items()
     }
     # A search that was stopped may end at a bound, or with what is worth no name.
     strong, _ = without_weak(best, worth, needed)
     kept = [one for one in strong.members if not is_held(effects[one], now.values[names[one]])]
-    intervals, losses = {}, worth.losses(best)
-    # Intervals are of the whole likelihood.
-    for one, half in zip(best.members, weigh(gram, priors, best.members).half_widths):
-        low, high = around(effects[one], now.values[names[one]], half)
+    losses, intervals = worth.losses(best), {}
+    for one, ends in _ends(worth, best, ranked).items():
+        place = coordinate(effects[one], now.values[names[one]])
+        low, high = (value_at(effects[one], place + end) for end in ends)
         intervals[names[one]] = low, max(high, value_at(effects[one], fits.most_likely(now, one)))
     return Found(
         effects,
         {names[one]: now.values[names[one]] for one in kept},
         intervals,
         {names[one]: losses[one] for one in kept},
-        _with_refitted(alike, refitted),
+        aliases,
         probabilities,
         also,
         now.fitted,
@@ -144,44 +150,76 @@ def told(
     )
 
 
+def _with_laws(ranked: Ranked, worth: Weigher) -> Ranked:
+    """Return sets, those that are likely with what Laplace's approximation leaves out; see `law_of`."""
+    sets, least = [], ranked.sets[0].evidence + np.log(LEAST_SHARE)
+    for one in ranked.sets:
+        slopes = worth(one.members)
+        if one.evidence > least:
+            law = law_of(worth.gram, worth.priors, slopes, power=worth.power)
+            one = replace(one, evidence=one.evidence + law.evidence - slopes.evidence)
+        sets.append(one)
+    return Ranked(tuple(sorted(sets, key=lambda one: -one.evidence)))
+
+
+def _ends(worth: Weigher, best: Weighed, ranked: Ranked) -> dict[int, tuple[float, float]]:
+    """Return the ends of each cause's 95 % interval, from its value in the best set, coordinates.
+
+    Over all sets with the cause, of the whole likelihood, those that were fitted where their fits are: where another
+    cause may hide beside it, its value is known no better than that.
+    """
+    gram, priors, laws = worth.gram, worth.priors, []
+    for share, one in zip(ranked.probabilities, ranked.sets):
+        if share > LEAST_SHARE or one.members == best.members:
+            law = law_of(gram, priors, weigh(gram, priors, one.members))
+            moved = one.values - worth(one.members).values
+            laws.append((share, replace(law, means=law.means + moved)))
+    found = {}
+    for cause, centre in zip(best.members, weigh(gram, priors, best.members).values):
+        lower, upper = _quantiles(*_marginal(cause, [law for law in laws if cause in law[1].members], centre))
+        found[cause] = min(lower, 0.0), max(upper, 0.0)
+    return found
+
+
+def _marginal(cause: int, laws: Sequence[tuple[float, Law]], centre: float) -> tuple[Array, Array, Array]:
+    """Return weights, means from a centre and deviations of a cause's value in the laws of some sets that have it."""
+    at = [law.members.index(cause) for _, law in laws]
+    shares = np.concatenate([share * law.shares for share, law in laws])
+    means = np.concatenate([law.means[:, place] for (_, law), place in zip(laws, at)])
+    deviations = np.concatenate([law.deviations[:, place] for (_, law), place in zip(laws, at)])
+    return shares / shares.sum(), means - centre, deviations
+
+
+def _quantiles(weights: Array, means: Array, deviations: Array) -> tuple[float, float]:
+    """Return the ends between which 95 % of a mixture of normal laws lie."""
+    outermost = 2 * WIDTH_95 * deviations + deviations.max()
+    bracket = (means - outermost).min(), (means + outermost).max()
+
+    def end(share: float) -> float:
+        return float(brentq(lambda at: weights @ ndtr((at - means) / deviations) - share, *bracket))
+
+    return end(float(ndtr(-WIDTH_95))), end(float(ndtr(WIDTH_95)))
+
+
 def _with_fits(ranked: Ranked, worth: Weigher, best: Weighed, rivals: Sequence[Rival]) -> Ranked:
     """Return sets with what fits say of rivals in place of what slopes do; sets with more causes lose as much.
 
-    None is likelier than the set that was preferred to it.
+    But for what the set that was preferred to a rival has beside it. None with as few causes is likelier than that set.
     """
     sets = {one.members: one for one in ranked.sets}
     for rival in rivals:
-        members = exchanged(best.members, rival.cause, rival.other)
-        swapped = sets.get(members) or worth(members)
-        found = replace(swapped, evidence=best.evidence + min(rival.gain, 0.0))
-        lost = max(swapped.evidence - found.evidence, 0.0)
-        for one in list(sets.values()):
-            if set(members) < set(one.members) and rival.cause not in one.members:
+        slopes = sets.get(rival.members) or worth(rival.members)
+        more = len(rival.members) > len(best.members)
+        gain = rival.gain if more else min(rival.gain, 0.0)
+        found = replace(slopes, values=rival.places, evidence=best.evidence + gain)
+        lost, missing = max(slopes.evidence - found.evidence, 0.0), set(best.members) - set(rival.members)
+        # What is lost by a cause less may be made up for by what is added.
+        fewer = set(rival.members) < set(best.members)
+        for one in list(sets.values()) if missing and not fewer else ():
+            if set(rival.members) < set(one.members) and not missing & set(one.members):
                 sets[one.members] = replace(one, evidence=one.evidence - lost)
-        sets[members] = found
+        sets[rival.members] = found
     return Ranked(tuple(sorted(sets.values(), key=lambda one: (-one.evidence, one.members != best.members))))
-
-
-def _shares(rivals: Sequence[Rival]) -> dict[int, tuple[tuple[int, float], ...]]:
-    """Return for each cause the rivals that do nearly as well, and their probabilities."""
-    near = [rival for rival in rivals if rival.gain > -np.log(ALIAS_FACTOR)]
-    shares = {}
-    for cause in {rival.cause for rival in near}:
-        own = [rival for rival in near if rival.cause == cause]
-        odds = np.exp(np.minimum([rival.gain for rival in own], 0.0))
-        shares[cause] = tuple((rival.other, float(one / (1 + odds.sum()))) for rival, one in zip(own, odds))
-    return shares
-
-
-def _with_refitted(
-    aliases: dict[str, tuple[tuple[str, float], ...]], refitted: dict[str, tuple[tuple[str, float], ...]]
-) -> dict[str, tuple[tuple[str, float], ...]]:
-    """Return aliases with those of fits of their own put before those of slopes."""
-    both = {}
-    for cause, names in aliases.items():
-        own = refitted.get(cause, ())
-        both[cause] = (*own, *(one for one in names if one[0] not in {name for name, _ in own}))
-    return both
 
 
 def stand_ins(ranked: Ranked, gram: Gram, best: Weighed, names: Sequence[str]) -> dict[int, dict[int, float]]:

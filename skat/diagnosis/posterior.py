@@ -57,7 +57,9 @@ class Posterior:
     @classmethod
     def of(cls, found: Found) -> "Posterior":
         """Return the posterior of a search."""
-        shares = _shares(found)
+        shares = {
+            one.members: float(share) for one, share in zip(found.ranked.sets, found.ranked.probabilities)
+        }
         likely = sorted(shares, key=lambda members: -shares[members])
         kept = max(1, sum(shares[members] >= LEAST_PROBABILITY for members in likely))
         total = sum(shares[members] for members in likely[:kept])
@@ -121,23 +123,3 @@ class Posterior:
         with whole(target) as draft:
             draft.write_text(json.dumps(content, indent=1) + "\n")
         return target
-
-
-def _shares(found: Found) -> dict[tuple[int, ...], float]:
-    """Return the probability of each set: what fits of their own left of a cause is that of all sets with it."""
-    places = {name: place for place, name in enumerate(found.priors.names)}
-    shares = {one.members: float(share) for one, share in zip(found.ranked.sets, found.ranked.probabilities)}
-    for name in found.values:
-        cause = places[name]
-        before = sum(share for members, share in shares.items() if cause in members)
-        if not found.probabilities[name] < before:
-            continue
-        left = found.probabilities[name] / before
-        shares = {members: share * (left if cause in members else 1.0) for members, share in shares.items()}
-        for other, share in found.aliases.get(name, ()):
-            instead = tuple(sorted({*found.best.members, places[other]} - {cause}))
-            known = sum(
-                own for members, own in shares.items() if places[other] in members and cause not in members
-            )
-            shares[instead] = shares.get(instead, 0.0) + max(share - known, 0.0)
-    return shares

@@ -9,7 +9,15 @@ import pytest
 from scipy import stats
 
 from skat.diagnosis import causes
-from skat.diagnosis.causes import _ends_of_chords, _live, _without_stand_ins, readable, typical_biases
+from skat.diagnosis.causes import (
+    Comparison,
+    _comparable,
+    _ends_of_chords,
+    _live,
+    _without_stand_ins,
+    readable,
+    typical_biases,
+)
 from skat.diagnosis.chains import Memory
 from skat.diagnosis.evidence import Gram, Priors, Weighed, Weigher, weigh
 from skat.diagnosis.fitting import (
@@ -30,7 +38,7 @@ from skat.diagnosis.fitting import (
     slopes_of,
     value_at,
 )
-from skat.diagnosis.found import Rival, _shares, _with_fits, _with_refitted, is_held, stand_ins
+from skat.diagnosis.found import Rival, _ends, _with_fits, is_held, stand_ins
 from skat.diagnosis.noise import Noise
 from skat.diagnosis.posterior import CauseSet, Posterior
 from skat.diagnosis.search import Ranked, families_of, rivals_of, search
@@ -341,47 +349,98 @@ def test_what_stands_in_a_cause_s_place_in_likely_sets_is_its_alias():
     assert others_of[0] == pytest.approx({1: weights[1] / weights.sum()})
 
 
+def rival(members, gain):
+    return Rival(members, np.zeros(len(members)), gain)
+
+
 def test_fits_of_rivals_go_before_what_slopes_say_of_all_sets_with_them():
     best = a_set((0, 3), 50.0)
     slopes = {(1, 3): 49.5, (1, 3, 4): 47.0, (2, 3): 30.0, (2, 3, 4): 29.0, (0, 2, 3): 46.0, (1, 2): 10.0}
     ranked = Ranked((best, *(a_set(members, nats) for members, nats in slopes.items())))
     worth = {best.members: best, **{members: a_set(members, nats) for members, nats in slopes.items()}}
+    worth[3,] = a_set((3,), 20.0)
 
     def refitted(*rivals):
         return _with_fits(ranked, worth.get, best, rivals).sets
 
     # One that is 80 nats behind, not half a nat; what was added to it loses as much.
-    worse = {one.members: one.evidence for one in refitted(Rival(0, 1, -80.0))}
+    worse = {one.members: one.evidence for one in refitted(rival((1, 3), -80.0))}
     assert worse == pytest.approx({**slopes, best.members: 50, (1, 3): -30, (1, 3, 4): -32.5})
     # One that slopes had 20 nats behind is as likely, and is not preferred; of larger sets its fit says nothing.
-    better = refitted(Rival(0, 2, 3.0))
+    better = refitted(rival((2, 3), 3.0))
     assert better[0] is best
     assert {one.members: one.evidence for one in better} == pytest.approx(
         {**slopes, best.members: 50, (2, 3): 50}
     )
+    # But for what names cost one with more may be likelier; and what is lost by a cause less, more may make up for.
+    assert {one.members: one.evidence for one in refitted(rival((1, 2), -80.0))}[1, 2] == -30
+    larger = {one.members: one.evidence for one in refitted(rival((0, 2, 3), 3.0))}
+    assert larger == pytest.approx({**slopes, best.members: 50, (0, 2, 3): 53})
+    fewer = {one.members: one.evidence for one in refitted(rival((3,), -80.0))}
+    assert fewer == pytest.approx({**slopes, best.members: 50, (3,): -30})
     assert refitted() == tuple(sorted(ranked.sets, key=lambda one: -one.evidence))
 
 
 def test_a_rival_that_slopes_did_not_weigh_is_weighed_by_its_fit():
     best = a_set((0,), 10.0)
-    found = _with_fits(Ranked((best,)), lambda members: a_set(members, -5.0), best, [Rival(0, 1, -1.0)])
+    found = _with_fits(Ranked((best,)), lambda members: a_set(members, -5.0), best, [rival((1,), -1.0)])
     assert found.probability(1) == pytest.approx(1 / (1 + np.e))
     assert found.probability(0) == pytest.approx(np.e / (1 + np.e))
 
 
-def test_rivals_share_a_cause_s_place_with_it_by_their_odds():
-    rivals = [Rival(0, 1, -1.0), Rival(0, 2, -2.0), Rival(3, 1, 20.0), Rival(3, 2, -np.log(20) - 0.01)]
-    shares = _shares(rivals)
-    total = 1 + np.exp(-1) + np.exp(-2)
-    assert dict(shares[0]) == pytest.approx({1: np.exp(-1) / total, 2: np.exp(-2) / total})
-    # One that does better has no more than half; one in twenty is told.
-    assert dict(shares[3]) == pytest.approx({1: 0.5})
-    assert _shares([Rival(0, 1, -np.log(20) + 0.01)])[0][0][1] == pytest.approx(1 / 21, rel=0.02)
+def test_an_interval_is_of_all_sets_with_a_cause():
+    """One in five has beside it what acts the same: there the value is anywhere."""
+    N = np.random.default_rng(0).normal(size=(200, 3))
+    N[:, 1] = N[:, 0] + 1e-4 * N[:, 2]
+    gram = Gram(N.T @ N, N.T @ (N @ [0.5, 0.0, 0.3]), np.zeros(3))
+    some = Priors(tuple("abc"), np.ones(3), np.zeros(3), np.full(3, -50.0), np.full(3, 50.0))
+    worth = Weigher(gram, some)
+    alone, both, without = (worth(one) for one in ((0, 2), (0, 1, 2), (1, 2)))
+
+    def sets(*shares):
+        return Ranked(tuple(replace(one, evidence=np.log(share)) for one, share in shares))
+
+    half = alone.half_widths[0]
+    for ranked in (sets((alone, 1.0)), sets((alone, 0.5), (without, 0.5))):
+        assert _ends(worth, alone, ranked)[0] == pytest.approx((-half, half), rel=1e-3)
+    low, high = _ends(worth, alone, sets((alone, 0.8), (both, 0.2)))[0]
+    # Of 20 % a share of 2.5 % each is beyond the ends: of the product of both priors, (.5 - x)^2 about it.
+    at = alone.values[0] + np.linspace(-60, 60, 600_001)
+    law = 1 / (1 + at**2) / (1 + (alone.values[0] - at) ** 2)
+    share = np.cumsum(law) / law.sum()
+    assert [low, high] == pytest.approx(
+        [at[np.searchsorted(share, end)] - alone.values[0] for end in (0.125, 0.875)], abs=0.05
+    )
+    # One that was fitted is where its fit is.
+    elsewhere = replace(
+        alone, members=(0, 1, 2), values=both.values + np.array([3.0, 0.0, 0.0]), evidence=np.log(0.2)
+    )
+    fitted = Ranked((replace(alone, evidence=np.log(0.8)), elsewhere))
+    assert _ends(worth, alone, fitted)[0][1] == pytest.approx(high + 3.0, abs=0.1)
 
 
-def test_aliases_by_fits_of_their_own_stand_before_those_of_slopes():
-    both = _with_refitted({"a": (("b", 0.2), ("c", 0.1)), "d": (("e", 0.3),)}, {"a": (("c", 0.4),)})
-    assert both == {"a": (("c", 0.4), ("b", 0.2)), "d": (("e", 0.3),)}
+def test_where_slopes_mislead_only_sets_with_less_and_with_a_little_more_are_left():
+    best = a_set((0, 1), 50.0)
+    sets = [
+        ((0,), 60.0),
+        ((0, 1, 2), 53.0),
+        ((0, 1, 3), 56.0),
+        ((0, 2), 49.0),
+        ((1, 2, 3), 49.0),
+        ((0, 1, 2, 3), 58.0),
+    ]
+    ranked = Ranked((best, *(a_set(members, nats) for members, nats in sets)))
+    left = {one.members for one in _comparable(ranked, best, 5.0).sets}
+    assert left == {(0, 1), (0,), (0, 1, 2), (0, 1, 2, 3)}
+
+
+def test_sets_that_lost_narrowly_are_told_with_their_places():
+    fits = SimpleNamespace(places=lambda fit: fit.places)
+    compared = Comparison(fits, SimpleNamespace(members=()))
+    for members, nats in {(0,): 50.0, (1,): 48.0, (0, 1): 54.0, (): 10.0}.items():
+        compared._fits[members] = SimpleNamespace(members=members, evidence=nats, places=len(members))
+    assert compared.near(SimpleNamespace(members=(0,)), 3.0) == {(1,): 1, (0, 1): 2}
+    assert compared.near(SimpleNamespace(members=(2,)), 3.0) == {}
 
 
 def test_effects_that_may_still_be_causes_are_those_of_likely_sets():
@@ -485,14 +544,6 @@ def test_the_posterior_of_a_search_has_its_sets_by_their_probabilities():
         np.testing.assert_allclose(one.mean, weighed.values)
         assert list(one.values.values()) == pytest.approx(one.mean)
     assert all(one.probability >= 1e-3 for one in posterior.sets)
-
-
-def test_what_fits_leave_of_a_cause_is_left_of_all_sets_with_it():
-    search = found({"a": 0.6}, {"a": (("b", 0.4),)})
-    sets = {one.names: one.probability for one in Posterior.of(search).sets}
-    with_a = sum(share for names, share in sets.items() if "a" in names)
-    assert with_a == pytest.approx(0.6, abs=0.01)
-    assert sets["b", "c"] == pytest.approx(0.4, abs=0.01)
 
 
 def test_sets_that_are_less_likely_than_one_in_a_thousand_are_left_out():

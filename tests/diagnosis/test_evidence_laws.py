@@ -11,6 +11,7 @@ from skat.diagnosis.evidence import (
     Weigher,
     _log_share,
     bounded_solution,
+    law_of,
     posterior_mode,
     weigh,
 )
@@ -119,6 +120,41 @@ def test_a_member_is_worth_what_least_squares_lose_without_it():
 
 def log_posterior(theta, N, z, scales):
     return -0.5 * np.sum((z - N @ theta) ** 2) - np.sum(np.log1p((theta / scales) ** 2))
+
+
+@pytest.mark.parametrize("low", [-50.0, 0.0])
+@pytest.mark.parametrize("information", [1e-3, 0.1, 3.0, 100.0])
+def test_what_rows_hardly_tell_has_its_prior_s_tails(information, low):
+    some = Priors(("a",), np.ones(1), np.full(1, -3.0), np.full(1, low), np.full(1, 50.0))
+    gram = Gram(np.full((1, 1), information), np.sqrt([information]), np.zeros(1))
+    law = law_of(gram, some, weigh(gram, some, (0,), power=0.5), power=0.5)
+
+    def density(at):
+        likelihood = 0.5 * (gram.projections[0] * at - information * at**2 / 2)
+        return np.exp(likelihood + some.log_density([0], np.array([at]))[0] - 3.0)
+
+    whole = integrate.quad(density, low, 50.0, limit=400, points=[0.0, 1.0, 5.0])[0]
+    assert law.evidence == pytest.approx(np.log(whole), abs=0.03)
+    assert law.shares.sum() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("low", [-50.0, 0.0])
+@pytest.mark.parametrize("total", [0.3, 1.0, 4.0])
+def test_effects_that_act_the_same_share_what_both_do_by_both_priors(total, low):
+    """Known to .01 is their sum alone: its law is that of a sum of two values, each may be any share of it."""
+    some = Priors(("a", "b"), np.ones(2), np.zeros(2), np.full(2, low), np.full(2, 50.0))
+    gram = Gram(np.full((2, 2), 1e4), np.full(2, 1e4 * total), np.zeros(2))
+    law = law_of(gram, some, weigh(gram, some, (0, 1)))
+
+    def density(at):
+        return np.exp(some.log_density([0, 1], np.array([at, total - at])).sum())
+
+    first, last = (-40.0, 40.0) if low < 0 else (0.0, total)
+    inside = [one for one in (0.0, total / 2, total) if first < one < last]
+    whole = integrate.quad(density, first, last, limit=400, points=inside)[0]
+    expected = 1e4 * total**2 / 2 + np.log(whole) + 0.5 * np.log(2 * np.pi / 1e4)
+    assert law.evidence == pytest.approx(expected, abs=0.05)
+    np.testing.assert_allclose(law.means.sum(axis=1)[law.shares > 1e-3], total, atol=0.01)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -7,20 +7,22 @@ import numpy as np
 import pytest
 
 from skat.diagnosis import fitting
-from skat.diagnosis.causes import Comparison, _as_one, _first_guess, _likeliest
+from skat.diagnosis.causes import Comparison, _again, _as_one, _first_guess, _likeliest, _unbent
 from skat.diagnosis.evidence import Weighed, Weigher
 from skat.diagnosis.fits import Fit, Fits
 from skat.diagnosis.fitting import (
     FORCE_TURNS,
     Known,
     _blocks,
-    bends,
+    bent_rows,
     compared,
     first_fit,
+    gram_of,
     hits,
     next_fit,
     nominal_look,
     priors_of,
+    slopes_of,
 )
 from skat.diagnosis.search import rivals_of
 from skat.diagnosis.statespace import state_space
@@ -146,21 +148,49 @@ def test_more_names_must_be_worth_what_they_need():
 
 @pytest.mark.parametrize(("theirs", "own", "is_taken"), [(6, 106, True), (6, 104, False), (4, 106, False)])
 def test_more_names_are_taken_if_the_slopes_of_either_set_prefer_them(theirs, own, is_taken):
-    taken = beside((), s=(0, 100), s0=(theirs, own)).taken(a_set((0,)), 5.0)
+    taken = beside((), s=(0, 100), s0=(theirs, own)).taken((0,), np.zeros(1), 5.0)
     assert (taken is not None) is is_taken
 
 
 @pytest.mark.parametrize(("theirs", "own", "is_taken"), [(4, 106, True), (6, 104, True), (6, 106, False)])
 def test_fewer_names_are_taken_if_the_slopes_of_one_set_prefer_them(theirs, own, is_taken):
-    taken = beside((0,), s=(0, 100), s0=(theirs, own)).taken(a_set(()), 5.0)
+    taken = beside((0,), s=(0, 100), s0=(theirs, own)).taken((), np.zeros(0), 5.0)
     assert (taken is not None) is is_taken
 
 
 def test_a_set_that_its_own_fit_contradicts_is_not_taken():
     # One name more needs 5 nats, and fits of their own have so many between them.
-    assert beside((), 6, s=(0, 100), s0=(6, 106)).taken(a_set((0,)), 5.0) is not None
-    assert beside((), 4, s=(0, 100), s0=(6, 106)).taken(a_set((0,)), 5.0) is None
-    assert beside((0,), 1, s0=(0, 100), s1=(1, 101)).taken(a_set((1,)), 0.0) is not None
+    assert beside((), 6, s=(0, 100), s0=(6, 106)).taken((0,), np.zeros(1), 5.0) is not None
+    assert beside((), 4, s=(0, 100), s0=(6, 106)).taken((0,), np.zeros(1), 5.0) is None
+    assert beside((0,), 1, s0=(0, 100), s1=(1, 101)).taken((1,), np.zeros(1), 0.0) is not None
+
+
+def test_rivals_are_the_sets_that_were_fitted_by_the_slopes_of_either():
+    compared = beside((0,), s0=(0, 100), s1=(-6, 102), s01=(-19, 100), s2=(-4, 96))
+    for members in [(0, 1), (1,)]:
+        compared.fit(members, np.zeros(len(members)))
+    # Of one that is hardly possible the slopes of the present set are enough; what was not fitted is none.
+    assert {one.members: one.gain for one in compared.rivals()} == {(1,): -2.0, (0, 1): -19.0}
+
+
+def test_a_set_that_lost_narrowly_is_asked_for_again_beside_the_one_that_won():
+    near = {(0,): np.zeros(1), (1,): np.zeros(1), (2,): np.zeros(1)}
+    compared = beside((0,), s0=(0, 100), s1=(-1, 98), s2=(6, 108))
+    assert _again(compared, near, 0.0).members == (2,)
+    assert _again(compared, {(1,): np.zeros(1)}, 0.0) is None
+    assert [one.members for one in compared.rivals()] == [(1,), (2,)]
+
+
+def test_what_acts_alike_but_where_something_hits_is_alike():
+    """Weight and push, whose slopes are taken over a very little and over less little of what hits."""
+    space = bouncing()
+    effects = tuple(one for one in space.simulator.effects() if one.name in ("gravity", "wind[z]"))
+    fits = Fits(space, effects, priors_of(effects), Known(), 1.0)
+    now = fits.first()
+    slopes = slopes_of(space, now.fitted, effects, fits.priors.scales)
+    slopes[bent_rows(space, now.fitted), :, 1] *= -1e3
+    assert gram_of(space, now.fitted, slopes, effects).gram.cosines(0)[1] < 0.9
+    assert _unbent(fits, now, slopes).cosines(0)[1] == pytest.approx(1.0, abs=1e-3)
 
 
 def test_sets_are_compared_by_the_slopes_of_either():
@@ -276,8 +306,8 @@ def test_a_fit_is_the_same_wherever_it_was_begun(space):
 
 
 def test_only_where_something_hits_is_a_row_bent_and_only_where_all_is_measured_is_it_known(space):
-    assert bends(bouncing(), first_fit(bouncing(), {}))
-    assert not bends(space, first_fit(space, {}))
+    assert bent_rows(bouncing(), first_fit(bouncing(), {})).any()
+    assert not bent_rows(space, first_fit(space, {})).any()
     assert hits(bouncing(), nominal_look(bouncing()))
     assert not hits(bouncing(hidden=(1,)), nominal_look(bouncing(hidden=(1,))))
     assert not hits(space, nominal_look(space))
