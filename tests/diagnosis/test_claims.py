@@ -93,7 +93,9 @@ def test_interval_is_that_of_least_squares_whatever_the_bounds(noise):
     rng = np.random.default_rng(1)
     X = rng.normal(size=(400, 1))
     y = X + 0.5 + noise * rng.normal(size=X.shape)
-    diagnosis = SimulationDiagnosis(simulator, noise=[noise], test_size=0, random_state=0).fit(X, y)
+    diagnosis = SimulationDiagnosis(simulator, effects=["b"], noise=[noise], test_size=0, random_state=0).fit(
+        X, y
+    )
     (cause,) = diagnosis.causes_
     assert cause.value == pytest.approx(np.mean(y - X), abs=0.02 * noise)
     np.testing.assert_allclose(np.diff(cause.interval), 2 * 1.96 * noise / np.sqrt(400), rtol=0.1)
@@ -120,7 +122,7 @@ def test_an_interval_is_as_wide_as_what_groups_of_rows_have_in_common_makes_it(n
         groups = np.repeat(np.arange(n_groups), 600 // n_groups)
         X = rng.uniform(-1, 1, size=(600, 1))
         noise = 0.1 * rng.normal(size=(n_groups, 1))[groups] + 0.05 * rng.normal(size=X.shape)
-        diagnosis = SimulationDiagnosis(simulator, test_size=0, random_state=0).fit(
+        diagnosis = SimulationDiagnosis(simulator, effects=["b"], test_size=0, random_state=0).fit(
             X, X + 0.5 + noise, groups
         )
         (cause,) = diagnosis.causes_

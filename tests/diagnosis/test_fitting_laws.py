@@ -225,6 +225,7 @@ def sought(last, bounds, worth, monkeypatch):
         "skat.diagnosis.fitting._worth_of_memories",
         lambda chains, estimate, memories: [worth.get(place, 0.0) for place in range(6)],
     )
+    monkeypatch.setattr("skat.diagnosis.fitting._worth_beyond_white", lambda chains, estimate: 0.0)
 
     def estimated(memory, noise, real):
         return SimpleNamespace(bound=bounds.get(memories.index(memory), 0.0) if memory else 0.0, noise=noise)
