@@ -173,7 +173,7 @@ def _ends(worth: Weigher, best: Weighed, ranked: Ranked) -> dict[int, tuple[floa
         if share > LEAST_SHARE or one.members == best.members:
             law = law_of(gram, priors, weigh(gram, priors, one.members))
             moved = one.values - worth(one.members).values
-            laws.append((share, replace(law, means=law.means + moved)))
+            laws.append((one.evidence, replace(law, means=law.means + moved)))
     found = {}
     for cause, centre in zip(best.members, weigh(gram, priors, best.members).values):
         lower, upper = _quantiles(*_marginal(cause, [law for law in laws if cause in law[1].members], centre))
@@ -182,9 +182,13 @@ def _ends(worth: Weigher, best: Weighed, ranked: Ranked) -> dict[int, tuple[floa
 
 
 def _marginal(cause: int, laws: Sequence[tuple[float, Law]], centre: float) -> tuple[Array, Array, Array]:
-    """Return weights, means from a centre and deviations of a cause's value in the laws of some sets that have it."""
+    """Return weights, means from a centre and deviations of a cause's value in the laws of some sets that have it.
+
+    Each law with the evidence of its set, nats: all of these sets may be next to impossible beside one without it.
+    """
     at = [law.members.index(cause) for _, law in laws]
-    shares = np.concatenate([share * law.shares for share, law in laws])
+    most = max(evidence for evidence, _ in laws)
+    shares = np.concatenate([np.exp(evidence - most) * law.shares for evidence, law in laws])
     means = np.concatenate([law.means[:, place] for (_, law), place in zip(laws, at)])
     deviations = np.concatenate([law.deviations[:, place] for (_, law), place in zip(laws, at)])
     return shares / shares.sum(), means - centre, deviations
@@ -206,7 +210,7 @@ def _with_fits(ranked: Ranked, worth: Weigher, best: Weighed, rivals: Sequence[R
 
     But for what the set that was preferred to a rival has beside it. None with as few causes is likelier than that set.
     """
-    sets = {one.members: one for one in ranked.sets}
+    sets = {one.members: one for one in (*ranked.sets, best)}
     for rival in rivals:
         slopes = sets.get(rival.members) or worth(rival.members)
         more = len(rival.members) > len(best.members)

@@ -419,6 +419,20 @@ def test_an_interval_is_of_all_sets_with_a_cause():
     assert _ends(worth, alone, fitted)[0][1] == pytest.approx(high + 3.0, abs=0.1)
 
 
+def test_an_interval_is_told_of_a_set_that_slopes_find_next_to_impossible():
+    """A search that is stopped ends with a set that slopes would leave, and may not have weighed as it is."""
+    N = 100 * np.random.default_rng(0).normal(size=(200, 3))
+    gram = Gram(N.T @ N, N.T @ (N @ [0.5, 0.0, 0.9]), np.zeros(3))
+    worth = Weigher(gram, Priors(tuple("abc"), np.ones(3), np.zeros(3), np.full(3, -50.0), np.full(3, 50.0)))
+    best, other = worth((0,)), worth((2,))
+    assert other.evidence > best.evidence + 1e3
+    half = best.half_widths[0]
+    for sets in ((other, best), (other,)):
+        ranked = _with_fits(Ranked(sets), worth, best, [])
+        assert _ends(worth, best, ranked)[0] == pytest.approx((-half, half), rel=1e-3)
+        assert ranked.probability(0) == 0.0
+
+
 def test_where_slopes_mislead_only_sets_with_less_and_with_a_little_more_are_left():
     best = a_set((0, 1), 50.0)
     sets = [
