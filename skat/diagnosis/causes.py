@@ -313,7 +313,7 @@ def find_causes(
             moved = (
                 _as_one(compared, worth, exclusive)
                 or _superfluous(compared, worth, needed)
-                or _again(compared, state.near, needed)
+                or _again(compared, state.near, banned, needed)
                 or _in_place(compared, worth, state.first or gram, state.slopes, ranked, banned)
             )
         if moved is None:
@@ -506,10 +506,14 @@ def _weakest(worth: Weigher, now: Fit) -> list[int]:
     return sorted(losses, key=lambda one: losses[one])[:REFITTED]
 
 
-def _again(compared: Comparison, near: Mapping[tuple[int, ...], Array], needed: float) -> Fit | None:
+def _again(
+    compared: Comparison, near: Mapping[tuple[int, ...], Array], banned: Container[int], needed: float
+) -> Fit | None:
     """Return the fit of a set that was nearly as likely as one preferred to it, if it is to be preferred now."""
     for members, places in near.items():
-        if members != compared.now.members and compared.prefers(members, places, needed):
+        if members == compared.now.members or any(one in banned for one in members):
+            continue
+        if compared.prefers(members, places, needed):
             moved = compared.taken(members, places, needed)
             if moved is not None:
                 return moved

@@ -182,8 +182,10 @@ def test_a_rival_that_was_not_taken_is_no_likelier_than_its_own_fit_found_it():
 def test_a_set_that_lost_narrowly_is_asked_for_again_beside_the_one_that_won():
     near = {(0,): np.zeros(1), (1,): np.zeros(1), (2,): np.zeros(1)}
     compared = beside((0,), s0=(0, 100), s1=(-1, 98), s2=(6, 108))
-    assert _again(compared, near, 0.0).members == (2,)
-    assert _again(compared, {(1,): np.zeros(1)}, 0.0) is None
+    assert _again(compared, near, (), 0.0).members == (2,)
+    assert _again(compared, {(1,): np.zeros(1)}, (), 0.0) is None
+    # Not one with what was seen to be held at a bound.
+    assert _again(compared, near, (2,), 0.0) is None
     assert [one.members for one in compared.rivals()] == [(1,), (2,)]
 
 
