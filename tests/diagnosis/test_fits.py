@@ -290,6 +290,8 @@ def test_a_set_is_weighed_about_a_path_of_its_own():
     far = fits.of((0,), np.array([0.25]), nothing)
     near = fits.of((0,), fits.places(far), nothing)
     assert near.evidence == pytest.approx(far.evidence, abs=2.0)
+    # Nor is a step that went too far, and was halved, any nearer to it.
+    assert fits.of((0,), np.array([2.0]), nothing).evidence == pytest.approx(far.evidence, abs=4.0)
 
 
 def test_forces_are_given_no_memory_where_none_is_looked_for(space, nothing, monkeypatch):
