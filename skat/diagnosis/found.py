@@ -5,7 +5,6 @@ from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from skat.diagnosis.chains import Array
@@ -197,10 +196,15 @@ def _marginal(cause: int, laws: Sequence[tuple[float, Law]], centre: float) -> t
 def _quantiles(weights: Array, means: Array, deviations: Array) -> tuple[float, float]:
     """Return the ends between which 95 % of a mixture of normal laws lie."""
     outermost = 2 * WIDTH_95 * deviations + deviations.max()
-    bracket = (means - outermost).min(), (means + outermost).max()
 
     def end(share: float) -> float:
-        return float(brentq(lambda at: weights @ ndtr((at - means) / deviations) - share, *bracket))
+        low, high = (means - outermost).min(), (means + outermost).max()
+        # Laws may be narrower than what lies between them by more orders than a faster search stands.
+        for _ in range(100):
+            middle = (low + high) / 2
+            is_below = weights @ ndtr((middle - means) / deviations) < share
+            low, high = (middle, high) if is_below else (low, middle)
+        return float(low + high) / 2
 
     return end(float(ndtr(-WIDTH_95))), end(float(ndtr(WIDTH_95)))
 
