@@ -83,6 +83,7 @@ class Comparison:
         self._look = now if look is None else look
         self._fits: dict[tuple[int, ...], Fit] = {}
         self._turned: dict[tuple[int, ...], float] = {}
+        self._refused: dict[tuple[int, ...], float] = {}
 
     def fit(self, members: Sequence[int], places: Array) -> Fit:
         """Return the fit of a set with these slopes, from values that may be near at first."""
@@ -114,7 +115,8 @@ class Comparison:
     def rivals(self) -> list[Rival]:
         """Return the sets that were fitted beside the present one, small ones first.
 
-        By their slopes, too, unless they would be as good as impossible though these liked them as well.
+        By their slopes, too, unless they would be as good as impossible though these liked them as well; and no
+        likelier than a fit of its own found one that was not taken.
         """
         found = []
         for members in sorted((one for one in self._fits if one != self.now.members), key=len):
@@ -122,7 +124,7 @@ class Comparison:
             gain = self.gain(members, places)
             if gain > 2 * np.log(LEAST_SHARE):
                 gain = float(np.mean(self.gains(members, places)))
-            found.append(Rival(members, places, gain))
+            found.append(Rival(members, places, min(gain, self._refused.get(members, np.inf))))
         return found
 
     def near(self, other: Fit, within: float) -> dict[tuple[int, ...], Array]:
@@ -156,7 +158,10 @@ class Comparison:
         fewer = len(moved.members) < len(self.now.members)
         apart = moved.evidence - self.now.evidence
         gain = min((max if fewer else min)(gains), apart)
-        return moved if self._is_better(moved.members, gain, needed) else None
+        if self._is_better(moved.members, gain, needed):
+            return moved
+        self._refused[moved.members] = float(gain)
+        return None
 
     def _is_better(self, members: Sequence[int], gain: float, needed: float) -> bool:
         more = len(members) - len(self.now.members)
@@ -308,7 +313,7 @@ def find_causes(
             moved = (
                 _as_one(compared, worth, exclusive)
                 or _superfluous(compared, worth, needed)
-                or _again(compared, state.near, needed)
+                or _again(compared, state.near, banned, needed)
                 or _in_place(compared, worth, state.first or gram, state.slopes, ranked, banned)
             )
         if moved is None:
@@ -501,10 +506,14 @@ def _weakest(worth: Weigher, now: Fit) -> list[int]:
     return sorted(losses, key=lambda one: losses[one])[:REFITTED]
 
 
-def _again(compared: Comparison, near: Mapping[tuple[int, ...], Array], needed: float) -> Fit | None:
+def _again(
+    compared: Comparison, near: Mapping[tuple[int, ...], Array], banned: Container[int], needed: float
+) -> Fit | None:
     """Return the fit of a set that was nearly as likely as one preferred to it, if it is to be preferred now."""
     for members, places in near.items():
-        if members != compared.now.members and compared.prefers(members, places, needed):
+        if members == compared.now.members or any(one in banned for one in members):
+            continue
+        if compared.prefers(members, places, needed):
             moved = compared.taken(members, places, needed)
             if moved is not None:
                 return moved

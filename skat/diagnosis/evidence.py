@@ -166,7 +166,7 @@ class Weighed:
     @property
     def covariance(self) -> Array:
         """Of the normal law of the values about the mode."""
-        return np.asarray(np.linalg.inv(self.curvature), dtype=np.float64)
+        return _inverse(self.curvature)
 
     @property
     def deviations(self) -> Array:
@@ -262,7 +262,7 @@ def law_of(gram: Gram, priors: Priors, one: Weighed, *, power: float = 1.0) -> L
     moves = scales[k] * np.tan((first + last) / 2 + (last - first) / 2 * angles) - values[k]
     rest = [place for place in range(len(members)) if place != k]
     slopes = power * (gram.at_neutral[members] - gram.products[np.ix_(members, members)] @ values)
-    inverse = np.linalg.inv(C[np.ix_(rest, rest)])
+    inverse = _inverse(C[np.ix_(rest, rest)])
     towards = (slopes - pull)[rest] - np.outer(moves, C[k, rest])
     others = towards @ inverse
     logs = slopes[k] * moves - (C[k, k] - curvature[k]) * moves**2 / 2 + np.sum(towards * others, axis=1) / 2
@@ -319,6 +319,14 @@ def _log_determinant(curvature: Array) -> float:
     units = 1 / np.sqrt(np.maximum(np.diag(curvature), 1e-300))
     factor, failed = dpotrf(curvature * units * units[:, None])
     return -np.inf if failed else 2 * float(np.log(np.diag(factor) / units).sum())
+
+
+def _inverse(curvature: Array) -> Array:
+    """Return the covariance of a curvature; of what rounding leaves of no curvature it is as large as that may be."""
+    units = 1 / np.sqrt(np.maximum(np.diag(curvature), 1e-300))
+    values, axes = np.linalg.eigh(curvature * units * units[:, None])
+    inverse: Array = (axes / np.maximum(values, np.finfo(np.float64).eps)) @ axes.T
+    return inverse * units * units[:, None]
 
 
 def bounded_solution(H: Array, b: Array, low: Array, high: Array, start: Array) -> Array:

@@ -122,7 +122,7 @@ class Fits:
             if best is None or gained > 0 or fitted.bound >= reached:
                 best = fit
             # What a log is worth about the path of other values is not what it is worth about its own.
-            borrowed = own_slopes and turn == 0 and values != near.values
+            borrowed = own_slopes and start is near.fitted and values != near.values
             if too_far:
                 places = (np.asarray(places) + origin) / 2
                 widths = np.abs(places - origin)

@@ -5,7 +5,6 @@ from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from skat.diagnosis.chains import Array
@@ -120,10 +119,11 @@ def told(
     effects, priors, gram = fits.effects, fits.priors, worth.gram
     names, best = priors.names, worth(now.members)
     ranked = _with_laws(_with_fits(ranked, worth, best, rivals), worth)
+    own = next(one for one in ranked.sets if one.members == best.members)
     probabilities = {name: ranked.probability(place) for place, name in enumerate(names)}
     aliases = {
         names[one]: tuple((names[other], share) for other, share in others.items())
-        for one, others in stand_ins(ranked, gram, best, names).items()
+        for one, others in stand_ins(ranked, gram, own, names).items()
     }
     # A search that was stopped may end at a bound, or with what is worth no name.
     strong, _ = without_weak(best, worth, needed)
@@ -173,7 +173,7 @@ def _ends(worth: Weigher, best: Weighed, ranked: Ranked) -> dict[int, tuple[floa
         if share > LEAST_SHARE or one.members == best.members:
             law = law_of(gram, priors, weigh(gram, priors, one.members))
             moved = one.values - worth(one.members).values
-            laws.append((share, replace(law, means=law.means + moved)))
+            laws.append((one.evidence, replace(law, means=law.means + moved)))
     found = {}
     for cause, centre in zip(best.members, weigh(gram, priors, best.members).values):
         lower, upper = _quantiles(*_marginal(cause, [law for law in laws if cause in law[1].members], centre))
@@ -182,9 +182,13 @@ def _ends(worth: Weigher, best: Weighed, ranked: Ranked) -> dict[int, tuple[floa
 
 
 def _marginal(cause: int, laws: Sequence[tuple[float, Law]], centre: float) -> tuple[Array, Array, Array]:
-    """Return weights, means from a centre and deviations of a cause's value in the laws of some sets that have it."""
+    """Return weights, means from a centre and deviations of a cause's value in the laws of some sets that have it.
+
+    Each law with the evidence of its set, nats: all of these sets may be next to impossible beside one without it.
+    """
     at = [law.members.index(cause) for _, law in laws]
-    shares = np.concatenate([share * law.shares for share, law in laws])
+    most = max(evidence for evidence, _ in laws)
+    shares = np.concatenate([np.exp(evidence - most) * law.shares for evidence, law in laws])
     means = np.concatenate([law.means[:, place] for (_, law), place in zip(laws, at)])
     deviations = np.concatenate([law.deviations[:, place] for (_, law), place in zip(laws, at)])
     return shares / shares.sum(), means - centre, deviations
@@ -193,10 +197,15 @@ def _marginal(cause: int, laws: Sequence[tuple[float, Law]], centre: float) -> t
 def _quantiles(weights: Array, means: Array, deviations: Array) -> tuple[float, float]:
     """Return the ends between which 95 % of a mixture of normal laws lie."""
     outermost = 2 * WIDTH_95 * deviations + deviations.max()
-    bracket = (means - outermost).min(), (means + outermost).max()
 
     def end(share: float) -> float:
-        return float(brentq(lambda at: weights @ ndtr((at - means) / deviations) - share, *bracket))
+        low, high = (means - outermost).min(), (means + outermost).max()
+        # Laws may be narrower than what lies between them by more orders than a faster search stands.
+        for _ in range(100):
+            middle = (low + high) / 2
+            is_below = weights @ ndtr((middle - means) / deviations) < share
+            low, high = (middle, high) if is_below else (low, middle)
+        return float(low + high) / 2
 
     return end(float(ndtr(-WIDTH_95))), end(float(ndtr(WIDTH_95)))
 
@@ -206,7 +215,7 @@ def _with_fits(ranked: Ranked, worth: Weigher, best: Weighed, rivals: Sequence[R
 
     But for what the set that was preferred to a rival has beside it. None with as few causes is likelier than that set.
     """
-    sets = {one.members: one for one in ranked.sets}
+    sets = {one.members: one for one in (*ranked.sets, best)}
     for rival in rivals:
         slopes = sets.get(rival.members) or worth(rival.members)
         more = len(rival.members) > len(best.members)

@@ -38,7 +38,7 @@ from skat.diagnosis.fitting import (
     slopes_of,
     value_at,
 )
-from skat.diagnosis.found import Rival, _ends, _with_fits, is_held, stand_ins
+from skat.diagnosis.found import Rival, _ends, _quantiles, _with_fits, is_held, stand_ins
 from skat.diagnosis.noise import Noise
 from skat.diagnosis.posterior import CauseSet, Posterior
 from skat.diagnosis.search import Ranked, families_of, rivals_of, search
@@ -417,6 +417,28 @@ def test_an_interval_is_of_all_sets_with_a_cause():
     )
     fitted = Ranked((replace(alone, evidence=np.log(0.8)), elsewhere))
     assert _ends(worth, alone, fitted)[0][1] == pytest.approx(high + 3.0, abs=0.1)
+
+
+def test_ends_of_laws_are_found_however_narrow_they_are():
+    for narrow in (1e-13, 1e-9, 1.0):
+        low, high = _quantiles(np.ones(1), np.zeros(1), np.array([narrow]))
+        assert [low, high] == pytest.approx([-1.96 * narrow, 1.96 * narrow], rel=1e-6, abs=0.0)
+    low, high = _quantiles(np.array([0.98, 0.02]), np.array([1402.0, 1e-4]), np.array([1e-12, 1e6]))
+    assert [low, high] == pytest.approx([1402.0, 1402.0], abs=1e-6)
+
+
+def test_an_interval_is_told_of_a_set_that_slopes_find_next_to_impossible():
+    """A search that is stopped ends with a set that slopes would leave, and may not have weighed as it is."""
+    N = 100 * np.random.default_rng(0).normal(size=(200, 3))
+    gram = Gram(N.T @ N, N.T @ (N @ [0.5, 0.0, 0.9]), np.zeros(3))
+    worth = Weigher(gram, Priors(tuple("abc"), np.ones(3), np.zeros(3), np.full(3, -50.0), np.full(3, 50.0)))
+    best, other = worth((0,)), worth((2,))
+    assert other.evidence > best.evidence + 1e3
+    half = best.half_widths[0]
+    for sets in ((other, best), (other,)):
+        ranked = _with_fits(Ranked(sets), worth, best, [])
+        assert _ends(worth, best, ranked)[0] == pytest.approx((-half, half), rel=1e-3)
+        assert ranked.probability(0) == 0.0
 
 
 def test_where_slopes_mislead_only_sets_with_less_and_with_a_little_more_are_left():

@@ -337,3 +337,17 @@ def test_of_effects_that_are_the_same_but_for_rounding_more_are_worth_no_more():
         alone = weigh(gram, some, (0,)).evidence
         for members in ((0, 1), (0, 1, 2)):
             assert weigh(gram, some, members).evidence <= alone
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_values_of_effects_that_are_the_same_but_for_rounding_have_errors(seed):
+    rng = np.random.default_rng(seed)
+    scales = 10.0 ** rng.uniform(-3, 3, 3)
+    unbounded = np.full(3, np.inf)
+    some = Priors(tuple("abc"), scales, np.full(3, -2.0), -unbounded, unbounded)
+    moved = rng.normal(size=(6, 3))
+    moved[:, 1] = moved[:, 0]
+    for information in (1e15, 4e15, 1e16, 1e17):
+        products = information * (moved / scales).T @ (moved / scales)
+        one = weigh(Gram(products, products @ (scales * [0.1, 0.0, 0.05]), np.zeros(3)), some, (0, 1, 2))
+        assert np.all(one.deviations > 0)

@@ -173,11 +173,19 @@ def test_rivals_are_the_sets_that_were_fitted_by_the_slopes_of_either():
     assert {one.members: one.gain for one in compared.rivals()} == {(1,): -2.0, (0, 1): -19.0}
 
 
+def test_a_rival_that_was_not_taken_is_no_likelier_than_its_own_fit_found_it():
+    compared = beside((0,), 4, s0=(0, 100), s12=(2000, 101))
+    assert compared.taken((1, 2), np.zeros(2), 5.0) is None
+    assert [one.gain for one in compared.rivals()] == [1.0]
+
+
 def test_a_set_that_lost_narrowly_is_asked_for_again_beside_the_one_that_won():
     near = {(0,): np.zeros(1), (1,): np.zeros(1), (2,): np.zeros(1)}
     compared = beside((0,), s0=(0, 100), s1=(-1, 98), s2=(6, 108))
-    assert _again(compared, near, 0.0).members == (2,)
-    assert _again(compared, {(1,): np.zeros(1)}, 0.0) is None
+    assert _again(compared, near, (), 0.0).members == (2,)
+    assert _again(compared, {(1,): np.zeros(1)}, (), 0.0) is None
+    # Not one with what was seen to be held at a bound.
+    assert _again(compared, near, (2,), 0.0) is None
     assert [one.members for one in compared.rivals()] == [(1,), (2,)]
 
 
@@ -282,6 +290,8 @@ def test_a_set_is_weighed_about_a_path_of_its_own():
     far = fits.of((0,), np.array([0.25]), nothing)
     near = fits.of((0,), fits.places(far), nothing)
     assert near.evidence == pytest.approx(far.evidence, abs=2.0)
+    # Nor is a step that went too far, and was halved, any nearer to it.
+    assert fits.of((0,), np.array([2.0]), nothing).evidence == pytest.approx(far.evidence, abs=4.0)
 
 
 def test_forces_are_given_no_memory_where_none_is_looked_for(space, nothing, monkeypatch):

@@ -74,8 +74,8 @@ def compare_findings(
     intervals are symmetric on the logarithm is compared there. `p_corrected` is Holm's [1]_, for as many causes as are
     compared; logs differ where it is below 1 %.
 
-    Intervals are given the set of causes that a log names, and take the model for right otherwise. So logs may also
-    differ since they name other causes beside this one, or move in other ways. That wide intervals agree says little.
+    Intervals are over all likely sets with the cause, and take the model for right otherwise. So logs may also differ
+    since they name other causes beside this one, or move in other ways. That wide intervals agree says little.
 
     References
     ----------
