@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,8 +17,9 @@ from skat.simulators import MujocoSimulator
 FIXED = ("gravity", "tilt", "length", "wind", "air_drag", "position_friction", "inertia")
 # Least factor of what motors exert: the other way they turn by a sign.
 NEARLY_TURNED = -0.5
-# Places along each side of a body at which a weight is tried.
-PLACES = 3
+# Places along each side of a body at which a weight is tried; those that act alike are one: by the cosine between
+# what they exert, and by how much the larger may exert more.
+PLACES, ALIKE, AS_MUCH = 3, 0.9995, 0.1
 # Of what the largest candidate exerts, over the noise: below, there is rounding.
 FAINTEST = 1e-6
 # Rows by which commands may come later, or earlier, in the second log.
@@ -40,9 +42,23 @@ def offered_candidates(
 ) -> tuple[list[Candidate], Array]:
     """Return what may have changed, and the typical size of each.
 
-    `effects`: all that a user asks about. `common`: those of single targets that the logs show. `sizes` (n_common,):
-    typical sizes of these, each in its effect's unit. `typical`: of a user's own, which hold as they are. Returns
-    `scales` (n_candidates,): each in its effect's unit.
+    Parameters
+    ----------
+    simulator : MujocoSimulator
+    effects : sequence of Effect
+        All that a user asks about.
+    common : sequence of Effect
+        Those of single targets that the logs show.
+    sizes : ndarray of shape (n_common,)
+        Typical sizes of these, each in its effect's unit.
+    typical : mapping from name to size
+        Of a user's own, which hold as they are.
+
+    Returns
+    -------
+    candidates : list of Candidate
+    scales : ndarray of shape (n_candidates,)
+        Each in its effect's unit.
     """
     seen = [effect for effect in effects if effect.family not in UNSEEN]
     names = {effect.name for effect in common}
@@ -81,10 +97,31 @@ def _weights(simulator: MujocoSimulator) -> list[Candidate]:
     return found
 
 
-def seen_of(whitened: Array) -> list[int]:
-    """Return which candidates show, by what typical sizes of them exert over the noise, (n_rows, n_candidates)."""
+def distinct(offered: Sequence[Candidate], whitened: Array) -> tuple[list[Candidate], list[int]]:
+    """Return candidates that can be seen, of one effect those that act differently, and their places among all.
+
+    ``whitened`` (n_rows, n_candidates) holds what typical sizes exert, over the noise. Of those that act alike one has
+    the odds of all.
+    """
     sizes = np.linalg.norm(whitened, axis=0)
-    return [int(place) for place in np.flatnonzero(sizes >= FAINTEST * sizes.max())]
+    kept: list[int] = []
+    odds = [one.odds for one in offered]
+    for place, one in enumerate(offered):
+        if sizes[place] < FAINTEST * sizes.max():
+            continue
+        twins = [
+            other
+            for other in kept
+            if offered[other].effect is one.effect
+            and not one.late
+            and whitened[:, other] @ whitened[:, place] > ALIKE * sizes[other] * sizes[place]
+            and abs(sizes[other] / sizes[place] - 1) < AS_MUCH
+        ]
+        if twins:
+            odds[twins[0]] += one.odds
+        else:
+            kept.append(place)
+    return [replace(offered[place], odds=odds[place]) for place in kept], kept
 
 
 def rivals_of(candidates: Sequence[Candidate]) -> dict[int, list[int]]:
@@ -99,8 +136,13 @@ def rivals_of(candidates: Sequence[Candidate]) -> dict[int, list[int]]:
 def priors_of(candidates: Sequence[Candidate], scales: Array, dt: float) -> Priors:
     """Return the priors of differences, those of the effects; what is taken off again is a change, too.
 
-    `scales` (n_candidates,): typical sizes, each in its effect's unit: the units of values and bounds of the priors.
-    `dt`: of a row, s.
+    Parameters
+    ----------
+    candidates : sequence of Candidate
+    scales : ndarray of shape (n_candidates,)
+        Typical sizes, each in its effect's unit: the units of values and bounds of the priors.
+    dt : float
+        Of a row, s.
     """
     odds = np.array([one.odds for one in candidates])
     high = np.array([one.effect.bounds[1] - one.effect.neutral for one in candidates])

@@ -10,19 +10,32 @@ from skat.diagnosis.changes.windows import Quadratic
 from skat.diagnosis.evidence import bounded_solution
 from skat.diagnosis.forces.force_space import LEFT_AT_LEAST, NOISE_TURNS, Rows, joined, noise_of
 
-# Effects differ between windows by this share of their typical size, told as by one window.
-APART_AT_LEAST = 0.1
+# Effects differ between windows by this share of their typical size, told as by so many windows.
+APART_AT_LEAST, PSEUDO = 0.1, 1.0
+# Turns of what windows differ by, within each turn of noise.
+WINDOW_TURNS = 5
+# Of its typical size, by which an effect differs from window to window until the logs tell.
+BEGUN = 0.3
 
 
 @dataclass(frozen=True)
 class Law:
     """Of what the effects do not explain, which are in units of their typical sizes.
 
-    `noise` (n_rows,): deviation of each row of both logs: N or N m, of measured speeds m/s or rad/s. `spread`
-    (n_effects,): variance by which an effect differs from window to window. `weights` (n_effects,): precision of what
-    is common. `value` (n_effects,): what is common, if nothing changed, of what a machine may have. `second`
-    (n_effects,): what the second log tells if every effect changed, of the same. `alike` (n_joints, n_effects):
-    precision with which each joint, or speed that was measured, tells an effect if all of its noise looks like it.
+    Attributes
+    ----------
+    noise : tuple of ndarray of shape (n_rows,)
+        Deviation of each row of both logs: N or N m, of measured speeds m/s or rad/s.
+    spread : ndarray of shape (n_effects,)
+        Variance by which an effect differs from window to window.
+    weights : ndarray of shape (n_effects,)
+        Precision of what is common.
+    value : ndarray of shape (n_effects,)
+        What is common, if nothing changed, of what a machine may have.
+    second : ndarray of shape (n_effects,)
+        What the second log tells if every effect changed, of the same.
+    alike : ndarray of shape (n_joints, n_effects)
+        Precision with which each joint, or speed that was measured, tells an effect if all of its noise looks like it.
     """
 
     noise: tuple[Array, Array]
@@ -38,8 +51,12 @@ def settled_law(sides: Sequence[Rows], possible: tuple[Array, Array] | None = No
 
     The second log has effects of its own, so that a change makes no variance. Logs are not apart in what is returned.
 
-    `sides`: of the first log and of the second, with the same columns: of effects that may be wrong in both. `possible`
-    (n_effects,): between which values a machine may have effects, in units of their typical sizes.
+    Parameters
+    ----------
+    sides : sequence of Rows
+        Of the first log and of the second, with the same columns: of effects that may be wrong in both.
+    possible : tuple of two ndarray of shape (n_effects,), optional
+        Between which values a machine may have effects, in units of their typical sizes.
     """
     k = sides[0].columns.shape[1]
     low, high = possible or (np.full(k, -np.inf), np.full(k, np.inf))
@@ -48,7 +65,7 @@ def settled_law(sides: Sequence[Rows], possible: tuple[Array, Array] | None = No
     first = np.arange(len(together.target)) < len(sides[0].target)
     masks = first, ~first
     noise = noise_of(together, together.target**2, flat=True)
-    spread, weights = np.ones(k), np.ones(2 * k)
+    spread, weights = np.full(k, BEGUN**2), np.r_[np.ones(k), np.full(k, BEGUN**-2)]
     maps = np.eye(k, 2 * k), np.hstack([np.eye(k), np.eye(k)])
     # Windows of both logs, one behind the other.
     windows = [
@@ -63,26 +80,27 @@ def settled_law(sides: Sequence[Rows], possible: tuple[Array, Array] | None = No
             for _, own in windows
         ]
         G, h = np.array([one.products for one in parts]), np.array([one.projections for one in parts])
-        inner = np.linalg.inv(G + np.diag(1 / spread))
-        apart, alone = inner @ G, (inner @ h[:, :, None])[:, :, 0]
-        # Of the rest of each window, with what it has of its own integrated out.
-        rest, right = apart / spread[:, None], alone / spread
-        one, other = rest[~second].sum(axis=0), rest[second].sum(axis=0)
-        H = np.block([[one + other + np.diag(weights[:k]), other], [other, other + np.diag(weights[k:])]])
-        law = np.linalg.inv(H)
-        solved = law @ np.r_[right.sum(axis=0), right[second].sum(axis=0)]
-        values, covers = (
-            np.array(each) for each in zip(*((map_ @ solved, map_ @ law @ map_.T) for map_ in maps))
-        )
-        value, cover = values[second.astype(int)], covers[second.astype(int)]
-        means = alone - (apart @ value[:, :, None])[:, :, 0]
-        moments = np.sum(means**2, axis=0)
-        unsure = np.einsum("wii->wi", inner) + np.sum((apart @ cover) * apart, axis=2)
-        told = np.sum(1 - unsure / spread, axis=0)
-        # MacKay's fixed point: squares over how many of them the rows tell, and not the law itself.
-        last = inner, apart, value, cover, means
-        spread = (moments + APART_AT_LEAST**2) / (np.maximum(told, 0) + 1)
-        weights = 2 / (1 + solved**2)
+        for _ in range(WINDOW_TURNS):
+            inner = np.linalg.inv(G + np.diag(1 / spread))
+            apart, alone = inner @ G, (inner @ h[:, :, None])[:, :, 0]
+            # Of the rest of each window, with what it has of its own integrated out.
+            rest, right = apart / spread[:, None], alone / spread
+            one, other = rest[~second].sum(axis=0), rest[second].sum(axis=0)
+            H = np.block([[one + other + np.diag(weights[:k]), other], [other, other + np.diag(weights[k:])]])
+            law = np.linalg.inv(H)
+            solved = law @ np.r_[right.sum(axis=0), right[second].sum(axis=0)]
+            values, covers = (
+                np.array(each) for each in zip(*((map_ @ solved, map_ @ law @ map_.T) for map_ in maps))
+            )
+            value, cover = values[second.astype(int)], covers[second.astype(int)]
+            means = alone - (apart @ value[:, :, None])[:, :, 0]
+            moments = np.sum(means**2, axis=0)
+            unsure = np.einsum("wii->wi", inner) + np.sum((apart @ cover) * apart, axis=2)
+            told = np.sum(1 - unsure / spread, axis=0)
+            # MacKay's fixed point: squares over how many of them the rows tell, and not the law itself.
+            last = inner, apart, value, cover, means
+            spread = (moments + PSEUDO * APART_AT_LEAST**2) / (np.maximum(told, 0) + PSEUDO)
+            weights = 2 / (1 + solved**2)
         squares = np.empty(len(noise))
         for (_, own), *of_window in zip(windows, *last):
             squares[own] = _squares(together.target[own], together.columns[own], noise[own], *of_window)
@@ -116,7 +134,12 @@ def _squares(
 def with_misfit(sides: Sequence[Rows], law: Law) -> Law:
     """Return a law with how much of what is left of each joint's force may look like each effect, at most.
 
-    `sides`: of the first log and of the second; the columns of rows are those of effects. `law`: with noise.
+    Parameters
+    ----------
+    sides : sequence of Rows
+        Of the first log and of the second; the columns of rows are those of effects.
+    law : Law
+        With noise.
     """
     rows, left = joined(sides), np.concatenate(law.noise) ** 2
     alike = []

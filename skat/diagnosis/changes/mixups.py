@@ -23,9 +23,20 @@ def mistake_of(question: Question, differences: Array, *, price: float, needed: 
     The likeliest mix-up, by what it leaves of the second log about the first log's model, is weighed as changes are:
     by the evidence of both logs, with all that is common and all misfit integrated out.
 
-    `differences` (n_candidates,): that were found, in units of scales. `price`: of the changes: by how much their
-    evidence is less than what they explain, nats. `needed`: by how much a mix-up has to be more likely than none, nats.
-    Returns: all that mend about as much; empty if nothing is mixed up.
+    Parameters
+    ----------
+    question : Question
+    differences : ndarray of shape (n_candidates,)
+        That were found, in units of scales.
+    price : float
+        Of the changes: by how much their evidence is less than what they explain, nats.
+    needed : float
+        By how much a mix-up has to be more likely than none, nats.
+
+    Returns
+    -------
+    str
+        All that mend about as much; empty if nothing is mixed up.
     """
     simulator, own, rows, law = question.simulator, question.halves[1], question.sides[1], question.law
     mixed = _mixed_up(simulator, own)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skat.diagnosis.chains import Array, Mask
-from skat.diagnosis.changes.candidates import offered_candidates, seen_of, units_of
+from skat.diagnosis.changes.candidates import distinct, offered_candidates, units_of
 from skat.diagnosis.changes.law import Law, settled_law, with_misfit
 from skat.diagnosis.changes.windows import total, windows_of
 from skat.diagnosis.forces.force_space import Motion, Rows, joined
@@ -27,6 +27,8 @@ from skat.simulators import MujocoSimulator
 
 # Rows by which commands may come late, or early: of a row that a smoothed motion and a time step blur.
 LATE_IN_BOTH = tuple(0.25 * one for one in range(-16, 33))
+# Of what something is to explain, that it explains at least.
+MOST = 0.5
 # Turns of the machines about which forces are linear, and of what is wrong in both logs or was found to differ.
 TURNS = 3
 # Odds of a fault of its own: a motor lost nearly all that it exerts, or columns of a log were mixed up.
@@ -39,8 +41,17 @@ SHARES = np.r_[0.0, np.power(2.0, np.arange(-5, 1))]
 class Machines:
     """The machines of two logs, and effects in which they differ from a base.
 
-    `halves`: the first log and the second. `base`: from which effects are counted. `effects`: that may be wrong in both
-    logs. `sizes` (n_effects,): typical ones, each in its effect's unit: units of values and columns.
+    Attributes
+    ----------
+    simulator : MujocoSimulator
+    halves : tuple of Motion
+        The first log and the second.
+    base : Model
+        From which effects are counted.
+    effects : tuple of Effect
+        That may be wrong in both logs.
+    sizes : ndarray of shape (n_effects,)
+        Typical ones, each in its effect's unit: units of values and columns.
     """
 
     simulator: MujocoSimulator
@@ -89,11 +100,21 @@ class Machines:
 class Question(Machines):
     """The regression of two logs of a machine.
 
-    `candidates`: that may have changed. `scales` (n_candidates,): their typical sizes, each in its effect's unit: units
-    of the columns. `here` (n_effects,): the first log's machine, about which its forces are linear, in units of sizes
-    from the base. `sides`: of both logs. Columns are those of effects; in the second log, then those of candidates.
-    `held_out` (n_rows of the second log,): which rows of the second log measure the gain. `weak`: effects of motors
-    that do next to nothing in the second log, by which rows are about machines without them.
+    Attributes
+    ----------
+    candidates : tuple of Candidate
+        That may have changed.
+    scales : ndarray of shape (n_candidates,)
+        Their typical sizes, each in its effect's unit: units of the columns.
+    here : ndarray of shape (n_effects,)
+        The first log's machine, about which its forces are linear, in units of sizes from the base.
+    sides : tuple of Rows
+        Of both logs. Columns are those of effects; in the second log, then those of candidates.
+    law : Law
+    held_out : ndarray of bool of shape (n_rows of the second log,)
+        Which rows of the second log measure the gain.
+    weak : tuple of str
+        Effects of motors that do next to nothing in the second log, by which rows are about machines without them.
     """
 
     candidates: tuple[Candidate, ...]
@@ -112,8 +133,12 @@ class Question(Machines):
     def about(self, value: Array, differences: Array) -> "Question":
         """Return the same regression, linear about what the second log's machine is with such differences in it.
 
-        `value` (n_effects,): what is common, in units of sizes: machines go as far there as both logs lack less by.
-        `differences` (n_candidates,): in units of scales.
+        Parameters
+        ----------
+        value : ndarray of shape (n_effects,)
+            What is common, in units of sizes: machines go as far there as both logs lack less by.
+        differences : ndarray of shape (n_candidates,)
+            In units of scales.
         """
         scales = self.scales * units_of(self.candidates, self.machine)
         path = self.here + np.multiply.outer(SHARES, value - self.here)
@@ -168,9 +193,19 @@ def question_of(
 ) -> Question:
     """Return the regression about what is common of motors and delays, with its noise.
 
-    `halves`: the first log and the second. `effects`: that may be wrong in both logs or may have changed. `typical`:
-    scales of the priors of a user's own, each in its effect's unit. `test_size`: share of the second log that measures
-    the gain. `needed`: by how much logs have to be likelier where commands are later in one than in the other, nats.
+    Parameters
+    ----------
+    simulator : MujocoSimulator
+    halves : sequence of Motion
+        The first log and the second.
+    effects : sequence of Effect
+        That may be wrong in both logs or may have changed.
+    typical : mapping from name to size
+        Scales of the priors of a user's own, each in its effect's unit.
+    test_size : float
+        Share of the second log that measures the gain.
+    needed : float
+        By how much logs have to be likelier where commands are later in one than in the other, nats.
     """
     seen = [effect for effect in effects if effect.family not in UNSEEN]
     common = [effect for effect in seen if effect.target != "all"]
@@ -191,11 +226,15 @@ def question_of(
     offered, scales = offered_candidates(simulator, effects, common, sizes, typical)
     units = scales * units_of(offered, first)
     columns = columns_of(simulator, halves[1], second, offered, units, driven_by=second)
-    kept = seen_of(columns / law.noise[1][:, None])
-    sides[1] = replace(sides[1], columns=np.column_stack([sides[1].columns, columns[:, kept]]))
+    noise = law.noise[1]
+    whitened = columns / noise[:, None]
+    offered, kept = distinct(offered, whitened)
+    sides[1] = replace(
+        sides[1], columns=np.column_stack([sides[1].columns, whitened[:, kept] * noise[:, None]])
+    )
     return Question(
         **vars(logs),
-        candidates=tuple(offered[place] for place in kept),
+        candidates=tuple(offered),
         scales=scales[kept],
         here=here,
         sides=(sides[0], sides[1]),

@@ -6,15 +6,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skat.diagnosis.chains import Array
-from skat.diagnosis.changes.candidates import priors_of, rivals_of
+from skat.diagnosis.changes.candidates import priors_of, rivals_of, units_of
 from skat.diagnosis.changes.mixups import mistake_of
-from skat.diagnosis.changes.question import TURNS, Question, question_of
+from skat.diagnosis.changes.question import MOST, TURNS, Question, question_of
 from skat.diagnosis.changes.strengths import Logs, OverStrengths
 from skat.diagnosis.changes.telling import Changes, causes_of, detectable_of, gain_of, sizes_of
 from skat.diagnosis.changes.windows import total, windows_of
 from skat.diagnosis.evidence import Priors, Weighed, bounded_solution
 from skat.diagnosis.findings import Cause, Gain
-from skat.diagnosis.forces.machines import WEAKEST, Candidate
+from skat.diagnosis.forces.machines import MOTORS, WEAKEST, Candidate
 from skat.diagnosis.forces.motions import Log, motion_of
 from skat.diagnosis.search import without_weak
 from skat.effects import Effect
@@ -33,11 +33,28 @@ def find_changes(
 ) -> Changes:
     """Return in what two logs of one machine differ.
 
-    `before`, `after`: rows of an episode follow each other. NaN in states where nothing was measured. `effects`: that
-    may be wrong in the model or may have changed; weights on bodies are tried beside them. `typical`: scales of the
-    priors of a user's own. `alpha`: A change is named if the odds for the set with it are 1 / alpha times those of the
-    set without. `test_size`: share of the second log that measures the gain. Raises a ValueError if the simulator is
-    not one of joints, a joint was not measured, or contacts push all the time.
+    Parameters
+    ----------
+    simulator : Simulator
+    before, after : tuple of (X, y, groups)
+        Rows of an episode follow each other. NaN in states where nothing was measured.
+    effects : sequence of Effect
+        That may be wrong in the model or may have changed; weights on bodies are tried beside them.
+    typical : mapping from name to size, optional
+        Scales of the priors of a user's own.
+    alpha : float, default=0.01
+        A change is named if the odds for the set with it are 1 / alpha times those of the set without.
+    test_size : float, default=0.3
+        Share of the second log that measures the gain.
+
+    Returns
+    -------
+    Changes
+
+    Raises
+    ------
+    ValueError
+        If the simulator is not one of joints, a joint was not measured, or contacts push all the time.
     """
     if not isinstance(simulator, MujocoSimulator):
         raise ValueError(
@@ -78,7 +95,7 @@ def find_changes(
     gain = gain_of(question, value, differences)
     reason = ""
     # On windows that were not used the logs differ by something else, or they differ by more than misfit and changes.
-    if causes and gain is not None and gain.nominal > gain.floor and gain.explained < 0.5:
+    if causes and gain is not None and gain.nominal > gain.floor and gain.explained < MOST:
         told = ", ".join(one.name for one in causes)
         reason = f"The logs differ as if by {told}, but that explains too little of parts of the log after not used."
     elif worth.logs.differ_beyond_misfit(best.evidence, needed):
@@ -117,9 +134,17 @@ def _contradict(causes: Sequence[Cause], weak: Sequence[str]) -> bool:
 class _Found:
     """What a search found.
 
-    `best`: the set that is named; its values are in units of scales. `nats`: what each member is worth. `differences`
-    (n_candidates,): in units of scales. `level`, `value` (n_effects,): what is common if nothing changed, and beside
-    the differences, of what a machine may have, in units of sizes.
+    Attributes
+    ----------
+    best : Weighed
+        The set that is named; its values are in units of scales.
+    worth : OverStrengths
+    nats : mapping from place to float
+        What each member is worth.
+    differences : ndarray of shape (n_candidates,)
+        In units of scales.
+    level, value : ndarray of shape (n_effects,)
+        What is common if nothing changed, and beside the differences, of what a machine may have, in units of sizes.
     """
 
     best: Weighed
@@ -139,7 +164,7 @@ def _searched(question: Question, needed: float) -> _Found:
         differences = np.zeros(len(question.candidates))
         differences[list(best.members)] = best.values
         level, value = _common(logs, worth.strength(best.members), differences, question.possible())
-        absurd = _at_bounds(best, question.candidates, priors)
+        absurd = [*_at_bounds(best, question.candidates, priors), *_impossible(best, question, value)]
         if not absurd:
             return _Found(best, worth, nats, differences, level, value)
         log_odds = priors.log_odds.copy()
@@ -179,3 +204,24 @@ def _at_bounds(best: Weighed, candidates: Sequence[Candidate], priors: Priors) -
         for place, value in zip(best.members, best.values)
         if not candidates[place].late and priors.is_held(place, value)
     ]
+
+
+def _impossible(best: Weighed, question: Question, value: Array) -> list[int]:
+    """Return the members that no machine can have in the second log: a friction, with what is common, below zero.
+
+    Beyond their errors; ``value`` (n_effects,) is what is common, in units of sizes. Motors may turn the other way, and
+    of a weight that is taken off the model knows nothing.
+    """
+    found, scales = [], question.scales * units_of(question.candidates, question.machine)
+    for place, difference, half in zip(best.members, best.values, best.half_widths):
+        one, scale = question.candidates[place], scales[place]
+        if one.late or one.effect.family in MOTORS:
+            continue
+        for effect, size, common in zip(question.effects, question.sizes, value):
+            if effect.family != one.effect.family or one.effect.target not in (effect.target, "all"):
+                continue
+            after = question.base.values.get(effect.name, effect.neutral) + size * common + scale * difference
+            if not effect.bounds[0] - scale * half <= after <= effect.bounds[1] + scale * half:
+                found.append(place)
+                break
+    return found

@@ -1,7 +1,10 @@
-"""Sets of changes, weighed where logs may differ though nothing changed, by as much as makes both logs most likely.
+r"""Sets of changes, weighed where logs may differ though nothing changed, by as much as makes both logs most likely.
 
-How large a share of misfit looks like effects is a variance component, as the heterogeneity of studies [1]_, over which
-the marginal likelihood is summed, anew for each set of changes.
+Of a model that is not right, two logs differ by more than noise: by what its misfit looks like in the one motion and in
+the other. A change is in one effect; misfit is in all of them, on each joint by the same share of what no effect
+explains there. How large that share is all of them tell together, anew for each set of changes: a variance component,
+as the heterogeneity of studies [1]_, over which the marginal likelihood is summed. So a change on one joint is no
+misfit as long as nothing else differs.
 
 References
 ----------
@@ -31,9 +34,15 @@ LEAST = 1e-6
 class Logs:
     """Both logs as quadratics in effects, the second with candidates behind them, and the law of what is common.
 
-    `first`, `second`: in (n_effects,) and (n_effects + n_candidates,) values, in units of typical sizes. `firsts`,
-    `seconds`: the windows of each, one of which may be left out. `strengths` (n,): by
-    which logs may differ, each as likely.
+    Attributes
+    ----------
+    first, second : Quadratic
+        In (n_effects,) and (n_effects + n_candidates,) values, in units of typical sizes.
+    law : Law
+    firsts, seconds : tuple of Quadratic
+        The windows of each, one of which may be left out.
+    strengths : ndarray of shape (n_strengths,)
+        By which logs may differ, each as likely.
     """
 
     first: Quadratic
@@ -83,7 +92,12 @@ class Logs:
 class OverStrengths(Weigher):
     """Weighs sets at all strengths together.
 
-    `rivals`: as `Weigher`'s.
+    Parameters
+    ----------
+    logs : Logs
+    priors : Priors
+    rivals : mapping from place to places
+        As `Weigher`'s.
     """
 
     def __init__(self, logs: Logs, priors: Priors, rivals: Mapping[int, Sequence[int]]):
@@ -157,7 +171,10 @@ class OverStrengths(Weigher):
 
         About, and whichever window of either log is left out.
 
-        `differences` (..., n_candidates): of each candidate, in units of its scale, where no other changes.
+        Parameters
+        ----------
+        differences : ndarray of shape (..., n_candidates)
+            Of each candidate, in units of its scale, where no other changes.
         """
         least = np.full(differences.shape, np.inf)
         for at in (self._at, *self._shortened()):

@@ -24,15 +24,25 @@ TRIED = np.geomspace(0.01, 100, 81)
 class Changes:
     """What changed between two logs.
 
-    `changes`: most telling first. The value is by how much an effect is more in the second log; of factors, how many
-    times what it was. `verdict` in {"nothing changed", "named", "ambiguous", "unexplained"}. `gain`: of windows of the
-    second log that were held out: mean squared missing force over its noise, with what is common in the model, and with
-    the changes, too; the channels are rms forces, N or N m. `common`: of each degree of freedom, by the name of its
-    speed: rms force that the model as it is lacks in the two logs, and what is left with all that is common in it, N or
-    N m. `mistake`: how columns of the second log seem to be mixed up, or which motor is as good as dead in it; empty if
-    none. `reason`: why the verdict is "unexplained", in a sentence; empty of all others. `detectable`: where nothing
-    changed: of each effect by how much it would have had to change, either way, to be named; of factors the share of
-    what it is. Infinite where no possible change would have been.
+    Attributes
+    ----------
+    changes : tuple of Cause
+        Most telling first. The value is by how much an effect is more in the second log; of factors, how many times
+        what it was.
+    verdict : {"nothing changed", "named", "ambiguous", "unexplained"}
+    gain : Gain or None
+        Of windows of the second log that were held out: mean squared missing force over its noise, with what is
+        common in the model, and with the changes, too; the channels are rms forces, N or N m.
+    common : dict of str to tuple of two floats
+        Of each degree of freedom, by the name of its speed: rms force that the model as it is lacks in the two logs,
+        and what is left with all that is common in it, N or N m.
+    mistake : str
+        How columns of the second log seem to be mixed up, or which motor is as good as dead in it; empty if none.
+    reason : str
+        Why the verdict is "unexplained", in a sentence; empty of all others.
+    detectable : dict of str to float
+        Where nothing changed: of each effect by how much it would have had to change, either way, to be named; of
+        factors the share of what it is. Infinite where no possible change would have been.
     """
 
     changes: tuple[Cause, ...]
@@ -49,8 +59,15 @@ def causes_of(
 ) -> tuple[Cause, ...]:
     """Return the members of a set as they are told, most telling first.
 
-    `best`: the set that is named; its values are in units of scales. `worth`: by which others are about as likely: the
-    aliases. `nats`: what each member is worth, in log odds.
+    Parameters
+    ----------
+    question : Question
+    best : Weighed
+        The set that is named; its values are in units of scales.
+    worth : Weigher
+        By which others are about as likely: the aliases.
+    nats : mapping from place to float
+        What each member is worth, in log odds.
     """
     if not best.members:
         return ()
@@ -104,7 +121,12 @@ def detectable_of(question: Question, worth: OverStrengths, needed: float) -> di
     Either way, and all larger ones. Of weights it is that at the place on the body where they act most, of delays one
     of those that are tried; infinite where none is possible that would have been named.
 
-    `needed`: what a name needs, nats.
+    Parameters
+    ----------
+    question : Question
+    worth : OverStrengths
+    needed : float
+        What a name needs, nats.
     """
     candidates, priors = question.candidates, worth.priors
     ways = [worth.gains_of(side * TRIED[:, None] * np.ones(len(candidates))) >= needed for side in (-1, 1)]
@@ -127,7 +149,13 @@ def detectable_of(question: Question, worth: OverStrengths, needed: float) -> di
 def gain_of(question: Question, value: Array, differences: Array) -> Gain | None:
     """Return the gain on the windows that were held out, None if none were.
 
-    `value` (n_effects,): what is common, in units of sizes. `differences` (n_candidates,): in units of scales.
+    Parameters
+    ----------
+    question : Question
+    value : ndarray of shape (n_effects,)
+        What is common, in units of sizes.
+    differences : ndarray of shape (n_candidates,)
+        In units of scales.
     """
     mine = question.held_out
     if not mine.any():

@@ -15,8 +15,14 @@ from skat.diagnosis.forces.force_space import Rows
 class Quadratic:
     r"""Log likelihood of whitened rows, a quadratic in effects x: :math:`c + h'x - x'Gx / 2`.
 
-    `products` (k, k): G, without a unit, as columns are those of typical sizes, over the noise. `projections` (k,): h.
-    `level`: c, nats; constants of the noise are left out.
+    Attributes
+    ----------
+    products : ndarray of shape (k, k)
+        G, without a unit, as columns are those of typical sizes, over the noise.
+    projections : ndarray of shape (k,)
+        h.
+    level : float
+        c, nats; constants of the noise are left out.
     """
 
     products: Array
@@ -70,8 +76,13 @@ class Quadratic:
 def windows_of(rows: Rows, noise: Array, spread: Array) -> tuple[Quadratic, ...]:
     """Return the windows of rows, with what each has of its own integrated out.
 
-    `noise` (n_rows,): deviations, in the rows' units. `spread` (n_effects,): variances by which the first effects
-    differ from window to window.
+    Parameters
+    ----------
+    rows : Rows
+    noise : ndarray of shape (n_rows,)
+        Deviations, in the rows' units.
+    spread : ndarray of shape (n_effects,)
+        Variances by which the first effects differ from window to window.
     """
     z, N = rows.whitened(noise)
     own = [rows.stretch == one for one in np.unique(rows.stretch)]

@@ -8,10 +8,10 @@ import pytest
 from skat.diagnosis.changes.candidates import (
     LATER,
     NEARLY_TURNED,
+    distinct,
     offered_candidates,
     priors_of,
     rivals_of,
-    seen_of,
     units_of,
 )
 from skat.diagnosis.forces.machines import WEAKEST, Candidate, Model
@@ -115,8 +115,36 @@ def test_all_of_a_family_excludes_each_and_one_place_of_a_weight_another(simulat
     assert rivals == {0: [1], 1: [0, 3], 2: [], 3: [1], 4: [5, 6], 5: [4, 6], 6: [4, 5]}
 
 
-def test_what_is_not_seen_is_left_out():
-    assert seen_of(np.array([[2e3, 0.0, 0.0], [0.0, 1.9e-3, 0.0], [0.0, 0.0, 2.1e-3]])) == [0, 2]
+def at_places(simulator, n):
+    weight = candidate(simulator, "payload[lower]", odds=0.25)
+    return [replace(weight, beside={"payload[lower.x]": 0.1 * one}) for one in range(n)]
+
+
+def turned(angle, size=1.0):
+    return size * np.array([np.cos(angle), np.sin(angle), 0.0])
+
+
+def test_places_that_act_alike_are_one_with_the_odds_of_all(simulator):
+    # Alike: a cosine above 0.9995, which is 0.0316 rad, and sizes within a tenth.
+    columns = [turned(0), turned(0.03), turned(0.034), turned(0, 1.09), turned(0, 1.12), turned(np.pi)]
+    kept, places = distinct(at_places(simulator, 6), np.column_stack(columns))
+    assert places == [0, 2, 4, 5]
+    np.testing.assert_allclose([one.odds for one in kept], [0.75, 0.25, 0.25, 0.25])
+    assert [one.beside["payload[lower.x]"] for one in kept] == pytest.approx([0.0, 0.2, 0.4, 0.5])
+
+
+def test_effects_and_delays_that_act_alike_stay(simulator):
+    offered = [candidate(simulator, name) for name in ("mass[lower]", "damping[elbow]")]
+    offered += [candidate(simulator, "delay[action]", late=late) for late in LATER[:2]]
+    assert distinct(offered, np.ones((3, 4)))[1] == [0, 1, 2, 3]
+
+
+def test_what_is_not_seen_is_left_out(simulator):
+    offered = [candidate(simulator, name) for name in ("mass[lower]", "damping[elbow]", "gain[elbow]")]
+    columns = np.array([[2e3, 0.0, 0.0], [0.0, 1.9e-3, 0.0], [0.0, 0.0, 2.1e-3]])
+    kept, places = distinct(offered, columns)
+    assert places == [0, 2]
+    assert kept == [offered[0], offered[2]]
 
 
 def test_machines_change_in_what_is_seen_and_not_fixed(simulator):

@@ -7,11 +7,11 @@ import pytest
 from scipy import optimize
 
 from skat.diagnosis.changes import find_changes
-from skat.diagnosis.changes.search import _at_bounds, _common, _logs
+from skat.diagnosis.changes.search import _at_bounds, _common, _impossible, _logs
 from skat.diagnosis.changes.strengths import LEAST, OverStrengths
-from skat.diagnosis.evidence import Priors, Weighed
+from skat.diagnosis.evidence import WIDTH_95, Priors, Weighed
 from skat.diagnosis.findings import Gain
-from skat.diagnosis.forces.machines import Candidate
+from skat.diagnosis.forces.machines import Candidate, Model
 from skat.diagnosis.search import without_weak
 from tests.diagnosis.changes.arm import arm, effect_of
 from tests.diagnosis.changes.drawn import ALIKE, WEIGHTS, K, M, dense, question_of_rows
@@ -106,6 +106,40 @@ def test_a_change_is_named_where_its_odds_are_as_long_as_asked(simulator, logs):
     assert (change.name, change.value) == ("damping[elbow]", pytest.approx(0.1, rel=0.05))
     alpha = float(np.exp(-change.evidence - 0.1))
     assert find_changes(simulator, *logs, effects, alpha=alpha).verdict == "nothing changed"
+
+
+@pytest.mark.parametrize(
+    ("name", "difference", "impossible"),
+    [
+        # In both logs .1 + .2 * .5 = .2 at the elbow, and .05 * .5 at the shoulder; errors are .03.
+        ("damping[elbow]", -0.19, False),
+        ("damping[elbow]", -0.22, False),
+        ("damping[elbow]", -0.24, True),
+        ("damping[shoulder]", -0.24, True),
+        ("damping[all]", -0.04, False),
+        # Of all of a family no joint may have less than none.
+        ("damping[all]", -0.1, True),
+        ("mass[lower]", -0.5, False),
+        ("mass[lower]", -1.2, True),
+        ("gain[elbow]", -2.0, False),
+        ("delay[action]", -5.0, False),
+        ("payload[lower]", -0.3, False),
+    ],
+)
+def test_what_no_machine_can_have_with_what_is_common_is_not_named(simulator, name, difference, impossible):
+    effect = effect_of(simulator, name)
+    candidate = Candidate(effect, 1.0, {}, float(name.startswith("delay")))
+    effects = [effect_of(simulator, one) for one in ("damping[elbow]", "damping[shoulder]", "mass[lower]")]
+    question = replace(
+        question_of_rows(simulator),
+        candidates=(candidate,),
+        scales=np.array([0.5]),
+        effects=tuple(effects),
+        sizes=np.array([0.2, 0.05, 0.1]),
+        base=Model({"damping[elbow]": 0.1}),
+    )
+    best = Weighed((0,), np.array([difference / 0.5]), 0.0, 0.0, np.array([[(WIDTH_95 * 0.5 / 0.03) ** 2]]))
+    assert _impossible(best, question, np.array([0.5, 0.5, 0.0])) == [0] * impossible
 
 
 @pytest.mark.parametrize(("explained", "verdict"), [(0.4, "unexplained"), (0.6, "named")])
