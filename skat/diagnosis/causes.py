@@ -568,12 +568,10 @@ def _without_doubtful(fits: Fits, now: Fit, worth: Weigher, needed: float) -> Fi
 
 
 def _without_stand_ins(fits: Fits, now: Fit, slopes: Array, needed: float) -> Fit:
-    """Return a set with those members that are worth a name beside laws that are no effects, at their values there.
+    """Return the fit of those members of a set that are worth a name beside laws that are no effects.
 
-    Fitted without the laws they would take what is the laws'. A value moves by the difference of what slopes have it to
-    be with laws and without: where slopes would leave a fit that stands, that is no matter of laws.
+    Their sizes are those of a fit without the laws: what either may be, a cause is.
     """
-    held: Array | None = None
     while now.members:
         effects = [fits.effects[one] for one in now.members]
         columns, priors = gram_of(fits.space, now.fitted, slopes, effects), fits.priors.part(now.members)
@@ -582,15 +580,9 @@ def _without_stand_ins(fits: Fits, now: Fit, slopes: Array, needed: float) -> Fi
             break
         worth = Weigher(gram, priors, power=fits.power)
         strong, _ = without_weak(worth(range(len(effects))), worth, needed)
-        kept = list(strong.members)
-        if len(kept) == len(effects):
+        if len(strong.members) == len(effects):
             break
-        if held is None:
-            alone = weigh(columns.gram, priors, range(len(effects)), power=fits.power)
-            held = fits.places(now) - alone.values
-        held = held[kept]
-        places = np.clip(strong.values + held, priors.low[kept], priors.high[kept])
-        now = fits.about([now.members[one] for one in kept], places, now)
+        now = fits.of([now.members[one] for one in strong.members], strong.values, now)
         slopes = _slopes(fits, now, now.members)
     return now
 
