@@ -59,7 +59,7 @@ HIDDEN = {
     "slope": (
         PuckWorld(slope_y=0.012),
         {"tilt[y]": 0.012},
-        "The table slopes by 0.012 rad (0.7 degrees) towards y.",
+        "The table slopes by 0.012 rad (0.7 degrees) towards y; a constant force would push a puck alike.",
     ),
     "friction": (
         PuckWorld(friction_x=0.16, friction_y=0.16),
@@ -74,7 +74,7 @@ HIDDEN = {
     "heavy puck": (
         PuckWorld(puck_mass=0.22),
         {"mass[puck]": 0.22 / 0.165},
-        "The puck weighs 220 g; the simulation has 165 g.",
+        "The puck weighs 220 g; the simulation has 165 g. A slower stick would send one nearly alike.",
     ),
     "nothing": (PuckWorld(), {}, "Nothing but noise and the time step differs from the simulation."),
 }

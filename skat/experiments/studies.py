@@ -98,6 +98,7 @@ def study_hidden_puck(
     """
     shots = make_hidden_puck(n_shots, random_state=random_state)
     fit, test = split_episodes(shots, test_size=0.5, random_state=random_state)
+    names = " and ".join(f"{name} = {value:.3g}" for name, value in shots.truth.items())
     return _study(
         "Puck shots",
         make_simulator("puck"),
@@ -105,7 +106,7 @@ def study_hidden_puck(
         test,
         random_state,
         progress,
-        truth=shots.truth_sentence,
+        truth=f"{names}. {shots.truth_sentence}",
         **parameters,
     )
 

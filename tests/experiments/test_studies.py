@@ -112,8 +112,8 @@ def test_dry_friction_of_the_pendulums_motor_is_named_and_gains_on_other_pieces(
 def test_demo_finds_what_the_world_hides_or_an_alias_of_it_and_compares_every_method(n_shots, effects):
     study = study_hidden_puck(n_shots=n_shots, random_state=0, effects=effects)
     truth = make_hidden_puck(random_state=0)
-    assert study.truth == truth.truth_sentence
-    (name,) = truth.truth
+    ((name, size),) = truth.truth.items()
+    assert study.truth == f"{name} = {size:.3g}. {truth.truth_sentence}"
     assert name in effects
     assert any(name in (cause.name, *map(str, cause.aliases)) for cause in study.diagnosis.causes_)
     assert study.gain.extended < 0.5 * study.gain.nominal

@@ -17,8 +17,8 @@ from skat.diagnosis.forces.motions import lacking_forces, whole_coefficients_of
 from skat.simulators import MujocoSimulator
 
 
-def mistake_of(question: Question, differences: Array, *, price: float, needed: float) -> str:
-    """Return how columns of the second log seem to be mixed up, if that explains it better than all changes.
+def mistake_of(question: Question, differences: Array, *, price: float, needed: float) -> tuple[str, float]:
+    """Return how columns of the second log seem to be mixed up, and by how much that is likelier than changes.
 
     The likeliest mix-up, by what it leaves of the second log about the first log's model, is weighed as changes are:
     by the evidence of both logs, with all that is common and all misfit integrated out.
@@ -31,17 +31,19 @@ def mistake_of(question: Question, differences: Array, *, price: float, needed: 
     price : float
         Of the changes: by how much their evidence is less than what they explain, nats.
     needed : float
-        By how much a mix-up has to be more likely than none, nats.
+        By how much what is told has to be likelier than what is not, nats.
 
     Returns
     -------
-    str
-        All that mend about as much; empty if nothing is mixed up.
+    words : str
+        All that mend about as much; empty if there are none.
+    nats : float
+        Log odds for it against the changes; nothing is told of one that is less likely by what is needed.
     """
     simulator, own, rows, law = question.simulator, question.halves[1], question.sides[1], question.law
     mixed = _mixed_up(simulator, own)
     if not mixed:
-        return ""
+        return "", -np.inf
     model = question.machine
 
     def left(half: Motion) -> Array:
@@ -66,7 +68,7 @@ def mistake_of(question: Question, differences: Array, *, price: float, needed: 
     mended = [misfit(as_is[measured], np.isfinite(one)) - misfit(one, np.isfinite(one)) for one in others]
     best = int(np.argmax(mended))
     if mended[best] <= 0:
-        return ""
+        return "", -np.inf
     half = mixed[best][1]
     otherwise, seen = _in_another_order(question, 1, half, model)
     explained = rows.columns[:, len(question.effects) :] @ differences
@@ -78,16 +80,18 @@ def mistake_of(question: Question, differences: Array, *, price: float, needed: 
     first = total(windows_of(question.sides[0], law.noise[0], law.spread))
     mended_second = whole(1, otherwise, seen & kept)
     odds = Logs(first, mended_second, law).level() - Logs(first, whole(1, given, seen & kept), law).level()
-    if odds + price + np.log(FAULT / len(mixed)) <= needed:
-        return ""
+    nats = odds + price + float(np.log(FAULT / len(mixed)))
+    if nats <= -needed:
+        return "", -np.inf
     # What as well mends the first log is the model's matter.
     both, seen = _in_another_order(question, 0, _mixed_up(simulator, question.halves[0])[best][1], model)
     first, mended_first = whole(0, question.sides[0], seen), whole(0, both, seen)
     as_well = Logs(mended_first, mended_second, law).level() > Logs(first, mended_second, law).level()
     if as_well:
-        return ""
+        return "", -np.inf
     # Of a pendulum alone, to turn what is commanded is to turn what is measured.
-    return ", or ".join(one for (one, _), gain in zip(mixed, mended) if gain > mended[best] - needed)
+    words = ", or ".join(one for (one, _), gain in zip(mixed, mended) if gain > mended[best] - needed)
+    return words, nats
 
 
 def _in_another_order(question: Question, side: int, half: Motion, machine: Model) -> tuple[Rows, Mask]:

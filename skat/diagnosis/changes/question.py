@@ -304,10 +304,11 @@ def _weak_motor(
     """Return the place of the effect of a further motor that does next to nothing in the second log, and its value.
 
     In units of its size; empty if there is none beside those that are known. It is one where the first log's machine
-    with such a motor lacks less on its joint in the second log than both logs' machines do, and more in the first log:
-    else it is the model's matter.
+    with such a motor lacks less on its joint in the second log than both logs' machines do, and than it does where that
+    motor's commands are turned, which is a fault, too; and more in the first log: else it is the model's matter.
     """
     most, found = needed - np.log(FAULT), {}
+    commands = np.array(logs.simulator.input_names[len(logs.simulator.state_names) :])
     for place, effect in enumerate(logs.effects):
         joints = sides[0].joint[sides[0].columns[:, place] != 0]
         if effect.family not in MOTORS or place in known or not len(joints):
@@ -315,15 +316,20 @@ def _weak_motor(
         weak = np.tile(about[0], (3, 1))
         factors = np.clip([-WEAKEST, 0.0, WEAKEST], *effect.bounds)
         weak[:, place] = (factors - logs.base.values.get(effect.name, 1.0)) / logs.sizes[place]
+        signs = np.where(commands == f"ctrl.{effect.target}", -1.0, 1.0)
         gains = []
         for half, rows, noise, come in zip(logs.halves, sides, law.noise, (logs.base.late, late)):
             machines = [replace(logs.model(value), late=come) for value in (*about, *weak)]
-            left = coefficients_of(half, lacking_forces(logs.simulator, half, machines))[0]
+            turned = replace(half, commands=half.commands * signs)
+            lacking = [
+                lacking_forces(logs.simulator, *one) for one in ((turned, machines[:1]), (half, machines))
+            ]
+            left = coefficients_of(half, np.concatenate(lacking))[0]
             driven = np.isin(rows.joint, joints)
             squares = _squares(rows.part(driven), left[driven], law, noise[driven])
             # Of a noise that is not known: the law's has taken in what a motor that works lacks there.
-            gains.append(0.5 * driven.sum() * np.log(squares[:2].min() / np.maximum(squares[2:], 1e-300)))
-        worth = np.where(gains[0] > 0, 0.0, gains[1])
+            gains.append(0.5 * driven.sum() * np.log(squares[1:3].min() / np.maximum(squares[3:], 1e-300)))
+        worth = np.where((gains[0] > 0) | (squares[0] <= squares[3:]), 0.0, gains[1])
         if worth.max() > most:
             most, found = worth.max(), {place: float(weak[np.argmax(worth), place])}
     return found

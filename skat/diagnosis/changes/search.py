@@ -8,7 +8,7 @@ import numpy as np
 from skat.diagnosis.chains import Array
 from skat.diagnosis.changes.candidates import priors_of, rivals_of, units_of
 from skat.diagnosis.changes.mixups import mistake_of
-from skat.diagnosis.changes.question import MOST, TURNS, Question, question_of
+from skat.diagnosis.changes.question import FAULT, MOST, TURNS, Question, question_of
 from skat.diagnosis.changes.strengths import Logs, OverStrengths
 from skat.diagnosis.changes.telling import Changes, causes_of, detectable_of, gain_of, sizes_of
 from skat.diagnosis.changes.windows import total, windows_of
@@ -73,9 +73,10 @@ def find_changes(
         simulator, halves, effects, typical=typical or {}, test_size=test_size, needed=needed
     )
     found = _searched(question, needed)
-    price = found.worth.price(found.best.members)
-    mistake = mistake_of(question, found.differences, price=price, needed=needed)
-    if mistake:
+    # A motor that died is a fault, too.
+    price = found.worth.price(found.best.members) - len(question.weak) * np.log(FAULT)
+    mistake, odds = mistake_of(question, found.differences, price=price, needed=needed)
+    if odds > needed:
         return _unexplained(question, found.level, None, _as_if(mistake), mistake)
     for _ in range(TURNS):
         if not found.best.members:
@@ -101,8 +102,10 @@ def find_changes(
     elif worth.logs.differ_beyond_misfit(best.evidence, needed):
         reason = "The logs differ by more than what the model misses in both, and by no effect that was asked about."
     if question.weak and (reason or not causes or _contradict(causes, question.weak)):
-        told = " and ".join(question.weak)
-        mistake = f"{told} were next to nothing: a motor that died, or a joint that is stuck"
+        told = (
+            " and ".join(question.weak) + " were next to nothing: a motor that died, or a joint that is stuck"
+        )
+        mistake = f"{mistake}, or {told}" if odds > -needed else told
         return _unexplained(question, value, gain, _as_if(mistake), mistake)
     if reason:
         return _unexplained(question, value, gain, reason)

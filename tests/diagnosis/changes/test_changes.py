@@ -1,5 +1,6 @@
 """What changed between two logs: laws of its algebra, and small machines."""
 
+import re
 import warnings
 from dataclasses import replace
 
@@ -8,7 +9,7 @@ import pytest
 
 from skat.diagnosis import SimulationDiagnosis
 from skat.diagnosis.changes.candidates import LATER, _between
-from skat.diagnosis.changes.question import question_of
+from skat.diagnosis.changes.question import FAULT, question_of
 from skat.diagnosis.forces.motions import _later
 from skat.simulators import FunctionSimulator, MujocoSimulator
 from tests.diagnosis.forces.test_force_space import ARM, log_of
@@ -67,6 +68,32 @@ def test_a_motor_that_seems_to_have_died_is_told_where_no_change_says_so(monkeyp
         found = asked(log_of(4, **WRONG), log_of(5, **WRONG, gain=(1.0, gain)))
     assert found.verdict_ == verdict
     assert any("a motor that died" in str(one.message) for one in told) == (verdict == "unexplained")
+
+
+@pytest.mark.parametrize(
+    ("nats", "words"),
+    [
+        (
+            -4.0,
+            "as if ctrl.elbow has its sign turned, or gain[elbow] were next to nothing: a motor that died",
+        ),
+        (4.0, "as if ctrl.elbow has its sign turned, or gain[elbow] were next to nothing: a motor that died"),
+        (-5.0, "as if gain[elbow] were next to nothing: a motor that died"),
+        (5.0, "as if ctrl.elbow has its sign turned."),
+    ],
+)
+def test_of_two_faults_that_are_about_as_likely_both_are_told(monkeypatch, nats, words):
+    def with_a_weak_motor(*args, **options):
+        return replace(question_of(*args, **options), weak=("gain[elbow]",))
+
+    def with_a_mix_up(question, differences, *, price, needed):
+        assert price >= -np.log(FAULT)  # of the motor, which is a fault, too
+        return "ctrl.elbow has its sign turned", nats
+
+    monkeypatch.setattr("skat.diagnosis.changes.search.question_of", with_a_weak_motor)
+    monkeypatch.setattr("skat.diagnosis.changes.search.mistake_of", with_a_mix_up)
+    with pytest.warns(UserWarning, match=re.escape(words)):
+        assert asked(log_of(4, **WRONG), log_of(5, **WRONG)).verdict_ == "unexplained"
 
 
 def test_a_joint_that_is_stuck_in_both_logs_is_no_motor_that_died():

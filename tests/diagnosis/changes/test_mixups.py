@@ -8,6 +8,7 @@ from skat.diagnosis.changes.mixups import mistake_of
 from tests.diagnosis.changes.arm import arm, question_about
 from tests.diagnosis.forces.test_force_space import log_of
 
+NEEDED = np.log(100.0)
 DAMPING = ("damping[shoulder]", "damping[elbow]")
 # Columns of the state: positions 0 and 1, speeds 2 and 3; commands are 4 and 5.
 MIXED = {
@@ -40,10 +41,19 @@ def unmeasured(log, columns):
     return X, y, groups
 
 
-def told(before, after, **options):
+def told(before, after):
     question = question_about(arm(), before, after, effects=DAMPING)
-    options = {"price": 0.0, "needed": np.log(100.0), **options}
-    return mistake_of(question, np.zeros(0), **options)
+    words, nats = mistake_of(question, np.zeros(0), price=0.0, needed=NEEDED)
+    return words if nats > NEEDED else ""
+
+
+def test_the_price_of_changes_is_gained_and_what_is_less_likely_by_what_is_needed_is_not_told():
+    after = mixed(log_of(5), *MIXED["ctrl.elbow has its sign turned"])
+    question = question_about(arm(), log_of(4), after, effects=DAMPING)
+    words, nats = mistake_of(question, np.zeros(0), price=0.0, needed=NEEDED)
+    for price, told in ((3.0, True), (-nats - NEEDED + 0.1, True), (-nats - NEEDED - 0.1, False)):
+        found = mistake_of(question, np.zeros(0), price=price, needed=NEEDED)
+        assert found == ((words, pytest.approx(nats + price)) if told else ("", -np.inf))
 
 
 @pytest.mark.parametrize(

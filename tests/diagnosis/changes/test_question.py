@@ -242,6 +242,20 @@ def test_the_machine_has_what_is_common_to_both_logs(simulator):
     assert np.abs((question.law.value - question.here) * question.sizes).max() < 0.03
 
 
+@pytest.mark.parametrize("joint", [0, 1])
+def test_a_motor_whose_commands_are_turned_is_not_one_that_died(simulator, joint):
+    more = {"friction": (0.12, 0.06), "damping": (0.1, 0.05), "mass": 1.15, "rows": 600}
+    names = ["damping[shoulder]", "damping[elbow]", "mass[lower]", "gain[shoulder]", "gain[elbow]"]
+    effects = [effect_of(simulator, name) for name in names]
+    died = log_of(5, **more, gain=tuple(float(one != joint) for one in range(2)))
+    turned = log_of(5, **more)
+    turned[0][:, 4 + joint] *= -1
+    for after, weak in ((died, (names[3 + joint],)), (turned, ())):
+        halves = [motion_of(simulator, log, "log") for log in (log_of(4, **more), after)]
+        question = question_of(simulator, halves, effects, typical={}, test_size=0.3, needed=np.log(100))
+        assert question.weak == weak
+
+
 GAINS = ("gain[shoulder]", "gain[elbow]", "mass[lower]")
 
 
