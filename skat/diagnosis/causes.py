@@ -89,7 +89,8 @@ class Comparison:
         """Return the fit of a set with these slopes, from values that may be near at first."""
         members = tuple(members)
         if members not in self._fits:
-            self._fits[members] = self.fits.of(members, places, self._look, own_slopes=False)
+            guessed = members not in (self.now.members, self._look.members)
+            self._fits[members] = self.fits.of(members, places, self._look, own_slopes=False, guessed=guessed)
         return self._fits[members]
 
     def gain(self, members: Sequence[int], places: Array) -> float:

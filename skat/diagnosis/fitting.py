@@ -290,6 +290,14 @@ def compared(
     return _estimated(space, values, linear, start, known, memories=memories)
 
 
+def bound_at(
+    space: StateSpace, values: Mapping[str, float], start: Fitted, known: Known = NOTHING_KNOWN
+) -> float:
+    """Return the bound at given values as `compared` has it, with the memory that forces have in another fit."""
+    linear = _about_own_forces(space, values, start)
+    return _from_either(space, values, linear, start.estimate.noise, start.memory, known).bound
+
+
 def _about_own_forces(space: StateSpace, values: Mapping[str, float], start: Fitted) -> Linear:
     """Return the simulation about another fit's path, with the lasting forces that its noise has at these values."""
     linear = linearise(space, start.linear.path, values, slopes=start.linear)
