@@ -342,9 +342,12 @@ def test_a_set_is_fitted_to_where_its_slopes_move_it_no_more(fits, nothing):
     assert back.evidence == pytest.approx(nothing.evidence, abs=0.5)
 
 
-@pytest.mark.parametrize("members", [(0,), ()])
-def test_beside_another_fit_a_row_is_simulated_few_times(fits, nothing, members, monkeypatch):
-    """Once as it is; and, as forces last there, twice more with those known then, and with more and less of each."""
+@pytest.mark.parametrize(("members", "turns"), [((0,), FORCE_TURNS), ((), 1)])
+def test_beside_another_fit_a_row_is_simulated_few_times(fits, nothing, members, turns, monkeypatch):
+    """Once as it is; and, as forces last there, with those known then, and with more and less of each.
+
+    Twice where another set's were known before.
+    """
     asked = []
     monkeypatch.setattr(
         SIMULATOR,
@@ -354,7 +357,7 @@ def test_beside_another_fit_a_row_is_simulated_few_times(fits, nothing, members,
     values = {fits.effects[one].name: 0.1 for one in members}
     fit = compared(fits.space, values, nothing.fitted, fits.known)
     assert nothing.fitted.memory
-    assert asked == (1 + FORCE_TURNS * (1 + 2)) * [len(fits.space.X)]
+    assert asked == (1 + turns * (1 + 2)) * [len(fits.space.X)]
     np.testing.assert_array_equal(fit.linear.path, nothing.fitted.linear.path)
 
 
