@@ -89,7 +89,8 @@ class Comparison:
         """Return the fit of a set with these slopes, from values that may be near at first."""
         members = tuple(members)
         if members not in self._fits:
-            self._fits[members] = self.fits.of(members, places, self._look, own_slopes=False)
+            guessed = members not in (self.now.members, self._look.members)
+            self._fits[members] = self.fits.of(members, places, self._look, own_slopes=False, guessed=guessed)
         return self._fits[members]
 
     def gain(self, members: Sequence[int], places: Array) -> float:
@@ -641,31 +642,35 @@ def _slopes(fits: Fits, now: Fit, members: Sequence[int]) -> Array:
     gains = found.gains(priors.low, priors.high)
     # Where a slope says so of one side, nothing is looked for on the other.
     for place, own in ends.items():
-        towards = np.sign(own - chosen[place].neutral)
-        way = np.sign(found.projections[place])
-        if not dead[place] and chosen[place].family not in THRESHOLDS and (towards == way).any():
-            ends[place] = own[towards == way]
+        way = float(found.projections[place])
+        towards = [end for end in own if (end - chosen[place].neutral) * way > 0]
+        if towards and not dead[place] and chosen[place].family not in THRESHOLDS:
+            ends[place] = towards
     late = [place for place, effect in enumerate(chosen) if effect.family == "delay"]
     gains[late] = -np.inf
     # Of what is further off slopes of rows that are bent know nothing.
     bent = bool(bent_rows(space, fitted).any())
-    for turn in range(max(map(len, ends.values()), default=0)):
-        places = [place for place, own in ends.items() if len(own) > turn]
-        at = np.array([coordinate(chosen[place], ends[place][turn]) for place in places])
+    while places := [place for place, own in ends.items() if own]:
+        reached = {place: ends[place].pop(0) for place in places}
+        at = np.array([coordinate(chosen[place], reached[place]) for place in places])
         # Nor is it where the log would lose too much, as far as slopes know; those of a delay know of one step.
         asked = np.isin(places, late) | (found.gained(places, at) > -DENIED) | bent
         places, at = [place for place, one in zip(places, asked) if one], at[asked]
         if not places:
             continue
         some = [chosen[place] for place in places]
-        steps = {effect.name: (effect.neutral, float(ends[one][turn])) for effect, one in zip(some, places)}
+        steps = {effect.name: (effect.neutral, reached[place]) for effect, place in zip(some, places)}
         chords = derivatives(space, fitted.linear, fitted.values, steps)
         chords *= [(steps[effect.name][1] - effect.neutral) / one for effect, one in zip(some, at)]
-        own = _Promised.of(fits, fitted, chords, some).gains(np.minimum(at, 0), np.maximum(at, 0))
-        better = own > gains[places]
+        gained = _Promised.of(fits, fitted, chords, some).gains(np.minimum(at, 0), np.maximum(at, 0))
+        better = gained > gains[places]
         chosen_places = np.array(places)[better]
         slopes[..., chosen_places] = chords[..., better]
-        gains[chosen_places] = own[better]
+        gains[chosen_places] = gained[better]
+        # What does nothing at such a distance does nothing nearer by.
+        for place, one, idle in zip(places, at, ~np.any(chords, axis=(0, 1))):
+            if dead[place] and idle:
+                ends[place] = [end for end in ends[place] if coordinate(chosen[place], end) * one < 0]
     return slopes
 
 
@@ -699,18 +704,19 @@ class _Promised:
         return self.gained(range(len(at)), at)
 
 
-def _ends_of_chords(simulator: Simulator, effect: Effect, typical: float, dead: bool) -> Array:
-    """Return the values to which chords of an effect are drawn."""
+def _ends_of_chords(simulator: Simulator, effect: Effect, typical: float, dead: bool) -> list[float]:
+    """Return the values to which chords of an effect are drawn; of what has no slope from the furthest on."""
     if effect.family == "delay" and simulator.dt:
         step = time_step(simulator)
-        return np.asarray(step * np.arange(1.0, int(effect.bounds[1] / step + 1e-9) + 1), dtype=np.float64)
+        return [step * row for row in range(1, int(effect.bounds[1] / step + 1e-9) + 1)]
     places = np.array([-typical, typical])
     if dead or effect.family in THRESHOLDS:
         bounds = [coordinate(effect, bound) for bound in effect.bounds]
         places = np.concatenate([doubled(typical / 2, bound) for bound in bounds])
-    ends = np.unique([value_at(effect, place) for place in places])
-    far: Array = ends[ends != effect.neutral]
-    return far
+    if dead:
+        places = places[np.argsort(-np.abs(places))]
+    ends = dict.fromkeys(value_at(effect, place) for place in places)
+    return [end for end in ends if end != effect.neutral]
 
 
 def _live(ranked: Ranked, members: Sequence[int]) -> list[int]:

@@ -11,8 +11,11 @@ References
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dtrtri
 from scipy.special import gammaln
 
 from skat.diagnosis.chains import Array, Chains, Places, block
@@ -174,7 +177,7 @@ def _filtered(chains: Chains, force_variances: Array, error_variances: Array) ->
     means, covariances = np.zeros((n, steps + 1, d)), np.zeros((n, steps + 1, d, d))
     innovations, gains = np.zeros((n, steps + 1, m)), np.zeros((n, steps + 1, d, m))
     factors, scales = (np.zeros((n, steps + 1, m, m)) for _ in range(2))
-    both = mask[..., :, None] & mask[..., None, :]
+    both = (mask[..., :, None] & mask[..., None, :]).astype(np.float64)
     own = np.where(mask, variances, 0.0)
     padded = np.where(mask, variances, 1.0)[..., None] * np.eye(m)
     seen = mask.astype(np.float64)
@@ -185,16 +188,20 @@ def _filtered(chains: Chains, force_variances: Array, error_variances: Array) ->
     for t in range(steps + 1):
         means[:, t], covariances[:, t] = mean, P
         across = P if m == d else P[:, :, read]
-        L = np.linalg.cholesky(np.where(both[:, t], across[:, read], 0.0) + padded[:, t])
-        W = np.linalg.inv(L) * seen[:, t, None, :]
-        K = across @ (W.swapaxes(1, 2) @ W)
+        L = np.linalg.cholesky((across if m == d else across[:, read]) * both[:, t] + padded[:, t])
+        W = _inverses(L) * seen[:, t, None, :]
+        K = across @ W.swapaxes(1, 2) @ W
         innovation = (measured[:, t] - mean[:, read]) * seen[:, t]
         innovations[:, t], gains[:, t], factors[:, t], scales[:, t] = innovation, K, W, L
         if t == steps:
             break
         # The form that keeps a covariance positive where the noise is small against what was not known before.
-        AK, M = A[:, t] @ K, A[:, t].copy()
-        M[:, :, read] -= AK
+        AK = A[:, t] @ K
+        if m == d:
+            M = A[:, t] - AK
+        else:
+            M = A[:, t].copy()
+            M[:, :, read] -= AK
         P = M @ P @ M.swapaxes(1, 2) + (AK * own[:, t, None]) @ AK.swapaxes(1, 2) + spread[:, t]
         P = (P + P.swapaxes(1, 2)) / 2
         mean = (A[:, t] @ mean[..., None] + AK @ innovation[..., None])[..., 0] + chains.drive[:, t]
@@ -208,6 +215,14 @@ def _filtered(chains: Chains, force_variances: Array, error_variances: Array) ->
         rows = _spread_out(factors.swapaxes(2, 3), read, (n, steps + 1, m, d))
         factors = _spread_out(rows.swapaxes(2, 3), read, (n, steps + 1, d, d))
     return Filtered(log_likelihoods, means, covariances, innovations, gains, factors)
+
+
+def _inverses(roots: NDArray[Any]) -> Array:
+    """Return the inverses of lower triangular matrices: to solve for them as for any takes three times as long."""
+    inverses: Array = roots.copy()
+    for one in inverses:
+        dtrtri(one.T, overwrite_c=1)
+    return inverses
 
 
 def together(places: Sequence[Places], parts: Sequence[Array], size: int) -> Array:

@@ -12,6 +12,7 @@ from skat.diagnosis.fitting import (
     Fitted,
     Known,
     bent_rows,
+    bound_at,
     compared,
     coordinate,
     doubled,
@@ -79,7 +80,15 @@ class Fits:
         fitted = first_fit(self.space, {}, self.known, look)
         return self._weighed((), fitted, np.zeros(0))[0]
 
-    def of(self, members: Sequence[int], places: Array, near: Fit, *, own_slopes: bool = True) -> Fit:
+    def of(
+        self,
+        members: Sequence[int],
+        places: Array,
+        near: Fit,
+        *,
+        own_slopes: bool = True,
+        guessed: bool = True,
+    ) -> Fit:
         """Return the fit of a set, about the path and from the noise of another fit.
 
         Parameters
@@ -90,10 +99,12 @@ class Fits:
         near : Fit
         own_slopes : bool, default=True
             Whether path and slopes by the state are its own; see `next_fit` and `compared`.
+        guessed : bool, default=True
+            Whether no fit has found these coordinates: with slopes of another, what has kinks is tried elsewhere, too.
         """
         members = tuple(members)
         origin = np.array([self._place(one, near.values) for one in members])
-        if not own_slopes:
+        if guessed and not own_slopes:
             places = self._by_profile(members, places, near)
         # What the set has beside `near` cannot make the log less likely, but for a step too far.
         reached = near.fitted.bound - STILL if set(near.members) <= set(members) else -np.inf
@@ -220,7 +231,7 @@ class Fits:
 
     def bound(self, members: tuple[int, ...], places: Array, near: Fit) -> float:
         """Return the bound of a set at given coordinates, about the path of another fit and with its slopes."""
-        return self._compared(self._values(members, places), near.fitted).bound
+        return bound_at(self.space, self._values(members, places), near.fitted, self.known)
 
     def about(self, members: Sequence[int], places: Array, near: Fit) -> Fit:
         """Return a set as it is at given places, about the path of another fit but with slopes of its own."""

@@ -33,7 +33,7 @@ STILL = 1.0
 HIT = 0.5
 # How often path and slopes are taken anew at most.
 TURNS = 16
-# Simulations in which the forces that are known come to rest, where another set's were known before.
+# Simulations in which the forces that are known come to rest, where another set's were known before; one elsewhere.
 FORCE_TURNS = 2
 # Of an effect's typical size: slopes are taken over no less; means of slopes, in rows that are bent, over no less than
 # five times as much: over less, what jumps seems to be known too well.
@@ -290,12 +290,22 @@ def compared(
     return _estimated(space, values, linear, start, known, memories=memories)
 
 
+def bound_at(
+    space: StateSpace, values: Mapping[str, float], start: Fitted, known: Known = NOTHING_KNOWN
+) -> float:
+    """Return the bound at given values as `compared` has it, with the memory that forces have in another fit."""
+    linear = _about_own_forces(space, values, start)
+    return _from_either(space, values, linear, start.estimate.noise, start.memory, known).bound
+
+
 def _about_own_forces(space: StateSpace, values: Mapping[str, float], start: Fitted) -> Linear:
     """Return the simulation about another fit's path, with the lasting forces that its noise has at these values."""
     linear = linearise(space, start.linear.path, values, slopes=start.linear)
-    for _ in range(FORCE_TURNS if start.memory else 0):
-        forces = known_forces(space, start.memory, start.estimate.noise, *_filtered(linear, start))
-        linear = about_forces(space, linear, values, forces)
+    turns = FORCE_TURNS if values.keys() != start.values.keys() else 1
+    for _ in range(turns if start.memory else 0):
+        means, covariances = _filtered(linear, start)
+        forces = known_forces(space, start.memory, start.estimate.noise, means, covariances)
+        linear = about_forces(space, linear, values, forces, covariances[..., : space.d, : space.d])
     return linear
 
 

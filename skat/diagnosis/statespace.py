@@ -421,10 +421,13 @@ def linearise(
     return _assembled(space, path, forces, found)
 
 
-def about_forces(space: StateSpace, linear: Linear, values: Mapping[str, float], forces: Forces) -> Linear:
+def about_forces(
+    space: StateSpace, linear: Linear, values: Mapping[str, float], forces: Forces, covariances: Array
+) -> Linear:
     """Return the simulation about a path that it was about, with other forces and its own slopes by them.
 
-    Slopes by the state, and what is beyond them, stay: see `linearise`.
+    Slopes by the state, and what is beyond them, stay, and so do slopes by forces in rows that go as these say when all
+    joints are pushed at once, as far as the states there are known; see `linearise`.
     """
     rows, after = space.rows(linear.path), space.path_ends(linear.path)
     rough = space.simulator.coarsely(values)
@@ -432,7 +435,9 @@ def about_forces(space: StateSpace, linear: Linear, values: Mapping[str, float],
     (base,) = space.simulator.predict_many(rows, [rough], past=past)
     outputs = base if rough == values else space.simulated(rows, [values], forces.means)[0]
     base, outputs = (np.where(linear.valid[:, None], one, np.nan) for one in (base, outputs))
-    carrier, kinks = _joint_carrier(space, rows, rough, base, after, forces.deviations, past)
+    unknown = np.sqrt(np.maximum(np.diagonal(covariances, axis1=-2, axis2=-1), 0.0))[:, 1:][space.places]
+    near = linear.by_row.carrier, unknown
+    carrier, kinks = _joint_carrier(space, rows, rough, base, after, forces.deviations, past, near)
     found = replace(linear.by_row, outputs=outputs, carrier=carrier, kinks=kinks, unsure=forces.deviations)
     return _assembled(space, linear.path, forces, found)
 
@@ -633,31 +638,41 @@ def _joint_carrier(
     safe: Array,
     unsure: Array,
     past: Past,
+    near: tuple[Array | None, Array] | None = None,
 ) -> tuple[Array | None, Array]:
     """Return the slope of the next state by a force on each joint, and second differences, both (n_rows, d, n_forces).
 
     Over what is not known of the force, as slopes by the state are: a joint that rests against its friction gives way
     to a large force, and to one side before the other. Slopes are None where the simulator has no forces on joints.
+    Those of `near` are kept in rows that end, as far as that is known there (n_rows, d), as they say.
     """
-    forces = [effect for effect, _ in space.simulator.joint_forces()]
-    columns, kinks = np.zeros((2, len(rows), space.d, len(forces)))
-    if not forces:
+    names = [effect.name for effect, _ in space.simulator.joint_forces()]
+    kinks = np.zeros((len(rows), space.d, len(names)))
+    if not names:
         return None, kinks
-    steps = _force_steps(space.simulator, unsure)
-    names = [effect.name for effect in forces]
-    base = finite(base, safe)
-    for group in told_apart(space, names):
-        own = np.isin(names, group)
-        ends = []
-        for sign in (1, -1):
-            moved = replace(past, forces=np.where(own, sign * steps, 0.0) + past.forces)
-            (after,) = space.simulator.predict_many(rows, [values], past=moved)
-            ends.append(space.simulator.residual(finite(after, base), base))
+    steps, base = _force_steps(space.simulator, unsure), finite(base, safe)
+
+    def pushed(asked: Places, pushes: Array) -> Array:
+        """Return by how much off some rows end if their joints are pushed."""
+        forces = pushes if past.forces is None else past.forces[asked] + pushes
+        moved = replace(past.of(asked), forces=forces)
+        (after,) = space.simulator.predict_many(rows[asked], [values], past=moved)
+        return space.simulator.residual(finite(after, base[asked]), base[asked])
+
+    columns, asked, groups = np.zeros_like(kinks), np.arange(len(rows)), told_apart(space, names)
+    if near is not None and near[0] is not None and len(groups) > 1:
+        columns, said = near[0].copy(), (near[0] @ steps[..., None])[..., 0]
+        off = np.maximum(*(np.abs(pushed(asked, sign * steps) - sign * said) for sign in (1, -1)))
+        asked = np.flatnonzero(~np.all(off < UNSEEN * near[1], axis=1))
+        columns[asked] = 0.0
+    for group in groups if len(asked) else ():
+        pushes = np.where(np.isin(names, group), steps[asked], 0.0)
+        up, down = (pushed(asked, sign * pushes) for sign in (1, -1))
         for name in group:
             channels, place = space.channels_of(name), names.index(name)
-            up, down = (end[:, channels] for end in ends)
-            columns[:, channels, place] = (up - down) / (2 * steps[:, place, None])
-            kinks[:, channels, place] = up + down
+            own = asked[:, None], channels, place
+            columns[own] = (up - down)[:, channels] / (2 * steps[asked, place, None])
+            kinks[own] = (up + down)[:, channels]
     return columns, kinks
 
 

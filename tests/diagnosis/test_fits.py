@@ -108,15 +108,16 @@ class Told:
     """Fits of which the evidence of each set is told: with the slopes of the present set, of another, and its own."""
 
     def __init__(self, own=50.0, bent=True, **evidences):
-        self.own, self.bent = own, bent
+        self.own, self.bent, self.guesses = own, bent, []
         self.evidences = {tuple(map(int, name[1:])): told for name, told in evidences.items()}
 
     def places(self, fit):
         return np.zeros(len(fit.members))
 
-    def of(self, members, places, near, own_slopes=True):
+    def of(self, members, places, near, own_slopes=True, guessed=True):
         if own_slopes:
             return a_fit(members, self.own)
+        self.guesses += [members] if guessed else []
         return a_fit(members, self.evidences[tuple(members)][near.evidence != 0])
 
     def bends(self, fit):
@@ -156,6 +157,12 @@ def test_more_names_are_taken_if_the_slopes_of_either_set_prefer_them(theirs, ow
 def test_fewer_names_are_taken_if_the_slopes_of_one_set_prefer_them(theirs, own, is_taken):
     taken = beside((0,), s=(0, 100), s0=(theirs, own)).taken((), np.zeros(0), 5.0)
     assert (taken is not None) is is_taken
+
+
+def test_only_values_that_no_fit_has_found_are_guesses():
+    compared = beside((0,), s0=(0, 100), s1=(9, 104))
+    compared.gains((1,), np.zeros(1))
+    assert compared.fits.guesses == [(1,)]
 
 
 def test_a_set_that_its_own_fit_contradicts_is_not_taken():
@@ -335,9 +342,12 @@ def test_a_set_is_fitted_to_where_its_slopes_move_it_no_more(fits, nothing):
     assert back.evidence == pytest.approx(nothing.evidence, abs=0.5)
 
 
-@pytest.mark.parametrize("members", [(0,), ()])
-def test_beside_another_fit_a_row_is_simulated_few_times(fits, nothing, members, monkeypatch):
-    """Once as it is; and, as forces last there, twice more with those known then, and with more and less of each."""
+@pytest.mark.parametrize(("members", "turns"), [((0,), FORCE_TURNS), ((), 1)])
+def test_beside_another_fit_a_row_is_simulated_few_times(fits, nothing, members, turns, monkeypatch):
+    """Once as it is; and, as forces last there, with those known then, and with more and less of each.
+
+    Twice where another set's were known before.
+    """
     asked = []
     monkeypatch.setattr(
         SIMULATOR,
@@ -347,7 +357,7 @@ def test_beside_another_fit_a_row_is_simulated_few_times(fits, nothing, members,
     values = {fits.effects[one].name: 0.1 for one in members}
     fit = compared(fits.space, values, nothing.fitted, fits.known)
     assert nothing.fitted.memory
-    assert asked == (1 + FORCE_TURNS * (1 + 2)) * [len(fits.space.X)]
+    assert asked == (1 + turns * (1 + 2)) * [len(fits.space.X)]
     np.testing.assert_array_equal(fit.linear.path, nothing.fitted.linear.path)
 
 

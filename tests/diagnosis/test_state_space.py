@@ -16,6 +16,7 @@ from skat.diagnosis.slopes import derivatives
 from skat.diagnosis.statespace import (
     Forces,
     _carrier,
+    about_forces,
     guessed,
     in_chains,
     linearise,
@@ -216,6 +217,34 @@ def test_a_lasting_force_that_is_known_slides_a_joint_that_would_rest():
     # The forces of chains are whole ones: where those that are known act, chains end where the simulation does.
     drive = linear.chains.drive[space.places]
     np.testing.assert_allclose(drive + slope * force, ends, atol=1e-15)
+
+
+CROSSED = (
+    "<mujoco><option timestep='.002' gravity='0 0 0'/><worldbody><body><joint name='x' type='slide' axis='1 0 0' "
+    "frictionloss='1'/><geom size='.1' mass='2'/><body><joint name='y' type='slide' axis='0 1 0' frictionloss='1'/>"
+    "<geom size='.1' mass='1'/></body></body></worldbody></mujoco>"
+)
+
+
+def test_about_other_forces_slopes_by_them_are_those_that_would_be_taken_anew():
+    """Kept where pushes go as they say: not of a joint that rested and slides, or that slid and rests."""
+    states = np.zeros((5, 4))
+    simulator = MujocoSimulator(CROSSED, frame_skip=5)
+    space = state_space(simulator, states[:-1], states[1:], np.zeros(4, int), consecutive=True)
+    known = np.broadcast_to(1e-8 * np.eye(4), (*space.mask.shape, 4))
+    before, now = (
+        Forces(np.array([along_x, [0.0, 3.0, 3.0, 0.0]]).T, np.full((4, 2), 0.1))
+        for along_x in ([0.0, 3.0, 3.0, 0.0], [0.0, 2.0, 0.5, -3.0])
+    )
+    about = linearise(space, space.measured, {}, known, forces=before)
+    kept, anew = (
+        about_forces(space, about, {}, now, known),
+        linearise(space, space.measured, {}, known, forces=now),
+    )
+    np.testing.assert_allclose(kept.chains.carrier, anew.chains.carrier, atol=1e-6)
+    np.testing.assert_allclose(kept.chains.drive, anew.chains.drive, atol=1e-6)
+    apart = np.abs(about.chains.carrier - anew.chains.carrier)[space.places].max(axis=(1, 2))
+    assert np.flatnonzero(apart > 1e-3).tolist() == [2, 3]
 
 
 def test_a_slope_by_a_force_is_taken_over_what_is_not_known_of_it():
