@@ -572,9 +572,9 @@ def gram_of(space: StateSpace, fitted: Fitted, slopes: Array, effects: Sequence[
     slopes : ndarray of shape (n_rows, d, k)
     effects : sequence of Effect
     """
-    chains, filtered = fitted.chains, fitted.estimate.filtered
-    columns = response(space, chains, filtered, slopes)[chains.mask]
-    whitened = filtered.whitened[chains.mask]
+    chains, filtered, certainty = fitted.chains, fitted.estimate.filtered, fitted.estimate.certainty
+    columns = (response(space, chains, filtered, slopes) * certainty[..., None])[chains.mask]
+    whitened = (filtered.whitened / certainty)[chains.mask]
     origin = np.array(
         [coordinate(effect, fitted.values.get(effect.name, effect.neutral)) for effect in effects]
     )
@@ -596,7 +596,7 @@ def response(space: StateSpace, chains: Chains, filtered: Filtered, slopes: Arra
 
 @dataclass(frozen=True)
 class Columns:
-    """Whitened innovations, their derivatives by each effect, and the second moments of both.
+    """Whitened innovations, their derivatives by each effect, and the second moments of both; see `Estimate.certainty`.
 
     Attributes
     ----------

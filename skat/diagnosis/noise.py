@@ -10,6 +10,7 @@ there geometrically, where that of expectation maximisation would take for ever.
 References
 ----------
 .. [1] Zhou, Hu, Zhou, Lange (2019). MM algorithms for variance components models. J. Comp. Graph. Stat. 28(2).
+.. [2] Lange, Little, Taylor (1989). Robust statistical modeling using the t distribution. JASA 84(408).
 """
 
 from collections.abc import Sequence
@@ -201,6 +202,18 @@ class Estimate:
     bound: float
     filtered: Filtered
     smoothed: Smoothed
+
+    @property
+    def certainty(self) -> Array:
+        """Root of the share of each whitened innovation's information that is left as its sample's scale is not known.
+
+        Of Student's t that share is (nu + 1) / (nu + 3) [2]_, and of an innovation's variance its sensor's noise is but
+        a part. Derivatives times this and innovations over it keep their scores. (n_chains, n_steps + 1, d).
+        """
+        own = np.diagonal(self.filtered.factors, axis1=2, axis2=3)
+        part = np.minimum(self.noise.error_variances * own**2, 1.0)
+        certainty: Array = np.sqrt(1 - 2 * part**2 / (self.noise.error_nu[self.noise.law][:, None] + 3))
+        return certainty
 
 
 def normal_noise(chains: Chains, force: Array, error: Array, law: Places | None = None) -> Noise:

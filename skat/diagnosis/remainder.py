@@ -422,17 +422,20 @@ def _turned_back(space: StateSpace, rows: Array) -> Array:
 
 
 def _response(space: StateSpace, seen: Seen, direction: Array, columns: Array) -> Array:
-    """Return by how much whitened innovations change with each column of force, (n_chains, n_steps + 1, d_all, k)."""
+    """Return by how much whitened innovations change with each column of force, (n_chains, n_steps + 1, d_all, k).
+
+    Times how certain these are, see `Estimate.certainty`.
+    """
     drive = direction[:, :, None] * columns[:, None, :]
     drive[~seen.linear.valid] = 0.0
-    return response(space, seen.chains, seen.estimate.filtered, drive)
+    return response(space, seen.chains, seen.estimate.filtered, drive) * seen.estimate.certainty[..., None]
 
 
 def _gram(
     seen: Seen, N: Array, chosen: Mask | None = None, *, taken: Array | None = None
 ) -> tuple[Array, Array]:
     mask = seen.chains.mask if chosen is None else seen.chains.mask & chosen[..., None]
-    columns, z = N[mask], seen.estimate.filtered.whitened[mask]
+    columns, z = N[mask], (seen.estimate.filtered.whitened / seen.estimate.certainty)[mask]
     if taken is not None:
         columns = columns - taken @ (taken.T @ columns)
     return columns.T @ columns, columns.T @ z

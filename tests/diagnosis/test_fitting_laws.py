@@ -235,6 +235,29 @@ def sought(last, bounds, worth, monkeypatch):
     return _with_best_memory(space, {}, linear, noise, memories[last], known), memories
 
 
+@pytest.mark.parametrize("nu", [3.0, np.inf])
+def test_what_a_log_tells_of_a_value_is_the_information_of_students_law(nu):
+    """Of 1 / r for each row of scale r as long as tails are normal; (nu + 1) / (nu + 3) of it where they are not."""
+    rng, n = np.random.default_rng(2), 4000
+    X = rng.normal(size=(n, 1))
+    noise = rng.standard_t(nu, size=(n, 1)) if np.isfinite(nu) else rng.normal(size=(n, 1))
+    mass = Effect("mass", unit="1", neutral=0.0, bounds=(-5.0, 5.0))
+    simulator = FunctionSimulator(
+        lambda X, mass: X * mass, input_names=("x",), output_names=("y",), effects=(mass,)
+    )
+    space = state_space(simulator, X, 0.1 * noise, np.arange(n), consecutive=False)
+    fitted = first_fit(space, {"mass": 0.0})
+    assert fitted.estimate.noise.error_nu[0, 0] == nu
+    slopes = slopes_of(space, fitted, [mass], np.ones(1))
+    gram = gram_of(space, fitted, slopes, [mass]).gram
+    share = (nu + 1) / (nu + 3) if np.isfinite(nu) else 1.0
+    assert gram.products[0, 0] == pytest.approx(share * np.sum(X**2) / 0.01, rel=0.05)
+    # The slope of the likelihood is what it is.
+    step = 1e-4
+    up, down = (compared(space, {"mass": one}, fitted).bound for one in (step, -step))
+    assert gram.projections[0] == pytest.approx((up - down) / (2 * step), rel=0.02, abs=0.5)
+
+
 def test_a_simulation_that_diverges_everywhere_has_no_fit():
     names = ("x",)
     lost = FunctionSimulator(
