@@ -118,7 +118,8 @@ def told(
     """
     effects, priors, gram = fits.effects, fits.priors, worth.gram
     names, best = priors.names, worth(now.members)
-    ranked = _with_laws(_with_fits(ranked, worth, best, rivals), worth)
+    ranked = _beside_rivals(_with_fits(ranked, worth, best, rivals), worth, best, rivals)
+    ranked = _with_laws(ranked, worth)
     own = next(one for one in ranked.sets if one.members == best.members)
     probabilities = {name: ranked.probability(place) for place, name in enumerate(names)}
     aliases = {
@@ -231,12 +232,36 @@ def _with_fits(ranked: Ranked, worth: Weigher, best: Weighed, rivals: Sequence[R
     return Ranked(tuple(sorted(sets.values(), key=lambda one: (-one.evidence, one.members != best.members))))
 
 
+def _beside_rivals(ranked: Ranked, worth: Weigher, best: Weighed, rivals: Sequence[Rival]) -> Ranked:
+    """Return sets, where what may act beside the best one may act beside its rivals: neither is likelier by it.
+
+    It is worth as much there, or less by as much as slopes say.
+    """
+    sets, now = {one.members: one for one in ranked.sets}, set(best.members)
+    fitted = {one.members for one in rivals}
+    others = [
+        sets[one]
+        for one in fitted
+        if now - set(one) and set(one) - now and sets[one].evidence > best.evidence + np.log(LEAST_SHARE)
+    ]
+    least = ranked.sets[0].evidence + np.log(LEAST_SHARE)
+    for whole in [one for one in ranked.sets if now < set(one.members) and one.evidence > least]:
+        for rival in others:
+            members = tuple(sorted({*rival.members, *(set(whole.members) - now)}))
+            if members in fitted or not worth.allows(members):
+                continue
+            both = worth(members)
+            there = both.evidence - worth(rival.members).evidence
+            here = worth(whole.members).evidence - worth(best.members).evidence
+            gain = whole.evidence - best.evidence + min(there - here, 0.0)
+            sets[members] = replace(both, evidence=rival.evidence + gain)
+    return Ranked(tuple(sorted(sets.values(), key=lambda one: -one.evidence)))
+
+
 def stand_ins(ranked: Ranked, gram: Gram, best: Weighed, names: Sequence[str]) -> dict[int, dict[int, float]]:
-    """Return for each cause the effects that have its place in sets nearly as likely, the likeliest first."""
+    """Return for each cause the effects that have its place in other sets, if nearly as likely, the likeliest first."""
     found: dict[int, dict[int, float]] = {one: defaultdict(float) for one in best.members}
     for share, one in zip(ranked.probabilities, ranked.sets):
-        if one.evidence < best.evidence - np.log(ALIAS_FACTOR):
-            break
         others = [other for other in one.members if other not in best.members]
         for cause in set(best.members) - set(one.members):
             if others:
@@ -246,7 +271,13 @@ def stand_ins(ranked: Ranked, gram: Gram, best: Weighed, names: Sequence[str]) -
     def first(one: tuple[int, float]) -> tuple[float, str]:
         return -round(one[1], 6), names[one[0]]
 
-    return {cause: dict(sorted(shares.items(), key=first)) for cause, shares in found.items()}
+    least = {cause: ranked.probability(cause) / ALIAS_FACTOR for cause in found}
+    return {
+        cause: dict(
+            sorted(((other, share) for other, share in shares.items() if share > least[cause]), key=first)
+        )
+        for cause, shares in found.items()
+    }
 
 
 def also_seen(

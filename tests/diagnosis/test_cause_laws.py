@@ -38,7 +38,7 @@ from skat.diagnosis.fitting import (
     slopes_of,
     value_at,
 )
-from skat.diagnosis.found import Rival, _ends, _quantiles, _with_fits, is_held, stand_ins
+from skat.diagnosis.found import Rival, _beside_rivals, _ends, _quantiles, _with_fits, is_held, stand_ins
 from skat.diagnosis.noise import Noise
 from skat.diagnosis.posterior import CauseSet, Posterior
 from skat.diagnosis.search import Ranked, families_of, rivals_of, search
@@ -345,7 +345,13 @@ def test_what_stands_in_a_cause_s_place_in_likely_sets_is_its_alias():
     others_of = stand_ins(ranked, gram, best, PRIORS.names)
     weights = np.exp(np.array([one.evidence for one in sets]) - 50)
     assert others_of[2] == {}
-    assert others_of[0] == pytest.approx({1: weights[1] / weights.sum()})
+    assert others_of[0] == pytest.approx({1: (weights[1] + weights[4]) / weights.sum()})
+
+
+class WeighedBefore(dict):
+    """Weighs these sets, and allows no other."""
+
+    __call__, allows = dict.__getitem__, dict.__contains__
 
 
 def rival(members, gain):
@@ -356,11 +362,10 @@ def test_fits_of_rivals_go_before_what_slopes_say_of_all_sets_with_them():
     best = a_set((0, 3), 50.0)
     slopes = {(1, 3): 49.5, (1, 3, 4): 47.0, (2, 3): 30.0, (2, 3, 4): 29.0, (0, 2, 3): 46.0, (1, 2): 10.0}
     ranked = Ranked((best, *(a_set(members, nats) for members, nats in slopes.items())))
-    worth = {best.members: best, **{members: a_set(members, nats) for members, nats in slopes.items()}}
-    worth[3,] = a_set((3,), 20.0)
+    worth = WeighedBefore({one.members: one for one in (*ranked.sets, a_set((3,), 20.0))})
 
     def refitted(*rivals):
-        return _with_fits(ranked, worth.get, best, rivals).sets
+        return _with_fits(ranked, worth, best, rivals).sets
 
     # One that is 80 nats behind, not half a nat; what was added to it loses as much.
     worse = {one.members: one.evidence for one in refitted(rival((1, 3), -80.0))}
@@ -385,6 +390,30 @@ def test_a_rival_that_slopes_did_not_weigh_is_weighed_by_its_fit():
     found = _with_fits(Ranked((best,)), lambda members: a_set(members, -5.0), best, [rival((1,), -1.0)])
     assert found.probability(1) == pytest.approx(1 / (1 + np.e))
     assert found.probability(0) == pytest.approx(np.e / (1 + np.e))
+
+
+def test_what_may_act_beside_a_cause_may_act_beside_its_rival():
+    """Two effects act alike; of a third, worth no name beside either, the sets at hand have it beside one alone."""
+    N = np.random.default_rng(0).normal(size=(200, 3))
+    N[:, 1] = N[:, 0]
+    gram = Gram(N.T @ N, N.T @ (N @ [0.5, 0.0, 0.3]), np.zeros(3))
+    worth = Weigher(
+        gram, Priors(tuple("abc"), np.ones(3), np.full(3, -3.0), np.full(3, -50.0), np.full(3, 50.0))
+    )
+    best, both = worth((0,)), worth((0, 2))
+    assert both.evidence > best.evidence + 1
+
+    def beside(gain, *larger):
+        rivals = [rival((1,), gain), *larger]
+        return _beside_rivals(_with_fits(Ranked((both, best)), worth, best, rivals), worth, best, rivals)
+
+    for gain in (-1.0, -3.0):
+        found = beside(gain)
+        assert found.probability(0) / found.probability(1) == pytest.approx(np.exp(-gain))
+        assert found.probability(2) == pytest.approx(1 / (1 + np.exp(best.evidence - both.evidence)))
+    # So it does where a fit has it be worth more than slopes do.
+    found = beside(-1.0, rival((0, 2), 9.0))
+    assert found.probability(0) / found.probability(1) == pytest.approx(np.e)
 
 
 def test_an_interval_is_of_all_sets_with_a_cause():
