@@ -108,6 +108,11 @@ def truth_of(case):
     return {f"lag_torque[{joint}]": LAG} if kind == "lag_torque" else {f"mx106[{joint}]": 1.0}
 
 
+def parts_of(kind):
+    """Return the families of what is hidden and of what is part of the same thing."""
+    return [*FAMILIES.get(kind, ()), *PARTS.get(kind, ())]
+
+
 def run(case, parameters):
     robot, kind, *_ = case.name.split(" | ")
     log = make_log(robot, truth_of(case), seed=case.seed, rows=ROWS, build=ServoWorld)
@@ -123,6 +128,7 @@ def run(case, parameters):
         "kind": kind,
         "truth": log.truth,
         "masses": masses,
+        "parts": parts_of(kind),
         "n_effects": len(offered),
         **answer,
     }
@@ -160,7 +166,7 @@ def is_named(line):
 def is_alone(line):
     """Whether nothing else is said but what is part of it."""
     found, _ = said(line)
-    parts = (*FAMILIES[line["kind"]], *PARTS.get(line["kind"], ()))
+    parts = parts_of(line["kind"])
     beside = [cause["name"] for cause in line["causes"] if cause["name"].partition("[")[0] not in parts]
     return is_named(line) and not [name for name in beside if name not in found]
 

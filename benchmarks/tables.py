@@ -229,10 +229,15 @@ def silent(line):
     return line["verdict"] == "nothing detected"
 
 
+def is_true(line, name):
+    """Whether a name is of what was hidden, or of a family that a line says is part of its world."""
+    return name in line["truth"] or name.partition("[")[0] in line.get("parts", ())
+
+
 def calibration(lines):
     """Return (probability, whether right) of every cause that is told with one."""
     return [
-        (cause["probability"], cause["name"] in line["truth"])
+        (cause["probability"], is_true(line, cause["name"]))
         for line in lines
         for cause in line["causes"]
         if cause.get("probability") is not None

@@ -32,6 +32,7 @@ def test_a_line_is_judged_by_name_alias_and_interval():
     assert not tables.or_alias(beside)
     assert tables.in_interval(beside) == [False]
     assert tables.calibration([right, beside]) == [(0.9, True), (0.9, True), (0.9, False)]
+    assert tables.calibration([{**beside, "parts": ["tilt"]}]) == [(0.9, True), (0.9, True)]
 
 
 def test_wilson_is_the_interval_of_the_score_test():
