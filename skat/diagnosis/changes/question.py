@@ -110,6 +110,9 @@ class Question(Machines):
         The first log's machine, about which its forces are linear, in units of sizes from the base.
     sides : tuple of Rows
         Of both logs. Columns are those of effects; in the second log, then those of candidates.
+    later : ndarray of shape (n_rows of the first log, n_late)
+        Columns of candidates that are late in the first log: a chord is no effect's slope, and what it looks like there
+        may be wrong in both logs, too.
     law : Law
     held_out : ndarray of bool of shape (n_rows of the second log,)
         Which rows of the second log measure the gain.
@@ -121,6 +124,7 @@ class Question(Machines):
     scales: Array
     here: Array
     sides: tuple[Rows, Rows]
+    later: Array
     law: Law
     held_out: Mask
     weak: tuple[str, ...] = ()
@@ -232,12 +236,15 @@ def question_of(
     sides[1] = replace(
         sides[1], columns=np.column_stack([sides[1].columns, whitened[:, kept] * noise[:, None]])
     )
+    chords = [place for place, one in zip(kept, offered) if one.late]
+    later = [one for one in offered if one.late]
     return Question(
         **vars(logs),
         candidates=tuple(offered),
         scales=scales[kept],
         here=here,
         sides=(sides[0], sides[1]),
+        later=columns_of(simulator, halves[0], first, later, units[chords], driven_by=first),
         law=law,
         held_out=_held_out(sides[1].stretch, test_size),
         weak=weak,

@@ -177,8 +177,12 @@ def _searched(question: Question, needed: float) -> _Found:
 
 def _logs(question: Question) -> Logs:
     """Return both logs without the windows that are held out."""
-    law, kept = question.law, ~question.held_out
-    sides = (question.sides[0], law.noise[0]), (question.sides[1].part(kept), law.noise[1][kept])
+    law, kept, (before, after) = question.law, ~question.held_out, question.sides
+    k, late = len(question.effects), np.array([bool(one.late) for one in question.candidates], dtype=bool)
+    own, changed = after.columns[:, :k], after.columns[:, k:]
+    before = replace(before, columns=np.column_stack([before.columns, question.later]))
+    after = replace(after, columns=np.column_stack([own, changed[:, late], changed]))
+    sides = (before, law.noise[0]), (after.part(kept), law.noise[1][kept])
     first, second = (windows_of(*side, law.spread) for side in sides)
     return Logs(total(first), total(second), law, first, second)
 
@@ -190,11 +194,12 @@ def _common(
 
     ``ends`` as of `Machines.possible`.
     """
-    weights, both = logs.law.weights, logs.both(strength)
-    k = len(weights)
+    weights, both = logs.weights, logs.both(strength)
+    k, n = len(weights), len(logs.law.weights)
     H, given = both.products[:k, :k] + np.diag(weights), both.products[:k, k:] @ differences
+    low, high = (np.r_[end, np.full(k - n, beyond)] for end, beyond in zip(ends, (-np.inf, np.inf)))
     level, value = (
-        bounded_solution(H, right, *ends, np.zeros(k))
+        bounded_solution(H, right, low, high, np.zeros(k))[:n]
         for right in (both.projections[:k], both.projections[:k] - given)
     )
     return level, value

@@ -32,13 +32,15 @@ LEAST = 1e-6
 
 @dataclass(frozen=True)
 class Logs:
-    """Both logs as quadratics in effects, the second with candidates behind them, and the law of what is common.
+    """Both logs as quadratics in what is common, the second with candidates behind it, and the law of what is common.
 
     Attributes
     ----------
     first, second : Quadratic
-        In (n_effects,) and (n_effects + n_candidates,) values, in units of typical sizes.
+        In (n_common,) and (n_common + n_candidates,) values, in units of typical sizes. What is common are effects,
+        and then what only their likes in the second log are candidates for, in which logs differ by no misfit.
     law : Law
+        Of effects.
     firsts, seconds : tuple of Quadratic
         The windows of each, one of which may be left out.
     strengths : ndarray of shape (n_strengths,)
@@ -52,6 +54,12 @@ class Logs:
     seconds: tuple[Quadratic, ...] = ()
     strengths: Array = field(default_factory=lambda: STRENGTHS)
 
+    @property
+    def weights(self) -> Array:
+        """Precision of all that is common, (n_common,)."""
+        further = len(self.first.projections) - len(self.law.weights)
+        return np.concatenate([self.law.weights, np.ones(further)])
+
     def both(self, strength: float) -> Quadratic:
         """Return both logs where they differ by a strength."""
         # Of an effect that several joints feel misfit would have to look alike on each.
@@ -60,7 +68,7 @@ class Logs:
 
     def left(self, strength: float) -> Quadratic:
         """Return the same in candidates alone, with what is common integrated out."""
-        return self.both(strength).integrated(self.law.weights).without(len(self.law.weights))
+        return self.both(strength).integrated(self.weights).without(len(self.weights))
 
     def shortened(self) -> Iterator["Logs"]:
         """Yield both logs without each of their windows."""

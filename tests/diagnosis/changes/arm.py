@@ -42,6 +42,7 @@ def question_about(simulator, before, after, *, effects=(), candidates=(), base=
         sizes=sizes,
         scales=scales,
         sides=(first, second),
+        later=np.zeros((len(first.target), 0)),
         law=law,
         held_out=np.isin(second.stretch, held_out),
     )

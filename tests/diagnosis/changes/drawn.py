@@ -38,6 +38,7 @@ def question_of_rows(simulator, *, windows=5, n=8, differences=(0.0, 0.0, 0.0)):
         scales=np.ones(M),
         here=np.zeros(K),
         sides=tuple(sides),
+        later=np.zeros((len(sides[0].target), 0)),
         law=law,
         held_out=held_out,
     )

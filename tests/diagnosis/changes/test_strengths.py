@@ -54,6 +54,27 @@ def test_candidates_alone_are_told_by_a_normal_law_of_all_else(simulator, streng
     assert_dense(_logs(question).left(strength), question, strength)
 
 
+def test_what_looks_like_late_commands_in_both_logs_is_no_change(simulator):
+    """Smoothed motions and steps of commands do; of one log it is a change, of the other no matter how much of it."""
+    drawn = question_of_rows(simulator, windows=12)
+    (first, second), rng = drawn.sides, np.random.default_rng(4)
+    chord = rng.normal(size=len(first.target))
+    late = Candidate(effect_of(simulator, "delay[action]"), 1.0, {}, -0.5)
+    drawn = replace(drawn, candidates=(*drawn.candidates[:-1], late), later=chord[:, None])
+
+    def worth_of_late(*sizes):
+        before = replace(first, target=first.target + sizes[0] * chord)
+        after = replace(second, target=second.target + sizes[1] * second.columns[:, -1])
+        worth = OverStrengths(_logs(replace(drawn, sides=(before, after))), priors_of(M), {})
+        return worth.losses(worth((M - 1,)))[M - 1], worth((M - 1,))
+
+    for both in (-5.0, 0.0, 5.0):
+        assert worth_of_late(both, both)[0] < 0
+        nats, changed = worth_of_late(both, both + 3.0)
+        assert nats > NEEDED
+        assert changed.values == pytest.approx(3.0, abs=3 / np.sqrt(changed.curvature[0, 0]))
+
+
 def test_logs_that_have_to_be_alike_have_one_value_in_common_and_those_that_may_differ_two(simulator):
     logs = _logs(question_of_rows(simulator))
     alike, free = logs.both(STRENGTHS[0]), logs.both(BEYOND[1])
@@ -226,6 +247,7 @@ def misfit_question(simulator, seed, *, apart, change=0.0, spread=0.0025, shown=
         scales=ones,
         here=np.zeros(EFFECTS),
         sides=tuple(sides),
+        later=np.zeros((len(sides[0].target), 0)),
         law=law,
         held_out=stretch < 0,
     )

@@ -34,6 +34,7 @@ def made_up(simulator, names, scales, *, sides=(None, None), noise=(None, None),
         scales=np.array(scales),
         here=np.zeros(k),
         sides=sides,
+        later=np.zeros((0 if sides[0] is None else len(sides[0].target), 0)),
         law=law,
         held_out=held_out,
     )
