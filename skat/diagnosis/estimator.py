@@ -351,8 +351,9 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             differ by more than any misfit of the simulation makes, and by no effect that was asked about; `reason_`,
             which of these it is; `gain_`, on parts of the log after that were held out; and `common_`: for
             each degree of freedom the rms force that the simulation lacks in both logs, and what is left with all that
-            is common in it, N or N m. Where nothing changed `detectable_` says of each effect by how much it would have
-            had to change, either way, to be named: in its unit, of factors as a share of what it is, infinite where no
+            is common in it, N or N m, with servos that exert no more than they may. Where nothing changed `detectable_`
+            says of each effect by how much it would have had to change, either way, to be named: in its unit, of
+            factors as a share of what it is, infinite where no
             possible change would have been. What an earlier `fit` found is gone.
 
         Raises

@@ -16,6 +16,7 @@ from skat.diagnosis.evidence import Priors, Weighed, bounded_solution
 from skat.diagnosis.findings import Cause, Gain
 from skat.diagnosis.forces.machines import MOTORS, WEAKEST, Candidate
 from skat.diagnosis.forces.motions import Log, motion_of
+from skat.diagnosis.forces.start import with_possible_servos
 from skat.diagnosis.search import without_weak
 from skat.effects import Effect
 from skat.simulators import MujocoSimulator, Simulator
@@ -69,6 +70,7 @@ def find_changes(
             f"{error} Or fit the log before, and diagnose the log after with extended_simulator_."
         ) from None
     needed = -np.log(alpha)
+    simulator, effects, _ = with_possible_servos(simulator, halves[0], effects)
     question = question_of(
         simulator, halves, effects, typical=typical or {}, test_size=test_size, needed=needed
     )

@@ -35,7 +35,7 @@ class Changes:
         common in the model, and with the changes, too; the channels are rms forces, N or N m.
     common : dict of str to tuple of two floats
         Of each degree of freedom, by the name of its speed: rms force that the model as it is lacks in the two logs,
-        and what is left with all that is common in it, N or N m.
+        and what is left with all that is common in it, N or N m; of servos that exert no more than they may.
     mistake : str
         How columns of the second log seem to be mixed up, or which motor is as good as dead in it; empty if none.
     reason : str

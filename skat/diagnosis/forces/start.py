@@ -67,19 +67,31 @@ def start_in_forces(
         half = motion_of(simulator, log, "")
     except ValueError:  # contacts, pieces that are too short, a free joint: where to begin is not known
         return {}
-    strengths = _strengths(simulator, half, effects)
-    if not strengths:
-        return _found(simulator, half, effects, typical, needed)
-    weaker, rivals = simulator.extended(strengths), rivals_of(effects)
+    weaker, some, strengths = with_possible_servos(simulator, half, effects)
+    rivals = rivals_of(some)
     # Of a family whose members have factors of their own none stands for all.
-    names = {
-        effect.name
-        for place, effect in enumerate(effects)
-        if not any(effects[other].name in strengths for other in rivals.get(place, ()))
-    }
-    some = [effect for effect in weaker.effects(also="all") if effect.name in names]
+    some = [
+        effect
+        for place, effect in enumerate(some)
+        if not any(some[other].name in strengths for other in rivals.get(place, ()))
+    ]
     found = _found(weaker, half, some, typical, needed)
     return {**found, **{name: own * found.get(name, 1.0) for name, own in strengths.items()}}
+
+
+def with_possible_servos(
+    simulator: MujocoSimulator, half: Motion, effects: Sequence[Effect]
+) -> tuple[MujocoSimulator, Sequence[Effect], dict[str, float]]:
+    """Return a simulator whose servos exert at no time of a log more than they may, its effects, and factors in it.
+
+    Motors' strengths are the unit of what is lacking: of servos that are far too stiff all that gravity and friction
+    exert is next to nothing, and so is what they may exert.
+    """
+    strengths = _strengths(simulator, half, effects)
+    if not strengths:
+        return simulator, effects, {}
+    weaker, names = simulator.extended(strengths), {effect.name for effect in effects}
+    return weaker, [effect for effect in weaker.effects(also="all") if effect.name in names], strengths
 
 
 def _strengths(simulator: MujocoSimulator, half: Motion, effects: Sequence[Effect]) -> dict[str, float]:

@@ -12,7 +12,8 @@ from skat.diagnosis.changes.candidates import LATER, _between
 from skat.diagnosis.changes.question import FAULT, question_of
 from skat.diagnosis.forces.motions import _later
 from skat.simulators import FunctionSimulator, MujocoSimulator
-from tests.diagnosis.forces.test_force_space import ARM, log_of
+from tests.diagnosis.forces.test_force_space import ARM, JOINTS, log_of
+from tests.diagnosis.forces.test_start import servo_log, servos
 
 WRONG = {"friction": (0.12, 0.06), "damping": (0.1, 0.05), "mass": 1.15, "rows": 800}
 # One test asks about all 43 effects of the arm, the others about these.
@@ -157,6 +158,18 @@ def test_swapped_columns_are_told_and_nothing_is_named():
     X[:, [4, 5]] = X[:, [5, 4]]
     with pytest.warns(UserWarning, match=r"ctrl\.shoulder and ctrl\.elbow are swapped"):
         found = asked(log_of(4, **WRONG), (X, y, groups))
+    assert (found.verdict_, found.changes_) == ("unexplained", [])
+
+
+def test_a_turned_target_of_a_servo_that_is_far_too_stiff_in_the_model_is_told_alone():
+    """Of a stiffness beside which gravity is as nothing, to turn the angle would be the same."""
+    X, y, groups = servo_log(4.0)
+    before, after = ((X[rows].copy(), y[rows], groups[rows]) for rows in (slice(600), slice(600, None)))
+    after[0][:, 5] *= -1
+    simulator = MujocoSimulator(servos(200.0), frame_skip=5)
+    few = [f"{family}[{joint}]" for family in ("kp", "damping", "dry_friction") for joint in JOINTS]
+    with pytest.warns(UserWarning, match=r"as if ctrl\.elbow has its sign turned\."):
+        found = SimulationDiagnosis(simulator, effects=few, random_state=0).fit_change(before, after)
     assert (found.verdict_, found.changes_) == ("unexplained", [])
 
 
