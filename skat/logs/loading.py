@@ -385,8 +385,8 @@ def _step_without_clock(record: Recording, simulator: Simulator, rate: float | N
     raise LogError(
         record.source,
         "has no column of times, and nobody has said how many rows a second it has.",
-        "Say it; or name the column of times, as time.",
-        options={"rate": 1 / simulator.dt if simulator.dt else 100.0},
+        "Say how many: rate=..., on the command line --rate; or name the column of times, as "
+        "columns={'time': ...}, on the command line --map time=COLUMN.",
     )
 
 

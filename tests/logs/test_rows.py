@@ -189,7 +189,9 @@ def test_a_function_of_longer_or_unknown_steps_is_refused():
     bare = table(np.zeros(40), time=None)
     without = refused(bare, cart(None))
     assert without.problem == ("has no column of times, and nobody has said how many rows a second it has.")
-    assert without.options == {"rate": 100.0}
+    assert without.options == {}  # no rate is known: one that a reader would copy is none to give
+    assert "rate=..." in without.advice
+    assert "--map time=COLUMN" in without.advice
     nothing = refused(table(np.full(40, np.nan)), cart(0.02))
     assert (nothing.problem, nothing.options) == ("holds no times.", {"columns": {"time": "-"}, "rate": 50.0})
 
@@ -250,7 +252,7 @@ def test_a_model_takes_so_many_of_its_steps_or_of_finer_ones(clock, rate, frame_
 def test_a_model_of_settled_steps_says_how_far_rows_are_apart_where_nobody_else_does():
     bare = table(np.zeros(40), time=None)
     assert load_log(bare, MujocoSimulator(SLIDER, frame_skip=2)).time[1] == pytest.approx(0.01)
-    assert refused(bare, MujocoSimulator(SLIDER)).options == {"rate": pytest.approx(200.0)}
+    assert refused(bare, MujocoSimulator(SLIDER)).options == {}
 
 
 # -- several tables ----------------------------------------------------------------------------------------------------

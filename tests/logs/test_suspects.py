@@ -120,7 +120,8 @@ LIFTED = """<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbo
 <geom type="box" pos=".2 0 0" size=".2 .03 .03" mass="2" contype="0" conaffinity="0"/>
 <body pos=".4 0 0"><joint name="lift" type="slide" axis="0 0 1" damping="20"/><geom size=".03" mass="1"/></body>
 </body></worldbody><actuator>
-<position name="turn" joint="turn" kp="200" kv="15" forcerange="-5 5"/><position name="lift" joint="lift" kp="4000" kv="90"/>
+<position name="turn" joint="turn" kp="200" kv="15" forcerange="-5 5"/>
+<position name="lift" joint="lift" kp="4000" kv="90"/>
 </actuator></mujoco>"""
 
 
