@@ -352,3 +352,18 @@ def test_quaternions_of_nearly_unit_length_get_it_and_others_are_left(length, is
     expected[7] = [0.6 * length, 0.0, np.nan, 0.0]
     np.testing.assert_allclose(log.X[:, 3:7], expected, rtol=1e-12)
     np.testing.assert_array_equal(log.X[:, 0], 5.0 + np.arange(39))
+
+
+def test_commands_that_are_missing_while_the_state_is_there_are_held_and_said():
+    source = table(0.01 * np.arange(40))
+    source["ctrl.u"] = np.where(np.isin(np.arange(40), [7, 8]), np.nan, np.arange(40.0))
+    log = load_log(source, cart())
+    np.testing.assert_array_equal(log.X[5:10, log.simulator.input_names.index("ctrl.u")], [5, 6, 6, 6, 9])
+    assert "2 rows without a command: the one before is held there." in log.notes
+
+
+def test_a_path_of_a_model_is_no_simulator():
+    with pytest.raises(
+        TypeError, match=r"must be a Simulator, such as MujocoSimulator\(.*; it is 'cart\.xml'\."
+    ):
+        load_log(table(0.01 * np.arange(40)), "cart.xml")
