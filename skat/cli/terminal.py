@@ -40,7 +40,9 @@ def clear_errors() -> Iterator[None]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("default")
-            warnings.showwarning = lambda message, *_, **__: _say(console, "Warning", "yellow", _worded(message))
+            warnings.showwarning = lambda message, *_, **__: _say(
+                console, "Warning", "yellow", _worded(message)
+            )
             yield
     except (ValueError, OSError, RuntimeError, TypeError, ImportError) as error:
         _say(console, "Error", "red", error)
