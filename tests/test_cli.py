@@ -324,6 +324,13 @@ def test_warnings_are_shown_and_remembered_for_the_report(capsys):
     assert "Warning: the clock is uneven" in capsys.readouterr().err
 
 
+def test_warnings_name_options_of_the_command_line_and_not_arguments_of_python(capsys):
+    with clear_errors(), heard() as said:
+        warnings.warn("pass velocities='measured' or name them in hidden=.", UserWarning, stacklevel=1)
+    assert "pass --velocities measured or name them by --hidden." in capsys.readouterr().err
+    assert said == ["pass velocities='measured' or name them in hidden=."]
+
+
 def test_a_column_that_was_guessed_is_hidden_from_the_diagnosis(here):
     guessed = edited(here, **{"qvel.rail": np.zeros(120)})
     result = skat("diagnose", "model.xml", guessed, "--hidden", "qvel.rail", "--effect", "damping[rail]")

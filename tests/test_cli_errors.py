@@ -177,7 +177,6 @@ CURED = [
     ("check model.xml free.csv", 1),
     ("check model.xml log.csv --episodes run", 1),
     ("check model.xml log.csv --save-map mine.toml", 1),
-    ("check model.xml untimed.csv", 1),
     ("check model.xml lacking.csv", 1),
 ]
 

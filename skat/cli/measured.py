@@ -370,9 +370,9 @@ def check(
             log, simulator, log_options(simulator, maps, columns, topic, rate, episodes, base, frame_skip)
         )
         show_log(found, save_map, force, table=False)
-        clock = (
-            f"{len(found)} rows of {found.dt:g} s ({1 / found.dt:g} Hz) in {len(found.group_names)} episodes"
-        )
+        n_episodes = len(found.group_names)
+        clock = f"{len(found)} rows of {found.dt:g} s ({1 / found.dt:g} Hz) in "
+        clock += "1 episode" if n_episodes == 1 else f"{n_episodes} episodes"
         steps = f", {found.simulator.frame_skip} time steps of the model each"
         output_console().print(table_of(channel_table(found), title=clock + steps))
         if not preflight:

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 EXIT_BAD_INPUT = 2
+# What warnings for Python say to pass, as the command line has it.
+AS_OPTIONS = {"velocities='measured'": "--velocities measured", "in hidden=": "by --hidden"}
 
 
 def output_console() -> Console:
@@ -38,7 +40,9 @@ def clear_errors() -> Iterator[None]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("default")
-            warnings.showwarning = lambda message, *_, **__: _say(console, "Warning", "yellow", message)
+            warnings.showwarning = lambda message, *_, **__: _say(
+                console, "Warning", "yellow", _worded(message)
+            )
             yield
     except (ValueError, OSError, RuntimeError, TypeError, ImportError) as error:
         _say(console, "Error", "red", error)
@@ -161,6 +165,13 @@ def _cell(value: object, number: str) -> str:
 def _console(stream: TextIO) -> Console:
     # A pipe has no width; 160 keeps rows of a table on one line.
     return Console(file=stream, highlight=False, width=None if stream.isatty() else 160)
+
+
+def _worded(message: Warning | str) -> str:
+    text = str(message)
+    for python, option in AS_OPTIONS.items():
+        text = text.replace(python, option)
+    return text
 
 
 def _say(console: Console, word: str, colour: str, message: object) -> None:

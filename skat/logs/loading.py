@@ -95,11 +95,16 @@ def load_log(
     ImportError
         If a library that reads this format is missing; with the line that installs it.
     TypeError
-        If the source is none of these, or units are neither a text nor a mapping.
+        If the source is none of these, units are neither a text nor a mapping, or the simulator is none.
     """
     if isinstance(source, Sequence) and not isinstance(source, str | PathLike | bytes):
         options = {"units": units, "rate": rate, "topic": topic, "episodes": episodes, "base": base}
         return joined([load_log(one, simulator, columns=columns, **options) for one in source])  # type: ignore[arg-type]
+    if not isinstance(simulator, Simulator):
+        raise TypeError(
+            "simulator must be a Simulator, such as MujocoSimulator(path_of_the_model) or a FunctionSimulator; it is "
+            f"{simulator!r}."
+        )
     if not simulator.state_names:
         raise ValueError(
             "A log of states in time needs a simulator with a state; this one is one-shot. Read its inputs and outputs "
@@ -204,8 +209,21 @@ def _timed(record: Recording, found: Plan, simulator: Simulator, rate: float | N
     notes += [how] if how else []
     own = [piece for piece in own if piece.size >= 2]
     notes += ended(record, found, own, main, names[n_states:], times_of)
+    commands = np.array([states[name][kept] for name in mine if name in names[n_states:]]).reshape(
+        -1, len(kept)
+    )
+    if n_lost := sum(_lost(commands[:, piece.rows]) for piece in own):
+        notes.append(
+            f"{n_lost} row{'s' if n_lost > 1 else ''} without a command: the one before is held there."
+        )
     grid, groups, errors = on_grid(found, states, own, kept, main, names, n_states, times_of, acts)
     return _log(record, found, simulator, grid, groups, own, errors, n_states, notes)
+
+
+def _lost(commands: Array) -> int:
+    """Return how many rows of an episode lack a command that was given before; a row for each channel."""
+    given = np.isfinite(commands)
+    return int((~given & np.logical_or.accumulate(given, axis=1)).any(axis=0).sum())
 
 
 def _main_stream(found: Plan, simulator: Simulator) -> int:
@@ -385,8 +403,8 @@ def _step_without_clock(record: Recording, simulator: Simulator, rate: float | N
     raise LogError(
         record.source,
         "has no column of times, and nobody has said how many rows a second it has.",
-        "Say it; or name the column of times, as time.",
-        options={"rate": 1 / simulator.dt if simulator.dt else 100.0},
+        "Say how many: rate=..., on the command line --rate; or name the column of times, as "
+        "columns={'time': ...}, on the command line --map time=COLUMN.",
     )
 
 

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from skat.logs import LogError
-from skat.logs.readers import csv
+from skat.logs.readers import csv, recording
 
 
 def recorded(path, text):
@@ -127,3 +127,13 @@ def test_words_that_pandas_takes_for_nothing_are_words_in_a_column_of_words(tmp_
     found = recorded(tmp_path / "a.csv", "a,b\nNA,1\nx,2\nn/a,\n").read(["a", "b"])
     assert found["a"].tolist() == ["NA", "x", "n/a"]
     np.testing.assert_array_equal(found["b"], [1, 2, np.nan])
+
+
+@pytest.mark.parametrize(
+    "text", ['{"time": {"0": 0.0, "1": 0.1}, "q": {"0": 0.0}}', '\n[{"time": 0.0, "q": 0.0}]\n']
+)
+def test_json_is_called_so_and_not_a_table_with_names_that_come_twice(tmp_path, text):
+    path = tmp_path / "log.json"
+    path.write_text(text)
+    with pytest.raises(LogError, match="is JSON, which is not read"):
+        recording(path)

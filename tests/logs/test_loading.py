@@ -103,7 +103,7 @@ def test_a_step_that_is_no_multiple_is_met_by_the_time_step_and_said(table, cart
 def test_a_rate_replaces_the_clock_where_there_is_none(table, cart):
     bare = table.drop(columns="time")
     assert load_log(bare, cart, rate=50).simulator.frame_skip == 4
-    assert "Try load_log(..., rate=200.0), on the command line --rate 200." in refusal(bare, cart)
+    assert "Say how many: rate=..., on the command line --rate;" in refusal(bare, cart)
     settled = MujocoSimulator(CART, frame_skip=4)
     assert load_log(bare, settled).dt == pytest.approx(0.02)
 

@@ -189,7 +189,9 @@ def test_a_function_of_longer_or_unknown_steps_is_refused():
     bare = table(np.zeros(40), time=None)
     without = refused(bare, cart(None))
     assert without.problem == ("has no column of times, and nobody has said how many rows a second it has.")
-    assert without.options == {"rate": 100.0}
+    assert without.options == {}  # no rate is known: one that a reader would copy is none to give
+    assert "rate=..." in without.advice
+    assert "--map time=COLUMN" in without.advice
     nothing = refused(table(np.full(40, np.nan)), cart(0.02))
     assert (nothing.problem, nothing.options) == ("holds no times.", {"columns": {"time": "-"}, "rate": 50.0})
 
@@ -250,7 +252,7 @@ def test_a_model_takes_so_many_of_its_steps_or_of_finer_ones(clock, rate, frame_
 def test_a_model_of_settled_steps_says_how_far_rows_are_apart_where_nobody_else_does():
     bare = table(np.zeros(40), time=None)
     assert load_log(bare, MujocoSimulator(SLIDER, frame_skip=2)).time[1] == pytest.approx(0.01)
-    assert refused(bare, MujocoSimulator(SLIDER)).options == {"rate": pytest.approx(200.0)}
+    assert refused(bare, MujocoSimulator(SLIDER)).options == {}
 
 
 # -- several tables ----------------------------------------------------------------------------------------------------
@@ -350,3 +352,18 @@ def test_quaternions_of_nearly_unit_length_get_it_and_others_are_left(length, is
     expected[7] = [0.6 * length, 0.0, np.nan, 0.0]
     np.testing.assert_allclose(log.X[:, 3:7], expected, rtol=1e-12)
     np.testing.assert_array_equal(log.X[:, 0], 5.0 + np.arange(39))
+
+
+def test_commands_that_are_missing_while_the_state_is_there_are_held_and_said():
+    source = table(0.01 * np.arange(40))
+    source["ctrl.u"] = np.where(np.isin(np.arange(40), [7, 8]), np.nan, np.arange(40.0))
+    log = load_log(source, cart())
+    np.testing.assert_array_equal(log.X[5:10, log.simulator.input_names.index("ctrl.u")], [5, 6, 6, 6, 9])
+    assert "2 rows without a command: the one before is held there." in log.notes
+
+
+def test_a_path_of_a_model_is_no_simulator():
+    with pytest.raises(
+        TypeError, match=r"must be a Simulator, such as MujocoSimulator\(.*; it is 'cart\.xml'\."
+    ):
+        load_log(table(0.01 * np.arange(40)), "cart.xml")

@@ -113,3 +113,69 @@ def test_of_few_rows_ranges_tell_degrees_where_no_error_can():
     assert suspect.sentence.endswith("these look like degrees.")
     assert suspect.options == {"units": "deg"}
     assert np.isnan([suspect.error, suspect.repaired]).all()
+
+
+LIFTED = """<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body>
+<joint name="turn" axis="0 0 1" damping="1" armature=".1"/>
+<geom type="box" pos=".2 0 0" size=".2 .03 .03" mass="2" contype="0" conaffinity="0"/>
+<body pos=".4 0 0"><joint name="lift" type="slide" axis="0 0 1" damping="20"/><geom size=".03" mass="1"/></body>
+</body></worldbody><actuator>
+<position name="turn" joint="turn" kp="200" kv="15" forcerange="-5 5"/>
+<position name="lift" joint="lift" kp="4000" kv="90"/>
+</actuator></mujoco>"""
+
+
+def followed(n_rows=300):
+    """Return a log of an arm that turns and lifts, in degrees and metres."""
+    simulator = MujocoSimulator(LIFTED, frame_skip=5)
+    time = simulator.dt * np.arange(n_rows + 1)
+    commands = np.stack([0.8 * np.sign(np.sin(2 * time)), 0.05 * np.sin(7 * time)], axis=1)
+    path = simulator.rollout(np.zeros((1, 4)), commands[None, :-1], n_steps=n_rows)[0]
+    values = np.column_stack([path, commands]) * np.rad2deg(
+        [1, np.deg2rad(1), 1, np.deg2rad(1), 1, np.deg2rad(1)]
+    )
+    return simulator, pd.DataFrame(values, columns=simulator.input_names).assign(time=time)
+
+
+def test_of_servos_in_degrees_those_of_slides_stay_in_metres():
+    simulator, theirs = followed()
+    with pytest.raises(LogError, match="the commands of servos look like degrees") as caught:
+        load_log(theirs, simulator)
+    assert caught.value.options == {"units": "deg"}
+
+
+CRANE = """<mujoco><option timestep="0.005"/><worldbody><body><joint name="rail" type="slide" axis="1 0 0" damping="5"/>
+<geom size=".1" mass="12"/><body pos="0 0 -1"><joint name="swing" axis="0 1 0" pos="0 0 1" damping=".02"/>
+<geom size=".08" mass="4"/></body></body></worldbody><actuator><motor name="drive" joint="rail"/></actuator></mujoco>"""
+
+
+def swung(noise, n_rows=400):
+    """Return a log of a crane whose load swings, in degrees and metres; noise of speeds in m/s and rad/s."""
+    simulator = MujocoSimulator(CRANE, frame_skip=2)
+    time = simulator.dt * np.arange(n_rows + 1)
+    commands = 35 * np.sign(np.sin(2 * time))[:, None]
+    path = simulator.rollout(np.zeros((1, 4)), commands[None, :-1], n_steps=n_rows)[0]
+    path[:, 2:] += np.random.default_rng(0).normal(scale=noise, size=(n_rows + 1, 2))
+    values = np.column_stack([path, commands]) * np.rad2deg(
+        [np.deg2rad(1), 1, np.deg2rad(1), 1, np.deg2rad(1)]
+    )
+    return simulator, pd.DataFrame(values, columns=simulator.input_names).assign(time=time)
+
+
+def test_degrees_are_refused_though_noise_is_most_of_what_changes_from_row_to_row():
+    simulator, theirs = swung(noise=0.015)
+    log = load_log(theirs, simulator, units="rad")
+    assert 0.5 < suspects(simulator, log, kinds=("degrees",))[0].repaired < 1
+    with pytest.raises(LogError, match="look like degrees"):
+        load_log(theirs, simulator)
+    load_log(theirs, simulator, units="deg")
+
+
+def test_degrees_are_tried_of_encoders_that_flicker_at_rest():
+    """Speeds made of such positions say nothing of the positions' unit."""
+    simulator, theirs = followed()
+    flickering = theirs.drop(columns=["qvel.turn", "qvel.lift"])
+    noise = np.random.default_rng(0).normal(scale=0.6, size=len(theirs))
+    flickering["qpos.turn"] = (20 * np.sign(theirs["qpos.turn"]) + noise).round()
+    log = load_log(flickering, simulator, units="rad")
+    assert suspects(simulator, log, kinds=("degrees",))

@@ -184,6 +184,8 @@ def file_kind(path: Path) -> str:
         if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
             raise LogError(str(path), "is text in UTF-16.", "Save it as CSV in UTF-8.")
         raise LogError(str(path), "is in no format that is read.", f"Formats that are read: {FORMATS}.")
+    if head.lstrip()[:1] in (b"{", b"["):
+        raise LogError(str(path), "is JSON, which is not read.", f"Write it as one of: {FORMATS}.")
     return "csv"
 
 
