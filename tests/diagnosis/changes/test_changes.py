@@ -4,6 +4,7 @@ import re
 import warnings
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -49,6 +50,41 @@ def test_a_gain_that_changed_is_told_as_how_many_times_it_is():
     assert found.gain_.extended < found.gain_.nominal
     assert "times what it was" in change.sentence
     assert set(found.common_) == {"qvel.shoulder", "qvel.elbow"}
+
+
+HEAD = """<mujoco><option timestep="0.002" integrator="implicitfast"/>
+  <default><geom contype="0" conaffinity="0"/><joint damping="0.05" armature="0.004"/>
+    <position kp="12" kv="0.6" forcerange="-4 4"/></default>
+  <worldbody><body><joint name="pan" axis="0 0 1"/><geom type="cylinder" size="0.05 0.03" mass="0.6"/>
+    <body pos="0 0 0.08"><joint name="tilt" axis="0 1 0"/>
+      <geom type="box" pos="0.03 0 0.02" size="0.09 0.06 0.05" mass="1.1"/></body></body></worldbody>
+  <actuator><position name="pan" joint="pan"/><position name="tilt" joint="tilt"/></actuator>
+</mujoco>"""
+
+
+def stepped_log(seed, rows=800, every=10):
+    """Return a log in plain MuJoCo of a camera's head whose targets step, ramped over five rows, by its encoders."""
+    rng, model = np.random.default_rng(seed), mujoco.MjModel.from_xml_string(HEAD)
+    steps = np.repeat(rng.uniform(-1, 1, (rows // 40 + 1, 2)) * [1.2, 0.64], 40, axis=0)
+    targets = np.stack([np.convolve(one, np.full(5, 0.2))[4:][:rows] for one in steps.T], axis=1)
+    data, path = mujoco.MjData(model), []
+    data.qpos[:] = targets[0]
+    for target in targets:
+        path.append(data.qpos.copy())
+        data.ctrl[:] = target
+        mujoco.mj_step(model, data, every)
+    read = np.radians(np.round(np.degrees(np.array(path)) / 0.05 + rng.normal(0, 0.4, (rows, 2))) * 0.05)
+    states = np.hstack([read, np.full((rows, 2), np.nan)])
+    return np.hstack([states, targets])[:-1], states[1:], np.zeros(rows - 1)
+
+
+def test_what_steps_of_targets_leave_in_both_logs_is_no_delay_of_the_second():
+    simulator = MujocoSimulator(HEAD, frame_skip=10)
+    for before, after in ((0, 1), (1, 0)):
+        found = SimulationDiagnosis(simulator, random_state=0).fit_change(
+            stepped_log(before), stepped_log(after)
+        )
+        assert not found.changes_
 
 
 @pytest.mark.parametrize("left", [0.2, 0.0])
