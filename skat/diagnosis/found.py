@@ -118,8 +118,8 @@ def told(
     """
     effects, priors, gram = fits.effects, fits.priors, worth.gram
     names, best = priors.names, worth(now.members)
-    ranked = _beside_rivals(_with_fits(ranked, worth, best, rivals), worth, best, rivals)
-    ranked = _with_laws(ranked, worth)
+    ranked = _with_laws(_with_fits(ranked, worth, best, rivals), worth)
+    ranked = _beside_rivals(ranked, worth, best, rivals)
     own = next(one for one in ranked.sets if one.members == best.members)
     probabilities = {name: ranked.probability(place) for place, name in enumerate(names)}
     aliases = {
@@ -238,7 +238,7 @@ def _beside_rivals(ranked: Ranked, worth: Weigher, best: Weighed, rivals: Sequen
     It is worth as much there, or less by as much as slopes say.
     """
     sets, now = {one.members: one for one in ranked.sets}, set(best.members)
-    fitted = {one.members for one in rivals}
+    best, fitted = sets[best.members], {one.members for one in rivals}
     others = [
         sets[one]
         for one in fitted
