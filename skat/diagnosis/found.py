@@ -248,7 +248,8 @@ def _beside_rivals(ranked: Ranked, worth: Weigher, best: Weighed, rivals: Sequen
     for whole in [one for one in ranked.sets if now < set(one.members) and one.evidence > least]:
         for rival in others:
             members = tuple(sorted({*rival.members, *(set(whole.members) - now)}))
-            if members in fitted or not worth.allows(members):
+            known = members in fitted or (members in sets and whole.members not in fitted)
+            if known or not worth.allows(members):
                 continue
             both = worth(members)
             there = both.evidence - worth(rival.members).evidence
