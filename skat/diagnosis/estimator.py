@@ -353,8 +353,8 @@ class SimulationDiagnosis(RegressorMixin, BaseEstimator):
             each degree of freedom the rms force that the simulation lacks in both logs, and what is left with all that
             is common in it, N or N m, with servos that exert no more than they may. Where nothing changed `detectable_`
             says of each effect by how much it would have had to change, either way, to be named: in its unit, of
-            factors as a share of what it is, infinite where no
-            possible change would have been. What an earlier `fit` found is gone.
+            factors as a share of what it is, infinite where no possible change would have been. What an earlier `fit`
+            found is gone.
 
         Raises
         ------

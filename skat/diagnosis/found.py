@@ -235,14 +235,19 @@ def _with_fits(ranked: Ranked, worth: Weigher, best: Weighed, rivals: Sequence[R
 def _beside_rivals(ranked: Ranked, worth: Weigher, best: Weighed, rivals: Sequence[Rival]) -> Ranked:
     """Return sets, where what may act beside the best one may act beside its rivals: neither is likelier by it.
 
-    It is worth as much there, or less by as much as slopes say.
+    It is worth as much there, or less by as much as slopes say. What slopes say of a rival's larger sets stands where
+    they say it of the best one's, too.
     """
     sets, now = {one.members: one for one in ranked.sets}, set(best.members)
     best, fitted = sets[best.members], {one.members for one in rivals}
+    least = best.evidence + np.log(LEAST_SHARE)
     others = [
-        sets[one]
-        for one in fitted
-        if now - set(one) and set(one) - now and sets[one].evidence > best.evidence + np.log(LEAST_SHARE)
+        one
+        for one in ranked.sets
+        if one.members in fitted
+        and one.evidence > least
+        and now - set(one.members)
+        and set(one.members) - now
     ]
     least = ranked.sets[0].evidence + np.log(LEAST_SHARE)
     for whole in [one for one in ranked.sets if now < set(one.members) and one.evidence > least]:
@@ -272,13 +277,11 @@ def stand_ins(ranked: Ranked, gram: Gram, best: Weighed, names: Sequence[str]) -
     def first(one: tuple[int, float]) -> tuple[float, str]:
         return -round(one[1], 6), names[one[0]]
 
-    least = {cause: ranked.probability(cause) / ALIAS_FACTOR for cause in found}
-    return {
-        cause: dict(
-            sorted(((other, share) for other, share in shares.items() if share > least[cause]), key=first)
-        )
-        for cause, shares in found.items()
-    }
+    for cause, shares in found.items():
+        least = ranked.probability(cause) / ALIAS_FACTOR
+        likely = [(other, share) for other, share in shares.items() if share > least]
+        found[cause] = dict(sorted(likely, key=first))
+    return found
 
 
 def also_seen(
